@@ -182,7 +182,7 @@ OPENED = {
     "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
     "animtool.usd.dependencies": "layers that it has looked at",
     "animtool.usd.extents": "a layer in memory",
-    "animtool.usd.fixes.copy": "a copy of a file that find_layer has looked at",
+    "animtool.usd.fixes.target": "a copy of a file that find_layer has looked at",
     "animtool.usd.layers": "a layer that it has looked at",
     "animtool.usd.skinned": "a file that was just written",
     "animtool.usd.rig_layer": "a layer in memory",

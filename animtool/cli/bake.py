@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.bake_options import bake_options, bake_options_record
-from animtool.cli.bake_sources import (
+from animtool.cli.bake_options import (
+    bake_options,
+    bake_options_record,
     default_bake_output,
     only_scene,
     opened_sources,
     until_pass,
 )
+from animtool.cli.bake_table import plot_option, refuse_alone
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -24,7 +26,6 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
-from animtool.cli.plots import plot_option, refuse_alone
 from animtool.cli.shot_options import bake_shot
 
 if TYPE_CHECKING:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.batch_cuts import cut_options, with_cuts
-from animtool.cli.batch_openjd import openjd_failure, openjd_lines
-from animtool.cli.batch_progress import shown_progress
-from animtool.cli.batch_variants import (
+from animtool.cli.batch_options import (
+    cut_options,
     variant_options,
     variant_words,
+    with_cuts,
     with_variants,
 )
+from animtool.cli.batch_progress import openjd_failure, openjd_lines, shown_progress
 from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
@@ -366,7 +366,7 @@ class _Repeat:
 def _tell(
     console: Console, report: BatchReport, given: dict[str, Any], repeat: _Repeat
 ) -> None:
-    from animtool.cli.batch_summary import (
+    from animtool.cli.batch_progress import (
         batch_text,
         planned_text,
         report_json,

@@ -1,4 +1,4 @@
-"""What a batch is at: a live table on a terminal, lines elsewhere."""
+"""What a batch is at, and what it came to: a live table, lines, JSON."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from animtool.batch.recipe import values_text
+from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.work import Status
 from animtool.cli.console import Console
+from animtool.errors import AnimtoolError, counted
 from animtool.printing import escaped, json_printed
+from animtool.quantities import length_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -17,6 +22,141 @@ if TYPE_CHECKING:
     from animtool.batch.recipe import Item
     from animtool.batch.report import ItemReport
     from animtool.batch.run import Listener
+
+
+def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
+    """Return the lines of a summary.
+
+    Args:
+        report: What became of the batch.
+        dry: Nothing was made, and nothing was to be.
+    """
+    words = {Status.NOT_RUN: "to be made"} if dry else {}
+    counts = [
+        f"{count} {words.get(status, status)}"
+        for status in Status
+        if (count := report.count(status))
+    ]
+    reasons = report.reasons()
+    why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    total = counted(len(report.items), "item")
+    lines = [f"{total}: {', '.join(counts) or 'nothing'} in {report.seconds:.2f} s"]
+    if why:
+        lines.append(f"  why: {why}")
+    warned = len(report.warned())
+    if warned:
+        lines.append(f"  warnings: of {counted(warned, 'item')}")
+    if report.slowest:
+        slow = [
+            f"{entry.item.output} {entry.seconds:.2f} s" for entry in report.slowest
+        ]
+        lines.append(f"  slowest: {', '.join(slow)}")
+    if report.worst:
+        lines.append(f"  largest errors: {', '.join(map(_error_text, report.worst))}")
+    return lines
+
+
+def _error_text(entry: ItemReport) -> str:
+    assert entry.measured is not None
+    found = entry.measured
+    return f"{entry.item.output} {length_text(found.error, 2)} (joint {found.joint!r})"
+
+
+def ended_text(entry: ItemReport, number: int, total: int) -> str:
+    """Return the line of an item that ended.
+
+    Args:
+        entry: What became of it.
+        number: How many have ended, it included.
+        total: How many are to be made.
+    """
+    head = f"[{number}/{total}] {entry.status} {entry.item.output}"
+    values = values_text(entry.item.values)
+    if entry.status is Status.FAILED:
+        return f"{head}{values}: {entry.why}"
+    return f"{head}{values} ({entry.reason}) {entry.seconds:.2f} s"
+
+
+def planned_text(report: BatchReport) -> list[str]:
+    """Return a line for each item of a dry run: what would become of it, and why."""
+    lines = []
+    for entry in report.items:
+        what = "skip" if entry.status is Status.SKIPPED else "make"
+        detail = f": {entry.detail}" if entry.detail else ""
+        values = values_text(entry.item.values)
+        lines.append(f"{what} {entry.item.output}{values} ({entry.reason}{detail})")
+    return lines
+
+
+def report_json(
+    report: BatchReport, command: Callable[[ItemReport], str]
+) -> dict[str, object]:
+    """Return the report as plain values.
+
+    Args:
+        report: What became of the batch.
+        command: Returns what makes an item again.
+    """
+    items = []
+    for entry in report.items:
+        plain = entry.as_dict()
+        if entry.status is Status.FAILED:
+            plain["again"] = command(entry)
+        items.append(plain)
+    return {**report.as_dict(), "items": items}
+
+
+def openjd_lines(other: Listener) -> Listener:
+    """Return a listener that writes such lines to stdout, and tells another."""
+    from animtool.batch.run import Listener
+    from animtool.batch.work import Status
+
+    class Lines(Listener):
+        """Writes progress, status and failures."""
+
+        def __init__(self) -> None:
+            self.total = self.ended_items = self.failed = 0
+
+        def planned(self, due: int, total: int) -> None:
+            """Say how many are to be made."""
+            self.total = due
+            _say("progress", f"{0 if due else 100:.1f}")
+            _say("status", f"{due} of {total} to be made")
+            other.planned(due, total)
+
+        def began(self, item: Item) -> None:
+            """Tell the other."""
+            other.began(item)
+
+        def ended(self, report: ItemReport) -> None:
+            """Say how far it is, and what failed."""
+            self.ended_items += 1
+            output, count = report.item.output, f"{self.ended_items} of {self.total}"
+            if report.status is Status.FAILED:
+                self.failed += 1
+                _say("fail", f"{self.failed} failed, at last {output}: {report.why}")
+            _say("progress", f"{100 * self.ended_items / self.total:.1f}")
+            _say("status", f"{count}: {report.status} {output}")
+            other.ended(report)
+
+    return Lines()
+
+
+@contextmanager
+def openjd_failure(*, asked: bool) -> Iterator[None]:
+    """Say in such a line too what ends the whole, where that is asked for."""
+    try:
+        yield
+    except AnimtoolError as error:
+        if asked:
+            _say("fail", str(error.faults[0]))
+        raise
+
+
+def _say(kind: str, text: str) -> None:
+    sys.stdout.write(f"openjd_{kind}: {escaped(' '.join(text.split()))}\n")
+    sys.stdout.flush()
+
 
 WIDTH = 40
 
@@ -45,7 +185,6 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
 
 def _lines(console: Console, *, lines: bool) -> Listener:
     from animtool.batch.run import Listener
-    from animtool.cli.batch_summary import ended_text
 
     class Lines(Listener):
         """Says each item in a line."""

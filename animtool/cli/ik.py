@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from animtool.cli.bake_table import check_plot, draw, plot_option, refuse_alone
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -26,7 +27,6 @@ from animtool.cli.options import (
     take_option,
 )
 from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
-from animtool.cli.plots import check_plot, draw, plot_option, refuse_alone
 from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
 
 FIRST = "first"

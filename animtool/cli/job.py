@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from animtool.cli.batch_cuts import cut_options, with_cuts
+from animtool.cli.batch_options import cut_options, with_cuts
 from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,

@@ -40,7 +40,7 @@ COMMANDS = {
         "animtool.cli.batch:batch",
         "Bake many files, on every core, resumable.",
     ),
-    "completion": ("animtool.cli.completion:completion", "Print a completion script."),
+    "completion": ("animtool.cli.schema:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
     "explain": ("animtool.cli.explain:explain", "Say what a code means."),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from animtool.cli.mesh_summary import mesh_json, mesh_text
+from animtool.cli.plan_summary import mesh_json, mesh_text
 from animtool.clock import FrameSpan, frame_label
 from animtool.errors import counted, listed
 from animtool.quantities import duration_text, length_text, plain, size_text

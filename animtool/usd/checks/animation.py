@@ -1,4 +1,4 @@
-"""Checks on SkelAnimation prims."""
+"""Checks on SkelAnimation prims, and on what skel relationships lead to."""
 
 from __future__ import annotations
 
@@ -14,6 +14,49 @@ from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 from animtool.usd.skinned import is_shown_mesh
+
+_WANTED = {
+    "skel:animationSource": UsdSkel.Animation,
+    "skel:skeleton": UsdSkel.Skeleton,
+    "skel:blendShapeTargets": UsdSkel.BlendShape,
+}
+_NAMES = {
+    "skel:animationSource": "SkelAnimation",
+    "skel:skeleton": "Skeleton",
+    "skel:blendShapeTargets": "BlendShape",
+}
+
+
+def check_bindings(subject: Subject) -> Iterator[Fault]:
+    """Check that bindings lead to prims of their kind.
+
+    In a layer whose rig is elsewhere, prims that it lacks may be there.
+    """
+    for prim in subject.prims:
+        for name, schema in _WANTED.items():
+            relationship = prim.GetRelationship(name)
+            if not relationship:
+                continue
+            for target in relationship.GetTargets():
+                found = subject.stage.GetPrimAtPath(target)
+                if not found and subject.alone:
+                    continue
+                if found and not found.GetTypeName() and not found.IsDefined():
+                    continue
+                yield from _target(relationship, target, found, schema, _NAMES[name])
+
+
+def _target(
+    relationship: Any, target: Any, found: Any, schema: Any, wanted: str
+) -> Iterator[Fault]:
+    if not found:
+        message = f"{target} is not there"
+        yield finding("USD208", relationship.GetPath(), message)
+    elif not found.IsA(schema):
+        kind = found.GetTypeName() or "prim without a type"
+        message = f"{target} is a {kind}, not a {wanted}"
+        yield finding("USD208", relationship.GetPath(), message)
+
 
 # Of a quaternion's length. Text files with four digits are within.
 UNIT_TOLERANCE = 1e-3

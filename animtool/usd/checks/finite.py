@@ -1,4 +1,4 @@
-"""A check on every number of every layer: attributes, samples and metadata.
+"""Checks on every attribute: its type, its numbers, its splines.
 
 It reads layers, not the stage: what a stronger opinion hides, and the variants that are
 not selected, are in the file too.
@@ -21,6 +21,70 @@ from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 from animtool.usd.finite import floats_of, largest
+
+
+def check_types(subject: Subject) -> Iterator[Fault]:
+    """Check that the strongest opinion on an attribute is of its schema's type.
+
+    Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
+    """
+    for attr in subject.attributes:
+        found, wanted = attr.GetPropertyStack()[0].typeName, _wanted(attr)
+        if wanted is not None and found.type != wanted.type:
+            message = f"it is {found}, its schema has {wanted}; more may be wrong there"
+            yield finding("USD280", attr.GetPath(), message)
+
+
+def _wanted(attr: Any) -> Any:
+    """Return the type that an attribute should have, None where any will do."""
+    name = attr.GetName()
+    if name.startswith("inbetweens:"):
+        return Sdf.ValueTypeNames.Vector3fArray
+    binding = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("SkelBindingAPI")
+    for definition in (attr.GetPrim().GetPrimDefinition(), binding):
+        found = definition.GetAttributeDefinition(name)
+        if found:
+            return found.GetTypeName()
+    return None
+
+
+def check_splines(subject: Subject) -> Iterator[Fault]:
+    """Check that splines go forward in time, and that no samples hide them.
+
+    A knot that is not finite is refused by USD as the layer is read.
+    """
+    for attr in subject.attributes:
+        specs = [spec for spec in attr.GetPropertyStack() if spec.HasSpline()]
+        if not specs:
+            continue
+        spline = specs[0].GetSpline()
+        if spline.HasRegressiveTangents():
+            message = f"tangents of some of its {len(spline.GetKnots())} knots do"
+            yield finding("USD274", attr.GetPath(), message)
+        # Of one layer, samples win; a stronger layer may replace a spline by samples.
+        layer, path = specs[0].layer, specs[0].path
+        samples = layer.ListTimeSamplesForPath(path)
+        if samples:
+            message = (
+                f"{counted(len(samples), 'sample')} and "
+                f"{counted(len(spline.GetKnots()), 'knot')}"
+            )
+            yield finding("USD275", attr.GetPath(), message)
+
+
+def check_uniform(subject: Subject) -> Iterator[Fault]:
+    """Check that no uniform attribute has samples."""
+    for attr in subject.attributes:
+        if attr.GetVariability() != Sdf.VariabilityUniform:
+            continue
+        times = subject.times(attr)
+        if times:
+            message = (
+                f"{counted(len(times), 'sample')} from time code {times[0]:g} on a "
+                "uniform attribute"
+            )
+            yield finding("USD211", attr.GetPath(), message)
+
 
 # Codes that say the same of one kind of attribute.
 ALREADY = frozenset(

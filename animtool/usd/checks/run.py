@@ -8,18 +8,25 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from animtool.errors import Fault, FormatError
-from animtool.usd.checks.animation import check_animations, check_known_joints
-from animtool.usd.checks.bindings import check_bindings
-from animtool.usd.checks.composition import check_assets, check_composition
+from animtool.usd.checks.animation import (
+    check_animations,
+    check_bindings,
+    check_known_joints,
+)
 from animtool.usd.checks.extents import check_extents
-from animtool.usd.checks.finite import ALREADY, check_finite
-from animtool.usd.checks.physics import check_physics
+from animtool.usd.checks.finite import (
+    ALREADY,
+    check_finite,
+    check_splines,
+    check_types,
+    check_uniform,
+)
 from animtool.usd.checks.points import check_points
-from animtool.usd.checks.shapes import check_shapes, check_targets
-from animtool.usd.checks.skeleton import check_skeletons
-from animtool.usd.checks.skin import check_skins
-from animtool.usd.checks.splines import check_splines, check_uniform
+from animtool.usd.checks.skeleton import check_physics, check_skeletons
+from animtool.usd.checks.skin import check_shapes, check_skins, check_targets
 from animtool.usd.checks.stage_metadata import (
+    check_assets,
+    check_composition,
     check_range,
     check_rate_values,
     check_rates,
@@ -27,7 +34,6 @@ from animtool.usd.checks.stage_metadata import (
 )
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
-from animtool.usd.checks.types import check_types
 from animtool.usd.checks.usd_validators import check_with_usd
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.dependencies import open_composed

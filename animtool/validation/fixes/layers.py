@@ -16,7 +16,7 @@ from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
 
 if TYPE_CHECKING:
-    from animtool.usd.fixes.copy import EditedLayer
+    from animtool.usd.fixes.target import EditedLayer
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class LayerDraft:
     @cached_property
     def opened(self) -> Opened:
         """The content as rules look at it."""
-        from animtool.usd.fixes.copy import edited_layer
+        from animtool.usd.fixes.target import edited_layer
 
         with edited_layer(self.path, self.content):
             return open_file(self.path)
@@ -58,7 +58,7 @@ class LayerDraft:
 
     def step(self, faults: Sequence[Fault]) -> Step:
         """Return the layer with findings fixed, as far as they are its own."""
-        from animtool.usd.fixes.copy import edited_layer
+        from animtool.usd.fixes.target import edited_layer
 
         done: list[tuple[Fault, str]] = []
         refused: list[tuple[Fault, str]] = []
@@ -77,8 +77,7 @@ class LayerDraft:
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that are of this layer and have a safe remedy."""
-        from animtool.usd.fixes.copy import edited_layer
-        from animtool.usd.fixes.target import NotFixableError
+        from animtool.usd.fixes.target import NotFixableError, edited_layer
 
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
@@ -98,7 +97,7 @@ class LayerDraft:
 
     def write(self, output: Path) -> Sequence[str]:
         """Write the layer to a file, and return what else that changed."""
-        from animtool.usd.fixes.copy import write_copy
+        from animtool.usd.fixes.target import write_copy
 
         return write_copy(self.path, self.content, output)
 

@@ -111,7 +111,7 @@ def fix_copy(
             (OUT003), or one of the two is no plain layer (OUT004).
         OutputError: It cannot be written.
     """
-    from animtool.usd.fixes.copy import check_copy, spare_composed_layers
+    from animtool.usd.fixes.target import check_copy, spare_composed_layers
 
     options = (options or ValidateOptions()).resolved()
     check_copy(source, output)
