@@ -172,10 +172,10 @@ def test_names_are_made_of_the_words_of_the_field(folder: str) -> None:
 OPENED = {
     "animtool.files": "what is named, once it was looked at",
     "animtool.batch.ledger": "a lock that it writes",
-    "animtool.batch.lines": "a record that it writes",
+    "animtool.batch.records": "a record that it writes",
     "animtool.batch.pool": "/proc",
     "animtool.batch.timeline": "a cut list that timeline_text has looked at",
-    "animtool.batch.worker": "/proc",
+    "animtool.batch.work": "/proc",
     "animtool.leftovers": "/proc",
     "animtool.placing": "files that it writes, and their folders",
     "animtool.scene.stats": "/proc and cgroups",

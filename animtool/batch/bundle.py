@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from animtool.batch.checked import (
+from animtool.batch.discover import Batch
+from animtool.batch.records import (
     RecordError,
     json_of_file,
     list_in,
@@ -24,7 +25,6 @@ from animtool.batch.checked import (
     object_of,
     text_in,
 )
-from animtool.batch.discover import Batch
 from animtool.batch.work import Status
 from animtool.documents.yaml_text import yaml_text
 from animtool.errors import Fault, FormatError

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from animtool.batch.cuts import SHOT_NAMES
-from animtool.batch.names import INPUT_NAMES, unknown_names
+from animtool.batch.recipe import INPUT_NAMES, unknown_names
 from animtool.batch.schema import BatchModel, OptionsModel, RangeModel
 from animtool.batch.spec import BatchSpec, Limits, parse_bytes
 from animtool.batch.variants import (

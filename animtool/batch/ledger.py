@@ -17,14 +17,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.batch.checked import RecordError, json_of_file, text_in, whole_in
-from animtool.batch.lines import LineReader, LineWriter
 from animtool.batch.manifest import (
     ItemRecord,
     Manifest,
     ManifestWriter,
     read_manifest,
     rewrite_manifest,
+)
+from animtool.batch.records import (
+    LineReader,
+    LineWriter,
+    RecordError,
+    json_of_file,
+    text_in,
+    whole_in,
 )
 from animtool.batch.spec import place_of
 from animtool.errors import Fault, OutputError, excerpt

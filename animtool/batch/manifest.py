@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from animtool.batch.checked import (
+from animtool.batch.records import (
+    LineReader,
+    LineWriter,
     RecordError,
     list_in,
     object_of,
@@ -23,7 +25,6 @@ from animtool.batch.checked import (
     texts_in,
     whole_in,
 )
-from animtool.batch.lines import LineReader, LineWriter
 from animtool.errors import Fault
 from animtool.files import open_input
 from animtool.inputs import FileState

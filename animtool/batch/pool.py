@@ -21,10 +21,16 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.batch.recipe import Item, Recipe
-from animtool.batch.requirements import needed_modules
 from animtool.batch.spec import Limits, bytes_text
-from animtool.batch.work import Maker, Outcome, Status
-from animtool.batch.worker import READY, Reading, serve
+from animtool.batch.work import (
+    READY,
+    Maker,
+    Outcome,
+    Reading,
+    Status,
+    needed_modules,
+    serve,
+)
 from animtool.errors import Fault, OutputError
 from animtool.leftovers import remove_leftovers
 from animtool.signals import without_interrupts

@@ -1,12 +1,16 @@
-"""Making one item, in this process or in one of a pool."""
+"""Making items, in this process or in one that makes them one after another."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +20,9 @@ from animtool.batch.spec import named_from
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.placing import output_error
+from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.scene.sources import is_scene
+from animtool.supervisor import follow_parent, report_reading
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport
@@ -189,3 +196,119 @@ def _forget_layers() -> None:
         from animtool.usd.layers import forget_layers
 
         forget_layers()
+
+
+# The last freezes what the others brought.
+WARM = "animtool.batch.warm"
+ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.author")
+READING = {
+    BVH: ("animtool.formats.bvh.read",),
+    DOCUMENT: ("animtool.clip.file", "animtool.rig.file", "animtool.scene.clips"),
+    USD: ("animtool.usd.read",),
+}
+LAYERS = ("animtool.usd.target",)
+# A scene may read anything, and most change its time.
+SCENES = (
+    "animtool.scene.file",
+    *(module for modules in READING.values() for module in modules),
+    *LAYERS,
+    "animtool.edit.loop",
+    "animtool.edit.thin",
+    "animtool.edit.trim",
+    "animtool.scene.library",
+    "animtool.scene.outputs",
+    "animtool.usd.meshes",
+)
+
+
+def needed_modules(recipe: Recipe) -> list[str]:
+    """Return what is imported before the first item; less is known of plug-ins.
+
+    >>> from pathlib import Path
+    >>> needed_modules(Recipe(kinds=(Path("walk.bvh"),)))[-2:]
+    ['animtool.formats.bvh.read', 'animtool.batch.warm']
+    """
+    return [*dict.fromkeys([*ALWAYS, *_by_kind(recipe), WARM])]
+
+
+def _by_kind(recipe: Recipe) -> Iterator[str]:
+    if recipe.scene is not None or any(map(is_scene, recipe.kinds)):
+        yield from SCENES
+    if recipe.options.rig_layer is not None:
+        yield from LAYERS
+    for path in recipe.kinds:
+        reader = READERS.get(path.suffix.lower())
+        yield from READING.get(reader, ()) if reader is not None else ()
+
+
+def import_needed(recipe: Recipe) -> None:
+    """Import what is needed, where it is not there yet."""
+    for name in needed_modules(recipe):
+        import_module(name)
+
+
+# What a worker sends once it can take items.
+READY = "ready"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Names the file that USD reads in a worker; empty when it was read."""
+
+    path: str
+
+
+def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
+    """Make the items that come in, and send what became of each, until none comes.
+
+    Args:
+        connection: To the run.
+        maker: What makes them.
+        memory: What this process may have [bytes]; None is any.
+    """
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    follow_parent()
+    # What is imported before the first item takes none of its time.
+    import_needed(maker.recipe)
+    from animtool.usd.layers import compute_alone
+
+    compute_alone()
+    if memory is not None:
+        _limit_memory(memory)
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        connection.send(READY)
+        report_reading(lambda path: connection.send(Reading(path)))
+        while (item := connection.recv()) is not None:
+            outcome = maker.make(item)
+            connection.send(outcome)
+            if outcome.retired:
+                return
+
+
+def _limit_memory(memory: int) -> None:
+    """Let allocations fail that lead beyond a limit, where systems can do that.
+
+    What is mapped already counts twice in part: the limit errs on the large side, and
+    the run watches what is really used.
+    """
+    if sys.platform == "win32":
+        return
+    import resource
+
+    mapped = mapped_bytes()
+    if mapped is not None:
+        with contextlib.suppress(OSError, ValueError):
+            most = resource.getrlimit(resource.RLIMIT_AS)[1]
+            wanted = mapped + memory
+            if most != resource.RLIM_INFINITY:
+                wanted = min(wanted, most)
+            resource.setrlimit(resource.RLIMIT_AS, (wanted, most))
+
+
+def mapped_bytes() -> int | None:
+    """Return how much this process has mapped [bytes]; None where nothing says it."""
+    try:
+        with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
+            return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return None

@@ -31,7 +31,7 @@ from animtool.signals import TerminatedError
 from animtool.supervisor import stdin_lines
 
 if TYPE_CHECKING:
-    from animtool.batch.report import BatchReport, ItemReport
+    from animtool.batch.run import BatchReport, ItemReport
     from animtool.batch.spec import BatchSpec
 
 
@@ -287,7 +287,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     else:
         spec = BatchSpec(_listed(inputs))
     if given["path_mapping"] is not None:
-        from animtool.batch.names import mapped_spec, read_rules
+        from animtool.batch.recipe import mapped_spec, read_rules
 
         spec = mapped_spec(spec, read_rules(given["path_mapping"]))
     here = Path.cwd()
@@ -400,7 +400,7 @@ def _tell(
 
 
 def _write_junit(path: Path, report: BatchReport) -> None:
-    from animtool.batch.report import junit_report
+    from animtool.batch.run import junit_report
     from animtool.output import check_outputs, replacing
     from animtool.placing import output_error
 

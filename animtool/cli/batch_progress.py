@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from animtool.batch.recipe import values_text
-from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.run import BatchReport, ItemReport
 from animtool.batch.work import Status
 from animtool.cli.console import Console
 from animtool.errors import AnimtoolError, counted
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from animtool.batch.recipe import Item
-    from animtool.batch.report import ItemReport
-    from animtool.batch.run import Listener
+    from animtool.batch.run import ItemReport, Listener
 
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:

@@ -76,9 +76,9 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
         mean_seconds,
         write_bundle,
     )
-    from animtool.batch.check import check_places
     from animtool.batch.discover import find_batch
     from animtool.batch.file import load_batch
+    from animtool.batch.plan import check_places
     from animtool.batch.spec import is_batch
 
     if not is_batch(batch_file):

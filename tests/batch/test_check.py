@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from support.batch import take_files
 
-from animtool.batch.check import check_overwrites, check_places
 from animtool.batch.discover import Batch, find_batch
+from animtool.batch.plan import check_overwrites, check_places
 from animtool.batch.spec import BatchSpec
 from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.scene.options import BakeOptions

@@ -13,9 +13,8 @@ from support.batch import take_files, trouble_files
 from support.cli import animtool
 from support.cluster import small_cluster
 
-from animtool.batch.cluster import _address, _sent, dask
 from animtool.batch.discover import find_batch
-from animtool.batch.executors import Work
+from animtool.batch.executors import Work, _address, _sent, dask
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.work import Maker, Status
 from animtool.batch.worker_process import Task, WorkerProcess
@@ -88,8 +87,8 @@ def test_a_cluster_that_is_lost_ends_the_run(
 
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
-        monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
-        monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
+        monkeypatch.setattr("animtool.batch.executors.WORKERLESS", 0.2)
+        monkeypatch.setattr("animtool.batch.executors.TIMEOUT", 0.5)
         if whole:
             lost.close()
         else:
@@ -118,7 +117,7 @@ def test_other_versions_are_named(
     cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.made_by", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr("animtool.batch.executors.made_by", lambda: {"numpy": "0.1"})
     (outcome,) = dask(work(tmp_path, cluster))
     assert outcome.faults[0].code == "BAT036"
     assert "for 0.1" in outcome.faults[0].message
@@ -136,7 +135,7 @@ def test_the_command_line(cluster: str, tmp_path: Path) -> None:
 def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.2)
+    monkeypatch.setattr("animtool.batch.executors.TIMEOUT", 0.2)
     for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
         with pytest.raises(OutputError) as error:
             list(dask(work(tmp_path, argument)))

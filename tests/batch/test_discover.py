@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support.batch import take_files
 
-from animtool.batch.check import check_places
 from animtool.batch.discover import find_batch
+from animtool.batch.plan import check_places
 from animtool.batch.spec import BatchSpec
 from animtool.errors import FormatError, NothingFoundError, OptionError
 from animtool.scene.options import BakeOptions

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.batch.check import check_places
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
+from animtool.batch.plan import check_places
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.variants import (

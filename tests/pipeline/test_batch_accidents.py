@@ -220,7 +220,7 @@ def test_a_folder_that_may_not_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 2)
-    monkeypatch.setattr("animtool.batch.check.os.access", lambda *_: False)
+    monkeypatch.setattr("animtool.batch.plan.os.access", lambda *_: False)
     done = animtool("batch", "takes", "-o", "out/{stem}.usdc", cwd=tmp_path)
     assert done.code == 3
     assert "OUT002" in done.stderr

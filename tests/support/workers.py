@@ -9,8 +9,7 @@ import sys
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
-from animtool.batch.work import Maker
-from animtool.batch.worker import READY
+from animtool.batch.work import READY, Maker
 
 
 def serve_nothing(connection: Connection, maker: Maker, memory: int | None) -> None:

@@ -12,13 +12,13 @@ import numpy as np
 from support.bvh import random_rows, small_bvh
 
 from animtool.batch.bundle import chunk_size, mean_seconds
-from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
+from animtool.batch.executors import _address
 from animtool.batch.file import load_batch
 from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
-from animtool.batch.names import mapped_path, read_rules
 from animtool.batch.plan import Planner
+from animtool.batch.recipe import mapped_path, read_rules
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
