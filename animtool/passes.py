@@ -26,11 +26,7 @@ MAX_NAMED = 6
 
 
 class PassthroughTracks:
-    """Takes the tracks out of a take, and puts them back frame by frame.
-
-    Attributes:
-        stream: The take without them.
-    """
+    """Takes the tracks out of a take, and puts them back frame by frame."""
 
     def __init__(self, stream: TakeStream) -> None:
         self._tracks, curve = stream.tracks, stream.curve
@@ -70,16 +66,7 @@ class PassthroughTracks:
 def checked_tracks(
     stream: TakeStream, before: Sequence[Track], name: str
 ) -> TakeStream:
-    """Return what a pass made of a take, refused where it has lost the tracks.
-
-    Args:
-        stream: What it made.
-        before: The tracks that there were.
-        name: Of the pass.
-
-    Raises:
-        OptionError: Perhaps only while the blocks are read: it has (SCN045).
-    """
+    """Return what a pass made of a take, refused where it has lost the tracks."""
     if not before:
         return stream
     paths = listed([track.path for track in before], MAX_NAMED)
@@ -145,11 +132,7 @@ RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS, TakePart.POINTS
 
 
 def named_take(path: Path | None, option: str = "take") -> Path:
-    """Return the file of another take that an option names.
-
-    Raises:
-        OptionError: It names none (SCN024).
-    """
+    """Return the file of another take that an option names."""
     if path is None:
         message = f"{option} must name a file with another take"
         raise OptionError(Fault("SCN024", message))
@@ -164,35 +147,29 @@ Segments: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class PassContext:
-    """What a pass may use beside its take and options.
+    """What a pass may use beside its take and options."""
 
-    Attributes:
-        open: Opens another take on the same rig.
-        folder: Where relative paths in options start.
-        notices: Gathers what a pass has to say about its work.
-        errors: Gathers the largest distance in the world by which a pass that solves
-            something missed it [m].
-        early: How many frames stand before the take's own and hold its first, for a
-            pass that settles.
-        keeps: Whether a pass writes files beside the take, which its options name as
-            ``writes``: a bake does, what only looks at a take does not.
-        in_shot: Whether time codes of the take are shot frames, which its samples need
-            not be on.
-        progress: Told the share done of the frames in hand, 0 to 1, by passes that
-            say that they tell it; None where nobody looks.
-        segments: Simulates a rope or strands of the scene by their name; returns a
-            particle of it, by name or number, and the one before it at every frame of
-            a take, the latter first ``(F, 2, 3)`` [m]. None where there is no scene.
-    """
-
-    open: Callable[[Path], Take]
-    folder: Path
+    open: Callable[[Path], Take]  # opens another take on the same rig
+    folder: Path  # where relative paths in options start
+    # Gathers what a pass has to say about its work.
     notices: list[Fault] = field(default_factory=list)
+    # Gathers the largest distance in the world by which a pass that solves something
+    # missed it [m].
     errors: list[float] = field(default_factory=list)
+    # How many frames stand before the take's own and hold its first, for a pass that
+    # settles.
     early: int = 0
+    # Whether a pass writes files beside the take, which its options name as ``writes``:
+    # a bake does, what only looks at a take does not.
     keeps: bool = True
+    # Whether time codes of the take are shot frames, which its samples need not be on.
     in_shot: bool = False
+    # Told the share done of the frames in hand, 0 to 1, by passes that say that they
+    # tell it; None where nobody looks.
     progress: Callable[[float], None] | None = None
+    # Simulates a rope or strands of the scene by their name; returns a particle of it,
+    # by name or number, and the one before it at every frame of a take, the latter
+    # first ``(F, 2, 3)`` [m]. None where there is no scene.
     segments: Segments | None = None
 
     def take(self, path: Path | None, option: str = "take") -> Take:
@@ -217,37 +194,29 @@ def _no_checks(_: object) -> OptionChecks:
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One entry of the table of passes.
+    """One entry of the table of passes."""
 
-    Attributes:
-        name: As a scene writes it.
-        summary: What it does, one line.
-        options: Frozen dataclass of its options, each with a default.
-        scope: FRAME and WINDOW passes run on streams and carry their state from
-            block to block; CLIP passes run on whole takes.
-        run: Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options
-            and the context, and returns the same kind.
-        checks: Takes the options and returns what can be checked of them before
-            there is a take.
-        reads: Parts of the take that decide what it does; nothing else shows in it.
-        changes: Parts that it may change; all else stays as it is. What stays does so
-            at the time codes that are left, where the clock is among them. A pass that
-            changes neither clock nor tracks does not see what is beside the rig.
-        settles: It begins from a state of its own and needs the pre-roll of a shot to
-            come to the take; it keeps the frames that it is given.
-        tells: It takes its time, and tells the context its progress.
-    """
-
-    name: str
-    summary: str
-    options: type[Any]
+    name: str  # as a scene writes it
+    summary: str  # what it does, one line
+    options: type[Any]  # frozen dataclass of its options, each with a default
+    # FRAME and WINDOW passes run on streams and carry their state from block to block;
+    # CLIP passes run on whole takes.
     scope: Scope
+    # Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options and the
+    # context, and returns the same kind.
     run: ClipRun | StreamRun
+    # Takes the options and returns what can be checked of them before there is a take.
     checks: Callable[[Any], OptionChecks] = _no_checks
+    # Parts of the take that decide what it does; nothing else shows in it.
     reads: frozenset[TakePart] = EVERY_PART
+    # Parts that it may change; all else stays as it is. What stays does so at the time
+    # codes that are left, where the clock is among them. A pass that changes neither
+    # clock nor tracks does not see what is beside the rig.
     changes: frozenset[TakePart] = EVERY_PART
+    # It begins from a state of its own and needs the pre-roll of a shot to come to the
+    # take; it keeps the frames that it is given.
     settles: bool = False
-    tells: bool = False
+    tells: bool = False  # it takes its time, and tells the context its progress
 
 
 def find_pass(name: str) -> Pass:
@@ -274,19 +243,12 @@ def find_pass(name: str) -> Pass:
 
 @dataclass(frozen=True, slots=True)
 class ListedPass:
-    """A pass as `animtool plugins` lists it.
+    """A pass as `animtool plugins` lists it."""
 
-    Attributes:
-        name: As a scene writes it.
-        source: ``animtool``, or the object that an entry point names.
-        scope: None where it cannot be loaded.
-        about: What it does, or why it cannot be loaded.
-    """
-
-    name: str
-    source: str
-    scope: Scope | None
-    about: str
+    name: str  # as a scene writes it
+    source: str  # ``animtool``, or the object that an entry point names
+    scope: Scope | None  # none where it cannot be loaded
+    about: str  # what it does, or why it cannot be loaded
 
 
 def listed_passes() -> list[ListedPass]:
@@ -325,12 +287,6 @@ def apply_pass(
     Notices and details of the source stay with the stream, and the curves of the
     controls whose frames and values a CLIP pass leaves alone. A take whose source
     states no first frame still states none, unless the pass moves the frame.
-
-    Raises:
-        OptionError: The options make no sense for the take; from FRAME and WINDOW
-            passes perhaps only while the blocks are read, as where one has lost the
-            tracks (SCN045). Or it would move joints away from points that are
-            simulated (SIM034).
     """
     _check_points(stream, pass_)
     if stream.tracks and not sees_tracks(pass_):

@@ -30,14 +30,7 @@ UNIT_TOLERANCE = 1e-3
 def misfits(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return what is not of the same frames, joints, shapes and controls.
-
-    Args:
-        rig: J joints.
-        clock: When the frames are.
-        motion: What they hold.
-        tracks: Things beside the rig.
-    """
+    """Return what is not of the same frames, joints, shapes and controls."""
     frames = clock.count
     expected = [
         ("translations", motion.translations, len(rig.joints), 3),
@@ -83,14 +76,7 @@ _CHANNELS = (
 def impossible_values(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return what is no number, or no rotation: the first of each channel.
-
-    Args:
-        rig: J joints.
-        clock: When the frames are.
-        motion: What they hold; it fits all of them.
-        tracks: Things beside the rig.
-    """
+    """Return what is no number, or no rotation: the first of each channel."""
     faults = []
     for name in _CHANNELS:
         channel: Channel | None = getattr(motion, name)

@@ -16,59 +16,39 @@ from animtool.maths import so3
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """A value that a thing has over time.
+    """A value that a thing has over time."""
 
-    Attributes:
-        name: As USD has it.
-        type_name: Likewise, such as ``float2``.
-        width: How many numbers it is; 0 where it is one of some choices.
-        choices: What it may be that is no number, and lasts until it is another.
-        length: Whether its numbers are lengths, which are [m] then.
-    """
-
-    name: str
-    type_name: str
-    width: int = 1
+    name: str  # as USD has it
+    type_name: str  # likewise, such as ``float2``
+    width: int = 1  # how many numbers it is; 0 where it is one of some choices
+    # What it may be that is no number, and lasts until it is another.
     choices: tuple[object, ...] = ()
-    length: bool = False
+    length: bool = False  # whether its numbers are lengths, which are [m] then
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What is to be seen of a thing.
+    """What is to be seen of a thing."""
 
-    Attributes:
-        file: A USD file.
-        prim: Path of a prim in it; empty is its default prim.
-        meters_per_unit: Its length unit [m].
-    """
-
-    file: str
-    prim: str
-    meters_per_unit: float
+    file: str  # A USD file
+    prim: str  # path of a prim in it; empty is its default prim
+    meters_per_unit: float  # its length unit [m]
 
 
 @dataclass(frozen=True, slots=True)
 class Transforms:
-    """Where a thing is at F times, in the world of the rig, and its values.
+    """Where a thing is at F times, in the world of the rig, and its values."""
 
-    Attributes:
-        translations: ``(F, 3)`` [m].
-        rotations: Unit quaternions (x, y, z, w) ``(F, 4)``.
-        scales: ``(F, 3)``.
-        matrices: Column vectors, [m] ``(F, 4, 4)``, in place of the three where these
-            do not come to the same; None where they do.
-        values: Of each attribute: numbers ``(F, width)``, or which of its choices
-            ``(F,)``.
-        held: Whether its file has no such time, and it is as at the nearest ``(F,)``;
-            None where it has them all.
-    """
-
-    translations: FloatArray
-    rotations: FloatArray
-    scales: FloatArray
+    translations: FloatArray  # ``(F, 3)`` [m]
+    rotations: FloatArray  # unit quaternions (x, y, z, w) ``(F, 4)``
+    scales: FloatArray  # ``(F, 3)``
+    # Column vectors, [m] ``(F, 4, 4)``, in place of the three where these do not come
+    # to the same; None where they do.
     matrices: FloatArray | None = None
+    # Of each attribute: numbers ``(F, width)``, or which of its choices ``(F,)``.
     values: tuple[npt.NDArray[Any], ...] = ()
+    # Whether its file has no such time, and it is as at the nearest ``(F,)``; None
+    # where it has them all.
     held: BoolArray | None = None
 
     def __len__(self) -> int:
@@ -100,25 +80,16 @@ class Track:
 
     A take says which of these times each of its frames shows, so that whatever cuts,
     resamples and retimes its frames does the same to the thing, without loss.
-
-    Attributes:
-        path: Where it is written: below the character, or from ``/`` on.
-        sample: Gives it at times.
-        type_name: Of its prim; empty leaves it to the reference.
-        placed: Whether it has a place in the world; else only attributes.
-        moves: Whether anything of it changes over time.
-        attributes: Values that it has, in order.
-        reference: What is to be seen; None is nothing.
-        note: Makes a fault of it, with the place where it is named.
     """
 
-    path: str
-    sample: Sampling
-    type_name: str = "Xform"
-    placed: bool = True
-    moves: bool = True
-    attributes: tuple[Attribute, ...] = ()
-    reference: Reference | None = None
+    path: str  # where it is written: below the character, or from ``/`` on
+    sample: Sampling  # gives it at times
+    type_name: str = "Xform"  # of its prim; empty leaves it to the reference
+    placed: bool = True  # whether it has a place in the world; else only attributes
+    moves: bool = True  # whether anything of it changes over time
+    attributes: tuple[Attribute, ...] = ()  # values that it has, in order
+    reference: Reference | None = None  # what is to be seen; None is nothing
+    # Makes a fault of it, with the place where it is named.
     note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:

@@ -50,18 +50,7 @@ def bake(
 
 
 def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
-    """Run a planned bake: read, author, write.
-
-    Args:
-        plan: Sources that are open tell their progress themselves.
-        progress: Called with the share of systems done, 0 to 1.
-
-    Raises:
-        FormatError: The rows of a source are malformed.
-        OptionError: The range has no frame of the take.
-        OutputError: The output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
-    """
+    """Run a planned bake: read, author, write."""
     with together():
         return _run(plan, share_of(progress, 1, 2) if plan.takes else progress)
 

@@ -29,14 +29,7 @@ def open_clip_source(
 ) -> TakeStream:
     """Open a clip as a source that can be sampled at any time.
 
-    Args:
-        path: The clip.
-        rig: Its rig file; None is the one that the clip names.
-        clamp: Bring controls into their ranges, and joints into their limits.
-
-    Raises:
-        FormatError: The clip or its rig is malformed, with every fault.
-        OptionError: No rig is named.
+    rig: its rig file; None is the one that the clip names.
     """
     file = open_clip(path)
     loaded = load_rig_of(file, rig)
@@ -61,18 +54,7 @@ def open_clip_source(
 def clip_stream(
     file: ClipFile, clip: Clip, rig: Rig, *, clamp: bool = False
 ) -> TakeStream:
-    """Return the frames of a clip, notices at the lines of its file.
-
-    Args:
-        file: The clip's file.
-        clip: What it holds.
-        rig: Its rig.
-        clamp: Bring controls into their ranges, and joints into their limits.
-
-    Raises:
-        FormatError: The range has no frame, or too many (CLIP006); the blocks may
-            raise it too.
-    """
+    """Return the frames of a clip, notices at the lines of its file."""
     path = file.document.path
     count = _frame_count(file, clip)
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))

@@ -38,27 +38,18 @@ MAX_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class ConvertReport:
-    """What a conversion did.
+    """What a conversion did."""
 
-    Attributes:
-        output: The file written.
-        span: First frame, last frame and rate, as the file has them.
-        frames: Frames written.
-        joints: Joints written.
-        notices: Warnings and notes.
-        keyed: The keys, where a clip was written, and how far they are off.
-        files: Every file written, ``output`` last.
-        shot: The shot that was written; None is no shot.
-    """
-
-    output: Path
-    span: FrameSpan
+    output: Path  # the file written
+    span: FrameSpan  # first frame, last frame and rate, as the file has them
     frames: int
     joints: int
-    notices: list[Fault]
+    notices: list[Fault]  # warnings and notes
+    # The keys, where a clip was written, and how far they are off.
     keyed: KeyedTake | None = None
+    # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
-    shot: Shot | None = None
+    shot: Shot | None = None  # the shot that was written; None is no shot
 
     @property
     def reduction(self) -> Reduction | None:

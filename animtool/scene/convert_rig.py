@@ -27,25 +27,15 @@ RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
 
 @dataclass(frozen=True, slots=True)
 class RigReport:
-    """What a conversion of a rig did.
+    """What a conversion of a rig did."""
 
-    Attributes:
-        outputs: The files written.
-        joints: Joints of the rig.
-        meshes: Its meshes.
-        shapes: Its blend shapes.
-        controls: Its controls.
-        physics: Joint prims written; None where they were not asked for.
-        notices: Warnings and notes.
-    """
-
-    outputs: list[Path]
-    joints: int
+    outputs: list[Path]  # the files written
+    joints: int  # joints of the rig
     meshes: int
-    shapes: int
+    shapes: int  # its blend shapes
     controls: int
-    physics: int | None
-    notices: list[Fault]
+    physics: int | None  # joint prims written; None where they were not asked for
+    notices: list[Fault]  # warnings and notes
 
 
 def is_rig(path: Path) -> bool:
@@ -66,24 +56,7 @@ def convert_rig(
     overwrite: bool = False,
     strict: bool = False,
 ) -> RigReport:
-    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it.
-
-    Args:
-        source: A rig file, a USD file with a Skeleton, or a BVH.
-        output: A USD file, or ``.rig.yaml``.
-        prim_path: The character, where a USD file has several.
-        physics: Write ``NAME.physics.usda`` beside a USD file too, with joint types
-            and limits.
-        overwrite: Replace outputs that exist.
-        strict: Take warnings for errors.
-
-    Raises:
-        FormatError: The source is malformed.
-        OptionError: The output's suffix is unknown, or it exists, or ``prim_path`` is
-            given for another file (CLI004).
-        OutputError: The output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
-    """
+    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it."""
     source, output = Path(source), Path(output)
     if is_rig(output):
         if physics:
@@ -159,11 +132,7 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
 
 
 def write_arrays(path: Path, arrays: StoredArrays) -> None:
-    """Write the arrays of a rig to an npz file, whole or not at all.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write the arrays of a rig to an npz file, whole or not at all."""
     with replacing(path) as temporary:
         try:
             with temporary.open("wb") as file:

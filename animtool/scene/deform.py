@@ -41,23 +41,15 @@ TimedBlocks = Iterator[tuple[FloatArray, Motion]]
 
 @dataclass(frozen=True, slots=True)
 class Character:
-    """What a bake deforms.
+    """What a bake deforms."""
 
-    Attributes:
-        rig: The joints that carry the meshes.
-        surfaces: The meshes.
-        strands: What single joints carry.
-        mapping: How the take's joints stand in the rig; None where they are its own.
-        meshes: The meshes, then the strands, ready to follow.
-        origin: Whose meshes they are, for reports.
-    """
-
-    rig: Rig
+    rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
-    strands: tuple[Strands, ...]
+    strands: tuple[Strands, ...]  # what single joints carry
+    # How the take's joints stand in the rig; None where they are its own.
     mapping: JointMap | None
-    meshes: tuple[CharacterMesh, ...]
-    origin: str
+    meshes: tuple[CharacterMesh, ...]  # the meshes, then the strands, ready to follow
+    origin: str  # whose meshes they are, for reports
 
     def only(self, surfaces: Sequence[str], strands: Sequence[str]) -> Character:
         """Return the character with some of its meshes and strands, in its order."""
@@ -76,14 +68,6 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
 
     That is the meshes and strands of its own rig where this has meshes; else those of
     the rig layer, else those of the USD file that the take is from.
-
-    Args:
-        take: The take, on the up axis of the output; its notices get what is odd.
-        target: The rig layer.
-
-    Raises:
-        FormatError: There are neither meshes nor strands (USD040), or their arrays do
-            not fit.
     """
     stream, source, mapping = take.stream, take.source, take.mapping
     options = take.options
@@ -139,13 +123,7 @@ def _turned(
 def pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short pieces of a motion; the slice says which of their frames count.
-
-    Args:
-        blocks: Time codes and motions.
-        neighbours: Give each a frame of the pieces beside it, for differences at its
-            ends.
-    """
+    """Yield short pieces of a motion; the slice says which of their frames count."""
     before: tuple[FloatArray, Motion] | None = None
     cut = _cut(blocks)
     piece = next(cut, None)
@@ -175,22 +153,14 @@ def _cut(blocks: TimedBlocks) -> TimedBlocks:
 
 @dataclass
 class PointStream:
-    """Deforms a character frame by frame.
-
-    Attributes:
-        character: What deforms.
-        meters_per_unit: Unit of the output [m].
-        rate: Time codes a second.
-        spaces: Where the points of each mesh are written.
-        velocities: Find how fast points move.
-        seconds: Spent on each mesh so far, joints left out [s].
-    """
+    """Deforms a character frame by frame."""
 
     character: Character
-    meters_per_unit: float
-    rate: float
-    spaces: Sequence[PointSpace]
-    velocities: bool = False
+    meters_per_unit: float  # unit of the output [m]
+    rate: float  # time codes a second
+    spaces: Sequence[PointSpace]  # where the points of each mesh are written
+    velocities: bool = False  # find how fast points move
+    # Spent on each mesh so far, joints left out [s].
     seconds: list[float] = field(default_factory=list)
 
     def blocks(self, timed: TimedBlocks) -> Iterator[PointBlock]:

@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 def bake_outputs(
     given: Sequence[Source], output: Path, options: BakeOptions
 ) -> list[Path]:
-    """Return the files that a bake writes, ``output`` among them.
-
-    Raises:
-        FormatError: The source is a scene, and malformed.
-    """
+    """Return the files that a bake writes, ``output`` among them."""
     simulated = False
     if len(given) == 1 and not _is_take(given[0]):
         from animtool.scene.reading import found_sources
@@ -57,10 +53,7 @@ def output_files(
 ) -> list[Path]:
     """Return the files to write; of chunks, those that they may replace.
 
-    Args:
-        path: The output.
-        options: Of the bake.
-        simulated: Whether systems are written.
+    simulated: whether systems are written.
     """
     files = output_paths(path, form_of(options))
     if options.chunk is None:

@@ -46,16 +46,11 @@ class TakePlan:
 
 @dataclass(frozen=True, slots=True)
 class TimedTake:
-    """A take at the times of an output.
+    """A take at the times of an output."""
 
-    Attributes:
-        blocks: Time codes and motions.
-        rig: At rest.
-        times: When the source is sampled; None where its own samples are written.
-    """
-
-    blocks: Iterator[tuple[FloatArray, Motion]]
+    blocks: Iterator[tuple[FloatArray, Motion]]  # time codes and motions
     rig: Rig
+    # When the source is sampled; None where its own samples are written.
     times: SampleTimes | None = None
 
     @property
@@ -93,11 +88,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
 
 
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
-    """Return when to sample a take, and notice where it lacks frames.
-
-    Raises:
-        OptionError: The take has no frame of the shot (SCN042), or of the range.
-    """
+    """Return when to sample a take, and notice where it lacks frames."""
     options = plan.options
     times = plan_samples(
         clock,
@@ -125,9 +116,6 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """Name the frames of a shot that a take lacks; their nearest pose is held.
 
     The last frame of a take lasts until the next would begin.
-
-    Raises:
-        OptionError: The take has no frame of the shot (SCN042).
     """
     wanted, where = plan.options.frame_range, str(plan.source)
     assert wanted is not None

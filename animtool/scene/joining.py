@@ -35,21 +35,14 @@ MAX_NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A source that is to be one of several.
-
-    Attributes:
-        stream: Its motion.
-        tracks: What it brings; None is what it moves.
-        timecode: Of its first frame; None states none.
-        timecode_fps: Frames a second that the time code counts; None is its rate.
-        note: Makes faults of it.
-    """
+    """A source that is to be one of several."""
 
     stream: TakeStream
-    tracks: TrackNames | None
-    timecode: str | None
+    tracks: TrackNames | None  # what it brings; None is what it moves
+    timecode: str | None  # of its first frame; None states none
+    # Frames a second that the time code counts; None is its rate.
     timecode_fps: Fraction | None
-    note: Noter
+    note: Noter  # makes faults of it
 
 
 def joined(first: Part, others: Sequence[Part]) -> TakeStream:
@@ -59,11 +52,6 @@ def joined(first: Part, others: Sequence[Part]) -> TakeStream:
     rig by name, start with the first or where time codes say, and are held at their own
     ends. What is held, left out or brought twice is in the notices; what is to say of
     frames may come there only while the blocks are read.
-
-    Raises:
-        OptionError: A time code is none (SCN033) or missing (SCN034), a source has
-            nothing of the rig (SCN036) or not the tracks that are named (SCN037); or,
-            perhaps only while the blocks are read, no frame of the first (SCN035).
     """
     layers: list[_Layer] = []
     faults: list[Fault] = []
@@ -83,21 +71,13 @@ def joined(first: Part, others: Sequence[Part]) -> TakeStream:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """A source on the rig of the first.
+    """A source on the rig of the first."""
 
-    Attributes:
-        part: What it was made of.
-        take: All of it.
-        tracks: What it brings.
-        delay: By how much its first frame is later than the first source's [s].
-        notices: Of its file.
-    """
-
-    part: Part
-    take: Take
-    tracks: Tracks
-    delay: Fraction
-    notices: list[Fault]
+    part: Part  # what it was made of
+    take: Take  # all of it
+    tracks: Tracks  # what it brings
+    delay: Fraction  # by how much its first frame is later than the first source's [s]
+    notices: list[Fault]  # of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
         """Return its motion at frames of the first source, held at its ends."""
@@ -278,11 +258,7 @@ class _Joining:
             self.base.notices.extend(self._frames_of(layer, count))
 
     def _frames_of(self, layer: _Layer, count: int) -> Iterator[Fault]:
-        """Yield what there is to say of frames.
-
-        Raises:
-            OptionError: The source has none of the first's (SCN035).
-        """
+        """Yield what there is to say of frames."""
         clock, note = layer.take.clock, layer.part.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)

@@ -65,17 +65,7 @@ def alike(
     options: BakeOptions,
     notices: list[Fault],
 ) -> list[TakeStream]:
-    """Return the takes with their joints in the order of the first take's.
-
-    Args:
-        sources: Their files.
-        streams: The takes, all of one up axis.
-        options: Of the bake.
-        notices: To which a warning is added for every other rest pose.
-
-    Raises:
-        FormatError: The joints of one are not those of the first (USD030).
-    """
+    """Return the takes with their joints in the order of the first take's."""
     first, *others = [_named(stream.rig, options) for stream in streams]
     faults = [
         Fault("USD030", difference, str(path), (), "one library has one skeleton")

@@ -19,17 +19,7 @@ from animtool.take import TakeStream
 
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
-    """Return a rig, wherever it lives, and what there is to say of it.
-
-    Args:
-        path: The file.
-        prim_path: The character, where a USD file has several.
-
-    Raises:
-        FormatError: It cannot be read or is malformed.
-        OptionError: Its suffix is none that animtool reads, or there are no prims in
-            it (CLI004).
-    """
+    """Return a rig, wherever it lives, and what there is to say of it."""
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.stored_rig import read_whole_rig
 
@@ -61,21 +51,14 @@ class Noter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NameMap:
-    """Where what a rig has is in another one.
-
-    Attributes:
-        rig: J joints.
-        joints: Of the other rig, by joint of this one; -1 where it has none ``(J,)``.
-        shapes: Likewise.
-        controls: Likewise.
-        spare: Joints of the other rig that this one lacks.
-    """
+    """Where what a rig has is in another one."""
 
     rig: Rig
+    # Of the other rig, by joint of this one; -1 where it has none ``(J,)``.
     joints: IntArray
     shapes: IntArray
     controls: IntArray
-    spare: tuple[int, ...]
+    spare: tuple[int, ...]  # joints of the other rig that this one lacks
 
     def apply(self, motion: Motion) -> Motion:
         """Return a motion of the other rig as one of this; what it lacks is at rest."""
@@ -116,14 +99,6 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
     """Return a source on a rig, by name, and where that has what.
 
     What the rig lacks is left out; what only the rig has stays at rest.
-
-    Args:
-        stream: The source.
-        rig: The rig.
-        note: Makes faults of the source.
-
-    Raises:
-        OptionError: It has nothing of the rig (SCN036).
     """
     stream = reorient(stream, rig.up)
     names = map_names(rig, stream.rig)
@@ -145,13 +120,7 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
 
 
 def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
-    """Return notices of what only one of two rigs has.
-
-    Args:
-        names: Where the rig has what.
-        other: The rig of the source.
-        where: File of the source.
-    """
+    """Return notices of what only one of two rigs has."""
     shapes = set(names.shapes.tolist())
     joints = [other.names[j] for j in names.spare]
     spare = [shape.name for i, shape in enumerate(other.shapes) if i not in shapes]
@@ -170,12 +139,7 @@ def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
 def on_rig_file(
     path: Path, stream: TakeStream, rig_path: Path, *, forced: bool
 ) -> TakeStream:
-    """Return a source on a rig that lives elsewhere.
-
-    Raises:
-        FormatError: The rig is malformed, or the source does not fit it (RIG040).
-        OptionError: The source has nothing of the rig (SCN036).
-    """
+    """Return a source on a rig that lives elsewhere."""
 
     def note(
         code: str,

@@ -39,21 +39,7 @@ def plan_bake(
     progress: Progress = None,
     opener: Opener = open_source,
 ) -> BakePlan:
-    """Check everything that can be checked before the work, and open the sources.
-
-    Args:
-        source: As for `animtool.bake`.
-        output: Likewise.
-        options: Likewise.
-        progress: Called with the share done, 0 to 1.
-        opener: Called as `open_source` for each source that is no scene.
-
-    Raises:
-        FormatError: The header of a source, or the rig layer, is malformed, or the
-            takes of a library have other joints.
-        OptionError: An option makes no sense, or the output exists.
-        OutputError: The output cannot be written.
-    """
+    """Check everything that can be checked before the work, and open the sources."""
     alone = isinstance(source, str) or not isinstance(source, Sequence)
     given = cast("Sequence[Source]", [source] if alone else source)
     _check_count(len(given), options or BakeOptions())
@@ -87,14 +73,7 @@ def plan_simulated(
 ) -> BakePlan:
     """Return what is to become of a scene that has no source.
 
-    Args:
-        scene: Of the output.
-        path: The file to write; None is stdout.
-        options: Those of the scene among them.
-        notices: What is odd so far.
-
-    Raises:
-        OptionError: It says no range (SCN061), or an option is for characters (SCN062).
+    path: the file to write; None is stdout.
     """
     from animtool.scene.systems.bake import plan_systems
 
@@ -114,12 +93,7 @@ def plan_simulated(
 
 
 def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
-    """Return the plan of a take with the systems of its scene.
-
-    Raises:
-        FormatError: A system has the place of something else (SCN068).
-        OptionError: The output is a library, which has no place for them (SCN067).
-    """
+    """Return the plan of a take with the systems of its scene."""
     if not scene.systems:
         return plan
     if plan.form is Form.LIBRARY:
@@ -157,17 +131,7 @@ def check_output(
 ) -> list[Path]:
     """Return the files of an output that can be, before anything is read.
 
-    Args:
-        path: The file; None is stdout.
-        options: Of the bake.
-        inputs: Files that are read, which none may replace.
-        source: Of the bake, the first if there are several.
-        simulated: Whether systems are written.
-
-    Raises:
-        OptionError: An option makes no sense, or the output exists, or is a library
-            that the take cannot be added to (SCN050, SCN051).
-        OutputError: The output cannot be written.
+    path: the file; None is stdout; simulated: whether systems are written.
     """
     check_options(options, to_stdout=path is None, simulated=simulated)
     if path is None:
@@ -201,16 +165,7 @@ def plan_output(
 ) -> BakePlan:
     """Return what is to become of sources that are open.
 
-    Args:
-        sources: Their files.
-        streams: Their takes.
-        path: The file to write; None is stdout.
-        options: Of the bake, those of a scene among them.
-        notices: What is odd so far; more is added.
-
-    Raises:
-        FormatError: The rig layer is malformed, or the takes have other joints.
-        OptionError: The rig layer is of another rig, or the prim path is none.
+    path: the file to write; None is stdout.
     """
     form = form_of(options)
     target = None

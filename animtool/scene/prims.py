@@ -166,12 +166,7 @@ def rig_paths(
 ) -> RigPaths:
     """Return where a character's prims are to be.
 
-    Args:
-        names: What the rigs of the takes are called; where several have several names,
-            the character has that of the output.
-        target: The rig of a layer.
-        options: Of the bake.
-        output: The file; None is stdout.
+    output: the file; None is stdout.
     """
     if target is not None:
         return target.paths

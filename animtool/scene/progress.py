@@ -22,14 +22,7 @@ def told(
     progress: Progress,
     size: Callable[[Item], int] = _one,
 ) -> Iterator[Item]:
-    """Yield items, and tell how many of them there were.
-
-    Args:
-        items: Made one after the other.
-        count: How many there will be; 0 where nobody knows.
-        progress: Told the share, 0 to 1, from before the first is made.
-        size: How many one item is.
-    """
+    """Yield items, and tell how many of them there were."""
     done = 0
     if progress is not None:
         progress(0.0)
@@ -56,12 +49,7 @@ class BlockProgress:
     """
 
     def __init__(self, show: Callable[[float], None], passes: int) -> None:
-        """Begin at 0.
-
-        Args:
-            show: Told the share of the whole, ascending.
-            passes: How many passes tell the share of their work.
-        """
+        """Begin at 0."""
         self._show, self._passes = show, max(passes, 1)
         self._begin, self._shown, self._read = 0.0, 0.0, 0.0
         show(0.0)
@@ -102,11 +90,7 @@ class Phases:
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
-        """Begin at 0.
-
-        Args:
-            show: Told the share of the whole, ascending.
-        """
+        """Begin at 0."""
         self._show, self._floor, self._shown = show, 0.0, 0.0
 
     def phase(self) -> Callable[[float], None]:
@@ -137,9 +121,7 @@ class TimeProgress:
     def __init__(self, show: Callable[[float], None], last: float) -> None:
         """Begin at 0.
 
-        Args:
-            show: Told the mean of their shares.
-            last: The last time that will be asked for [s].
+        last: the last time that will be asked for [s].
         """
         self._show, self._last = show, last
         self._shares: list[float] = []

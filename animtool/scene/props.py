@@ -26,33 +26,17 @@ SEEN_SHEAR = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class OpenProp:
-    """A thing that a scene names, open.
+    """A thing that a scene names, open."""
 
-    Attributes:
-        entry: What the scene says of it.
-        source: It.
-        track: The same, counted by the scene's meter.
-    """
-
-    entry: SceneProp
+    entry: SceneProp  # what the scene says of it
     source: PropSource
-    track: Track
+    track: Track  # the same, counted by the scene's meter
 
 
 def open_props(
     entries: Sequence[SceneProp], up: UpAxis, meter: Meter, notices: list[Fault]
 ) -> list[OpenProp]:
-    """Return the things that a scene names, open, in a world of an up axis.
-
-    Args:
-        entries: What the scene says.
-        up: Up axis of the rig.
-        meter: Counts what reading costs.
-        notices: To which is added what is found while they are read.
-
-    Raises:
-        FormatError: With every fault of every entry.
-    """
+    """Return the things that a scene names, open, in a world of an up axis."""
     found: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
@@ -81,11 +65,8 @@ def with_props(
 ) -> TakeStream:
     """Return a take with more things beside its rig, on its frames.
 
-    Args:
-        stream: The take.
-        opened: The things, at least one.
-        first: Number of its first frame; None is what it says itself, or 1.
-        fps: Frames a second of the output; None is the take's time codes.
+    first: number of its first frame; None is what it says itself, or 1; fps: frames a
+    second of the output; None is the take's time codes.
     """
     start = Fraction(1) if stream.start is None else stream.start
     props = [
@@ -136,17 +117,11 @@ def _counted(
 
 @dataclass(frozen=True, slots=True)
 class _Prop:
-    """A thing on the frames of a take.
-
-    Attributes:
-        opened: It.
-        begin: Time code of its file at the first frame.
-        step: Time codes of its file from frame to frame.
-    """
+    """A thing on the frames of a take."""
 
     opened: OpenProp
-    begin: Fraction
-    step: Fraction
+    begin: Fraction  # time code of its file at the first frame
+    step: Fraction  # time codes of its file from frame to frame
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return its time codes at frames of the take ``(count,)``."""

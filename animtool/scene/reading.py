@@ -30,15 +30,10 @@ def source_file(source: Source) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is to be read.
+    """What is to be read."""
 
-    Attributes:
-        files: Of the sources, in order.
-        scenes: What those say that are scenes.
-    """
-
-    files: list[Path]
-    scenes: dict[Path, Scene]
+    files: list[Path]  # of the sources, in order
+    scenes: dict[Path, Scene]  # what those say that are scenes
 
     @property
     def inputs(self) -> list[Path]:
@@ -93,11 +88,7 @@ class Reading:
 
 
 def found_sources(given: Sequence[Source]) -> Reading:
-    """Return the files of sources, those loaded that are scenes.
-
-    Raises:
-        FormatError: A scene is malformed.
-    """
+    """Return the files of sources, those loaded that are scenes."""
     files: list[Path] = []
     scenes: dict[Path, Scene] = {}
     for source in given:

@@ -19,89 +19,55 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What became of a mesh, of strands, or of a system.
+    """What became of a mesh, of strands, or of a system."""
 
-    Attributes:
-        name: As the rig names it.
-        written: What was written of it.
-        seconds: Spent on deforming and rounding it [s].
-        frames: How many frames that was for.
-        kind: ``mesh`` or ``strands`` of a character, or a kind of system.
-        simulated: Whether it is a system, and not deformed.
-    """
-
-    name: str
-    written: CachedMesh
-    seconds: float
-    frames: int
-    kind: str
-    simulated: bool = False
+    name: str  # as the rig names it
+    written: CachedMesh  # what was written of it
+    seconds: float  # spent on deforming and rounding it [s]
+    frames: int  # how many frames that was for
+    kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
+    simulated: bool = False  # whether it is a system, and not deformed
 
 
 @dataclass(slots=True)
 class TakeReport:
-    """What became of one source.
+    """What became of one source."""
 
-    Attributes:
-        source: The file read.
-        written: What was written of it.
-        source_frames: Frames of the source.
-        source_fps: Its frame rate.
-        error_joint: Name of the joint that rounding moved most.
-        unit_assumed: Whether nothing states the unit of the source.
-        source_bytes: Size of the source; 0 of a scene, which holds no motion.
-        details: What the source states of itself.
-        thinned: Which samples were left out, where that was asked for.
-        thinned_joint: Name of the joint that this moved most.
-        meshes: What was written of each mesh, where it was deformed.
-        meshes_of: Whose meshes they are.
-        simulated: What became of each thing that was simulated, as plain values.
-        between: Samples of the source that fall between the frames written.
-    """
-
-    source: Path
-    written: WrittenTake
-    source_frames: int
-    source_fps: Fraction
-    error_joint: str
-    unit_assumed: bool = False
-    source_bytes: int = 0
+    source: Path  # the file read
+    written: WrittenTake  # what was written of it
+    source_frames: int  # frames of the source
+    source_fps: Fraction  # its frame rate
+    error_joint: str  # name of the joint that rounding moved most
+    unit_assumed: bool = False  # whether nothing states the unit of the source
+    source_bytes: int = 0  # size of the source; 0 of a scene, which holds no motion
+    # What the source states of itself.
     details: dict[str, object] = field(default_factory=dict)
+    # Which samples were left out, where that was asked for.
     thinned: Thinned | None = None
-    thinned_joint: str = ""
+    thinned_joint: str = ""  # name of the joint that this moved most
+    # What was written of each mesh, where it was deformed.
     meshes: list[MeshReport] = field(default_factory=list)
-    meshes_of: str = ""
+    meshes_of: str = ""  # whose meshes they are
+    # What became of each thing that was simulated, as plain values.
     simulated: list[dict[str, object]] = field(default_factory=list)
-    between: int = 0
+    between: int = 0  # samples of the source that fall between the frames written
 
 
 @dataclass(slots=True)
 class BakeReport:
-    """What a bake did.
+    """What a bake did."""
 
-    Attributes:
-        takes: What became of every source, at least one.
-        result: What was written.
-        form: Stage, split or layer, and why.
-        joints: Joints of the first source.
-        meters_per_unit: Unit of the output [m].
-        up: Its up axis.
-        size: Extent of the skeleton at rest [m].
-        notices: Warnings and notes.
-        seconds: Wall time by stage; ``read`` runs beside ``author``.
-        shot: The shot that was written; None is no shot.
-    """
-
-    takes: list[TakeReport]
-    result: UsdResult
-    form: str
-    joints: int
-    meters_per_unit: float
-    up: str
-    size: float
-    notices: list[Fault]
+    takes: list[TakeReport]  # what became of every source, at least one
+    result: UsdResult  # what was written
+    form: str  # stage, split or layer, and why
+    joints: int  # joints of the first source
+    meters_per_unit: float  # unit of the output [m]
+    up: str  # its up axis
+    size: float  # extent of the skeleton at rest [m]
+    notices: list[Fault]  # warnings and notes
+    # Wall time by stage; ``read`` runs beside ``author``.
     seconds: dict[str, float] = field(default_factory=dict)
-    shot: Shot | None = None
+    shot: Shot | None = None  # the shot that was written; None is no shot
 
     @property
     def span(self) -> FrameSpan:

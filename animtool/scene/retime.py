@@ -17,17 +17,12 @@ from animtool.take import TakeStream
 
 @dataclass(frozen=True, slots=True)
 class Preroll:
-    """How early passes are to begin, in frames of the output.
+    """How early passes are to begin, in frames of the output."""
 
-    Attributes:
-        start: Of the take's first frame; None is what its source says, or 1.
-        first: Frame at which they begin.
-        fps: Frames a second of the output; None is the take's rate.
-    """
-
+    # Of the take's first frame; None is what its source says, or 1.
     start: Fraction | None
-    first: int
-    fps: Fraction | None
+    first: int  # frame at which they begin
+    fps: Fraction | None  # frames a second of the output; None is the take's rate
 
     def frames(self, stream: TakeStream) -> int:
         """Return how many frames a take has too few before its first."""
@@ -64,10 +59,7 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
 def without_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
     """Return a take without its first frames.
 
-    Args:
-        stream: The take.
-        count: How many frames to leave out.
-        start: Time code of the first that stays; None states none.
+    start: time code of the first that stays; None states none.
     """
     given = stream.blocks
 

@@ -36,40 +36,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a scene file says.
-
-    Attributes:
-        path: The file.
-        sources: What is read, at least one; the first has the rig and the frames.
-        passes: What to do to it, in order.
-        outputs: What to write, at least one.
-        rig: The rig that all sources move; None is that of the first.
-        props: What is carried beside the character.
-        systems: What is simulated, beside the source or in its place.
-        first: Frame of the shot that the first frame of the sources is; None is what
-            they say.
-        preroll: How early passes with a state of their own begin; None is with the
-            take.
-        variables: Names of the variables that it uses or gives a value.
-        idle_variables: Those of them that no text uses.
-        effective_variables: Those of them that decide more than the outputs.
-        notices: Warnings of the file itself.
-        meter: Counts what its stages cost, each time that it is opened.
-    """
+    """What a scene file says."""
 
     path: Path
+    # What is read, at least one; the first has the rig and the frames.
     sources: tuple[SceneSource, ...]
-    passes: tuple[ScenePass, ...]
-    outputs: tuple[SceneOutput, ...]
-    rig: Path | None = None
-    props: tuple[SceneProp, ...] = ()
+    passes: tuple[ScenePass, ...]  # what to do to it, in order
+    outputs: tuple[SceneOutput, ...]  # what to write, at least one
+    rig: Path | None = None  # the rig that all sources move; None is that of the first
+    props: tuple[SceneProp, ...] = ()  # what is carried beside the character
+    # Frame of the shot that the first frame of the sources is; None is what they say.
     first: Fraction | None = None
+    # How early passes with a state of their own begin; None is with the take.
     preroll: Preroll | None = None
+    # Names of the variables that it uses or gives a value.
     variables: frozenset[str] = frozenset()
-    idle_variables: frozenset[str] = frozenset()
+    idle_variables: frozenset[str] = frozenset()  # those of them that no text uses
+    # Those of them that decide more than the outputs.
     effective_variables: frozenset[str] = frozenset()
-    notices: tuple[Fault, ...] = ()
+    notices: tuple[Fault, ...] = ()  # warnings of the file itself
+    # Counts what its stages cost, each time that it is opened.
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
+    # What is simulated, beside the source or in its place.
     systems: tuple[SceneSystem, ...] = ()
 
     @property
@@ -134,10 +122,6 @@ class Scene:
 
         Time codes of the take are then shot frames. The scene may write another cut,
         other handles or a range of the shot.
-
-        Raises:
-            OptionError: The scene says itself where the take begins, or has another
-                rate (SCN073).
         """
         faults: list[Fault] = []
         outputs: list[SceneOutput] = []
@@ -281,11 +265,7 @@ class Scene:
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
-        """Give faults of where things are to be written the places of their entries.
-
-        Raises:
-            FormatError: What an `OptionError` said, where it is of such a thing.
-        """
+        """Give faults of where things are to be written the places of their entries."""
         places = {prop.path: prop.place for prop in self.props}
         try:
             yield

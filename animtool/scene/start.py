@@ -46,17 +46,6 @@ def open_start(
 
     Joints that the motion lacks stay at rest; what it has beside the rig's is left
     out. Both are said in the take's notices.
-
-    Args:
-        path: BVH, USD or clip.
-        rig: The rig.
-        rig_path: Its file.
-        options: What the file is.
-        progress: Called with the share done, 0 to 1.
-
-    Raises:
-        FormatError: The file is malformed.
-        OptionError: It has no joint of the rig (TGT017), or an option is not for it.
     """
     if options.rig is None and takes_option(path, "rig"):
         options = replace(options, rig=rig_path)

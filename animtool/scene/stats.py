@@ -24,11 +24,9 @@ class PeakMemory:
     On Linux the system counts the peak from any moment on. Elsewhere it knows one for
     the life of the process: a later peak that is lower than an earlier one is not seen,
     and the earlier one stands for it. Windows is not asked.
-
-    Attributes:
-        base: What was held when it was begun [byte]; None where nothing says it.
     """
 
+    # What was held when it was begun [byte]; None where nothing says it.
     base: int | None = None
 
     def begin(self) -> None:
@@ -80,22 +78,16 @@ def _life_peak() -> int | None:
 
 @dataclass(slots=True)
 class StageCost:
-    """What a stage cost.
+    """What a stage cost."""
 
-    Attributes:
-        name: Of a source's file, or of a pass.
-        where: Its entry in the scene.
-        seconds: Spent in it, without the stages before it [s].
-        peak: Most memory that the process held while it ran, beyond what it held at
-            the beginning [byte], as `PeakMemory` knows it; None where it does not.
-        error: Largest distance in the world by which it missed what it was to reach
-            [m]; None where it reports none.
-    """
-
-    name: str
-    where: str
-    seconds: float = 0.0
+    name: str  # of a source's file, or of a pass
+    where: str  # its entry in the scene
+    seconds: float = 0.0  # spent in it, without the stages before it [s]
+    # Most memory that the process held while it ran, beyond what it held at the
+    # beginning [byte], as `PeakMemory` knows it; None where it does not.
     peak: int | None = None
+    # Largest distance in the world by which it missed what it was to reach [m]; None
+    # where it reports none.
     error: float | None = None
 
 
@@ -105,9 +97,6 @@ class Meter:
 
     Blocks are read late: each stage is counted while its own code runs, and stands
     still while it waits for the stage before. Memory is looked at from `start` on.
-
-    Attributes:
-        stages: In order.
     """
 
     stages: list[StageCost] = field(default_factory=list)

@@ -43,23 +43,14 @@ class StepKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of a bake.
+    """One step of a bake."""
 
-    Attributes:
-        kind: What it is.
-        name: A file, or a pass.
-        where: Its entry in the scene; empty where there is none.
-        reads: What it looks at: files, and parts of the take.
-        makes: What comes of it.
-        left_out: What is not made, each with the reason.
-    """
-
-    kind: StepKind
-    name: str
-    where: str
-    reads: tuple[str, ...]
-    makes: tuple[str, ...]
-    left_out: tuple[str, ...] = ()
+    kind: StepKind  # what it is
+    name: str  # A file, or a pass
+    where: str  # its entry in the scene; empty where there is none
+    reads: tuple[str, ...]  # what it looks at: files, and parts of the take
+    makes: tuple[str, ...]  # what comes of it
+    left_out: tuple[str, ...] = ()  # what is not made, each with the reason
 
 
 def bake_steps(
@@ -69,14 +60,7 @@ def bake_steps(
 ) -> list[Step]:
     """Return the steps of a bake in their order; sources are read, passes are not run.
 
-    Args:
-        source: As for `animtool.bake`.
-        output: Likewise; None takes those that a scene names.
-        options: Likewise.
-
-    Raises:
-        FormatError: A source is malformed.
-        OptionError: An option does not apply to a source.
+    output: likewise; None takes those that a scene names.
     """
     alone = isinstance(source, str) or not isinstance(source, Sequence)
     given = cast("Sequence[Source]", [source] if alone else source)
@@ -108,46 +92,27 @@ def bake_steps(
 
 @dataclass(frozen=True, slots=True)
 class _Output:
-    """An output of a bake.
+    """An output of a bake."""
 
-    Attributes:
-        path: The file; None is stdout, or beside the source.
-        options: Of the bake.
-        where: Its entry in the scene; empty where there is none.
-        systems: Names of what is simulated that go into it.
-        simulated: Likewise, and of those that these need.
-    """
-
-    path: Path | None
-    options: BakeOptions
-    where: str
-    systems: tuple[str, ...] = ()
-    simulated: tuple[str, ...] = ()
+    path: Path | None  # the file; None is stdout, or beside the source
+    options: BakeOptions  # of the bake
+    where: str  # its entry in the scene; empty where there is none
+    systems: tuple[str, ...] = ()  # names of what is simulated that go into it
+    simulated: tuple[str, ...] = ()  # likewise, and of those that these need
 
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """What is known of a take.
+    """What is known of a take."""
 
-    Attributes:
-        rig: Its joints, shapes and controls.
-        moving: Parts that hold values.
-        curves: Controls that have a curve.
-        dropped: The pass that took their curves away; empty where none did.
-        facts: How many frames there are, and of what.
-        tracks: What is beside the rig.
-        systems: How many systems are simulated beside it.
-        still: What never moves.
-    """
-
-    rig: Rig
-    moving: frozenset[TakePart]
-    curves: tuple[str, ...]
-    dropped: str
-    facts: tuple[str, ...]
-    still: tuple[str, ...]
-    tracks: tuple[Track, ...] = ()
-    systems: int = 0
+    rig: Rig  # its joints, shapes and controls
+    moving: frozenset[TakePart]  # parts that hold values
+    curves: tuple[str, ...]  # controls that have a curve
+    dropped: str  # the pass that took their curves away; empty where none did
+    facts: tuple[str, ...]  # how many frames there are, and of what
+    still: tuple[str, ...]  # what never moves
+    tracks: tuple[Track, ...] = ()  # what is beside the rig
+    systems: int = 0  # how many systems are simulated beside it
 
     @staticmethod
     def of(stream: TakeStream) -> _State:

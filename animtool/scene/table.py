@@ -48,43 +48,27 @@ class RowKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """One setting and what it gives.
+    """One setting and what it gives."""
 
-    Attributes:
-        kind: What is tried.
-        setting: Rate or tolerance, in words.
-        count: Samples or keys written.
-        seconds: Wall time, of the whole bake or of the fit.
-        bytes: Size of the USD file; 0 where keys are fitted only.
-        error: Largest distance from the source, in the world, of a joint or of a
-            point 3 cm off it [m].
-        joint: Which joint's.
-        time: Where that is [s from the first frame].
-    """
-
-    kind: RowKind
-    setting: str
-    count: int
-    seconds: float
-    bytes: int
+    kind: RowKind  # what is tried
+    setting: str  # rate or tolerance, in words
+    count: int  # samples or keys written
+    seconds: float  # wall time, of the whole bake or of the fit
+    bytes: int  # size of the USD file; 0 where keys are fitted only
+    # Largest distance from the source, in the world, of a joint or of a point 3 cm off
+    # it [m].
     error: float
     joint: str
-    time: float
+    time: float  # where that is [s from the first frame]
 
 
 @dataclass(frozen=True, slots=True)
 class BakeTable:
-    """The rows for a source.
-
-    Attributes:
-        source: The file.
-        instants: At how many times samples were compared.
-        rows: In the order tried.
-    """
+    """The rows for a source."""
 
     source: Path
-    instants: int
-    rows: list[TableRow]
+    instants: int  # at how many times samples were compared
+    rows: list[TableRow]  # in the order tried
 
 
 def bake_table(
@@ -98,15 +82,6 @@ def bake_table(
     Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
     interpolation included. A clip is compared with its curves between the frames, a
     source of samples with these.
-
-    Args:
-        source: As for `animtool.bake`.
-        options: What the source is; what to write is the table's own.
-        progress: Called with the share done, 0 to 1.
-
-    Raises:
-        FormatError: The source is malformed.
-        OptionError: An option makes no sense.
     """
     options = options or BakeOptions()
     plain = BakeOptions(source=options.source, to_up=options.to_up)

@@ -18,28 +18,16 @@ KINDS = ("joints", "shapes", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TrackNames:
-    """Names or patterns of what a source brings.
-
-    Attributes:
-        joints: Of joints.
-        shapes: Of shapes.
-        controls: Of controls; what these drive is meant too.
-    """
+    """Names or patterns of what a source brings."""
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
-    controls: tuple[str, ...] = ()
+    controls: tuple[str, ...] = ()  # of controls; what these drive is meant too
 
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Indices of what a source brings to a rig, ascending.
-
-    Attributes:
-        joints: Of joints.
-        shapes: Of shapes.
-        controls: Of controls.
-    """
+    """Indices of what a source brings to a rig, ascending."""
 
     joints: IntArray
     shapes: IntArray
@@ -65,17 +53,11 @@ class Tracks:
 
 @dataclass(frozen=True, slots=True)
 class UnknownTrack:
-    """A pattern that fits nothing.
+    """A pattern that fits nothing."""
 
-    Attributes:
-        kind: ``joints``, ``shapes`` or ``controls``.
-        pattern: As written.
-        known: Names that could be meant.
-    """
-
-    kind: str
+    kind: str  # ``joints``, ``shapes`` or ``controls``
     pattern: str
-    known: list[str]
+    known: list[str]  # names that could be meant
 
 
 def chosen_tracks(
@@ -119,13 +101,7 @@ def _add_driven(rig: Rig, found: dict[str, set[int]]) -> None:
 
 
 def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:
-    """Return what a motion moves over time, or holds away from rest.
-
-    Args:
-        motion: Of another rig, as the map has brought it onto its rig.
-        names: The map.
-        other: That other rig.
-    """
+    """Return what a motion moves over time, or holds away from rest."""
     still = names.apply(still_motion(other))
 
     def moved(kind: str) -> IntArray:
@@ -163,14 +139,7 @@ def _within(tracks: Tracks, names: NameMap) -> Tracks:
 
 
 def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion:
-    """Return a motion with some tracks of another in place of its own.
-
-    Args:
-        rig: Of both.
-        base: F frames.
-        other: Likewise.
-        tracks: Which of the other's.
-    """
+    """Return a motion with some tracks of another in place of its own."""
 
     def optional(
         name: str, chosen: IntArray, neutral: float | FloatArray

@@ -34,33 +34,22 @@ class RootPath:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBlock:
-    """Frames as the layer will hold them, in its unit.
+    """Frames as the layer will hold them, in its unit."""
 
-    Attributes:
-        codes: Time codes ``(F,)``.
-        translations: ``(F, J, 3)`` float32.
-        rotations: ``(F, J, 4)`` float32.
-        scales: ``(F, J, 3)`` float16; None where nothing is scaled.
-        extents: Bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32.
-        root: Motion of the SkelRoot, where it carries that of the root joint.
-        error: Largest distance that rounding moved a joint [m].
-        error_code: Time code of that.
-        error_joint: Index of the joint that moved.
-        weights: Of the rig's shapes ``(F, S)`` float32; None where there are none.
-        scales_rounded: Whether a scale is another number as float16.
-    """
-
-    codes: FloatArray
-    translations: Float32Array
-    rotations: Float32Array
+    codes: FloatArray  # time codes ``(F,)``
+    translations: Float32Array  # ``(F, J, 3)`` float32
+    rotations: Float32Array  # ``(F, J, 4)`` float32
+    # ``(F, J, 3)`` float16; None where nothing is scaled.
     scales: npt.NDArray[np.float16] | None
-    extents: Float32Array
+    extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
+    # Motion of the SkelRoot, where it carries that of the root joint.
     root: RootPath | None
-    error: float
-    error_code: float
-    error_joint: int
+    error: float  # largest distance that rounding moved a joint [m]
+    error_code: float  # time code of that
+    error_joint: int  # index of the joint that moved
+    # Of the rig's shapes ``(F, S)`` float32; None where there are none.
     weights: Float32Array | None = None
-    scales_rounded: bool = False
+    scales_rounded: bool = False  # whether a scale is another number as float16
 
 
 def round_blocks(
@@ -72,15 +61,7 @@ def round_blocks(
 ) -> Iterator[WrittenBlock]:
     """Yield blocks rounded to what USD holds, and what the rounding did.
 
-    Args:
-        blocks: Time codes and motions.
-        rig: Whose motions they are.
-        meters_per_unit: Unit of the layer [m].
-        root_motion: Move the first root joint's motion to the SkelRoot; the joint
-            stays at rest.
-
-    Raises:
-        OutputError: USD holds a value as no finite number (USD170).
+    meters_per_unit: unit of the layer [m].
     """
     for codes, motion in blocks:
         translations, rotations, scales = motion.dense()
@@ -155,19 +136,12 @@ def _move_root(
 
 @dataclass(slots=True)
 class Rounding:
-    """What rounding did over all blocks.
+    """What rounding did over all blocks."""
 
-    Attributes:
-        error: Largest distance that it moved a joint [m].
-        code: Time code of that.
-        joint: Index of the joint that moved.
-        scales: Whether scales were rounded too, to UsdSkel's float16.
-    """
-
-    error: float = 0.0
-    code: float = 0.0
-    joint: int = 0
-    scales: bool = False
+    error: float = 0.0  # largest distance that it moved a joint [m]
+    code: float = 0.0  # time code of that
+    joint: int = 0  # index of the joint that moved
+    scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
     def add(self, block: WrittenBlock) -> None:
         """Take the larger of the two errors."""
@@ -179,23 +153,15 @@ class Rounding:
 
 @dataclass
 class AnimationWriter:
-    """Writes a SkelAnimation and what moves with it.
-
-    Attributes:
-        layer: Where to.
-        paths: The character's prims.
-        joints: Their paths as the Skeleton has them, J of them.
-        chosen: Which of them to write ``(J,)``; None is all.
-        shapes: Names of the rig's shapes, S of them; without, no weights are written.
-        rounding: What rounding did so far.
-    """
+    """Writes a SkelAnimation and what moves with it."""
 
     layer: Any
-    paths: RigPaths
-    joints: list[str]
-    chosen: BoolArray | None = None
+    paths: RigPaths  # the character's prims
+    joints: list[str]  # their paths as the Skeleton has them, J of them
+    chosen: BoolArray | None = None  # which of them to write ``(J,)``; None is all
+    # Names of the rig's shapes, S of them; without, no weights are written.
     shapes: tuple[str, ...] = ()
-    rounding: Rounding = field(default_factory=Rounding)
+    rounding: Rounding = field(default_factory=Rounding)  # what rounding did so far
 
     def __post_init__(self) -> None:
         """Make the prim and its attributes."""
@@ -269,9 +235,7 @@ class AnimationWriter:
     def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
         """Write the defaults of what never changed and the SkelRoot's motion.
 
-        Args:
-            placing: Transform operations that the SkelRoot has already, and keeps.
-            replaces_motion: Whether it has others, which must no longer move it.
+        replaces_motion: whether it has others, which must no longer move it.
         """
         ones = np.ones((self._count, 3), np.float16)
         for samples in self._transforms.values():

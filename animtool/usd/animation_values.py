@@ -37,14 +37,7 @@ def animated_shapes(animation: Any) -> list[str]:
 def shape_weights(
     animation: Any, codes: list[float], shapes: int, where: str
 ) -> Channel:
-    """Return the weights of an animation's shapes at time codes; see `sampled_values`.
-
-    Args:
-        animation: The SkelAnimation.
-        codes: F time codes.
-        shapes: How many there are.
-        where: The animation, for messages.
-    """
+    """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
     rows = sampled_values(attr, codes, shapes, 1, where, of="shape")
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
@@ -59,19 +52,7 @@ def sampled_values(
     *,
     of: str = "joint",
 ) -> FloatArray:
-    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change.
-
-    Args:
-        attr: Of a SkelAnimation, an array of values for every joint or shape.
-        codes: F time codes.
-        count: J.
-        width: K.
-        where: The animation, for messages.
-        of: What the values are of.
-
-    Raises:
-        FormatError: There are not J values (USD013), or one is not finite (USD014).
-    """
+    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change."""
     changes = attr.GetNumTimeSamples() > 1
     when = (
         [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
@@ -138,20 +119,10 @@ def carry_roots(
 ) -> list[Fault]:
     """Give the roots the motion of what carries them, in place.
 
-    Args:
-        rig: J joints.
-        skeleton: The Skeleton's prim, below a SkelRoot.
-        codes: F time codes.
-        translations: Of the joints, local ``(F, J, 3)`` [m].
-        rotations: Of the joints, local ``(F, J, 4)``.
-        scales: Of the joints ``(F, J, 3)``.
-        where: The animation, for messages.
+    translations: of the joints, local ``(F, J, 3)`` [m]; rotations: of the joints,
+    local ``(F, J, 4)``; scales: of the joints ``(F, J, 3)``.
 
-    Returns:
-        A warning where what it finds cannot be put into joints exactly (USD109).
-
-    Raises:
-        FormatError: A transform is not finite (USD014).
+    Returns A warning where what it finds cannot be put into joints exactly (USD109).
     """
     matrices = _carriers(skeleton, codes)
     if not np.isfinite(matrices).all():
@@ -190,25 +161,15 @@ FINE_STEP_DENOMINATOR = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class SampleGrid:
-    """Evenly spaced time codes at which samples are read.
+    """Evenly spaced time codes at which samples are read."""
 
-    Attributes:
-        start: Time code of the first frame.
-        step: Time codes from one to the next.
-        count: Number of frames.
-        even: Whether samples are so spaced, or some gaps are longer.
-        drift: Largest distance of a sample from its frame [time codes].
-        drift_code: Time code of that sample.
-        between: Number of samples that fall between frames.
-    """
-
-    start: Fraction
-    step: Fraction
-    count: int
-    even: bool
-    drift: float = 0.0
-    drift_code: float = 0.0
-    between: int = 0
+    start: Fraction  # time code of the first frame
+    step: Fraction  # time codes from one to the next
+    count: int  # number of frames
+    even: bool  # whether samples are so spaced, or some gaps are longer
+    drift: float = 0.0  # largest distance of a sample from its frame [time codes]
+    drift_code: float = 0.0  # time code of that sample
+    between: int = 0  # number of samples that fall between frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,17 +192,7 @@ def _span(stage: Any, animation: Any) -> _Span:
 def sample_grid(
     stage: Any, animation: Any, times: list[float], where: str
 ) -> SampleGrid:
-    """Return the frames of an animation.
-
-    Args:
-        stage: Whose range holds where the animation states none.
-        animation: The SkelAnimation.
-        times: Time codes of all that moves it, ascending.
-        where: The animation, for messages.
-
-    Raises:
-        FormatError: The samples spread over more time codes than any take (USD016).
-    """
+    """Return the frames of an animation."""
     return _grid(times, _span(stage, animation), where)
 
 
@@ -304,11 +255,7 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
 
 
 def _whole_codes(times: list[float], where: str) -> SampleGrid:
-    """Return every time code that the samples span.
-
-    Raises:
-        FormatError: There are more than in any take (USD016).
-    """
+    """Return every time code that the samples span."""
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
     if last - first > MAX_FRAMES:

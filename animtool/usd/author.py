@@ -40,9 +40,6 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     """Author the layers of a job in memory; nothing is written yet.
 
     The takes are drawn one after the other: one that is authored need not be kept.
-
-    Raises:
-        OutputError: UsdSkel would not resolve what was authored (USD011, USD032).
     """
     suffix = job.output or Path("stdout.usda")
     outputs = output_paths(suffix, job.form)
@@ -185,17 +182,11 @@ def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
 
 @dataclass(slots=True)
 class Authored:
-    """Layers in memory.
+    """Layers in memory."""
 
-    Attributes:
-        animation: Holds the SkelAnimation.
-        rig: Holds the skeleton; the same layer in a stage, None in a layer.
-        visible: Whether there are bones or meshes to see.
-    """
-
-    animation: Any
-    rig: Any = None
-    visible: bool = False
+    animation: Any  # holds the SkelAnimation
+    rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
+    visible: bool = False  # whether there are bones or meshes to see
 
 
 def write_usd(
@@ -204,17 +195,7 @@ def write_usd(
     result: UsdResult,
     save: Callable[[Any, Path | None], int] = save_layer,
 ) -> None:
-    """Write the layers of a job, that which refers to the others last.
-
-    Args:
-        job: What to write.
-        authored: The layers.
-        result: Told of what is written.
-        save: Writes the layer of the animation.
-
-    Raises:
-        OutputError: One cannot be written.
-    """
+    """Write the layers of a job, that which refers to the others last."""
     if job.output is None:
         with _quietly(result):
             result.bytes = save(authored.animation, None)

@@ -26,16 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class PropSamples:
-    """The tracks of a take on their way to a layer, apart from the motion of its rig.
+    """Tracks of a take on their way to a layer, apart from the motion of its rig."""
 
-    Attributes:
-        tracks: What they are.
-        codes: Time codes of the frames that have passed, one array a block.
-        times: Which time of its own each track shows there ``(F, N)``, likewise.
-    """
-
-    tracks: tuple[Track, ...]
+    tracks: tuple[Track, ...]  # what they are
+    # Time codes of the frames that have passed, one array a block.
     codes: list[FloatArray] = field(default_factory=list)
+    # Which time of its own each track shows there ``(F, N)``, likewise.
     times: list[FloatArray] = field(default_factory=list)
 
     def watched(
@@ -63,34 +59,22 @@ def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class PropWorld:
-    """The world that numbers of a layer are in.
+    """The world that numbers of a layer are in."""
 
-    Attributes:
-        meters_per_unit: Its unit [m].
-        turn: From the up axis of the rig to its own; None is none.
-    """
-
-    meters_per_unit: float
+    meters_per_unit: float  # its unit [m]
+    # From the up axis of the rig to its own; None is none.
     turn: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PropPlacements:
-    """Where things are to be written.
+    """Where things are to be written."""
 
-    Attributes:
-        model: The prim of the character.
-        inside: World of what is below it.
-        outside: World of the stage.
-        exists: Whether something else has a prim at a path.
-        variant: The model in the variant of a take; empty where there is none.
-    """
-
-    model: str
-    inside: PropWorld
-    outside: PropWorld
-    exists: Callable[[str], bool]
-    variant: str = ""
+    model: str  # the prim of the character
+    inside: PropWorld  # world of what is below it
+    outside: PropWorld  # world of the stage
+    exists: Callable[[str], bool]  # whether something else has a prim at a path
+    variant: str = ""  # the model in the variant of a take; empty where there is none
 
     def world(self, path: str) -> PropWorld:
         """Return the world of a path."""
@@ -113,13 +97,8 @@ def prop_placements(
 ) -> PropPlacements:
     """Return where a take's tracks go.
 
-    Args:
-        paths: The character's prims.
-        target: The rig that a layer goes over.
-        rig_layer: Another layer that holds the rig; None where there is none.
-        meters_per_unit: Unit of the rig [m].
-        up: Its up axis.
-        take: Of a library, the take whose variant holds them.
+    rig_layer: another layer that holds the rig; None where there is none;
+    meters_per_unit: unit of the rig [m].
     """
     inside = outside = PropWorld(meters_per_unit)
     if target is not None:
@@ -144,15 +123,8 @@ def check_props(
 ) -> None:
     """Refuse things where the character is, or where another thing is.
 
-    Args:
-        tracks: What is to be written.
-        paths: The character's prims.
-        stage: What the layer goes over; None is nothing.
-        library: Whether takes are variants of the model.
-
-    Raises:
-        OptionError: With every such fault (SCN046, SCN047), whose ``where`` is the
-            thing's own path.
+    stage: what the layer goes over; None is nothing; library: whether takes are
+    variants of the model.
     """
     faults = []
     model, root = paths.model, paths.root
@@ -193,14 +165,9 @@ def author_props(
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
 
-    Args:
-        layer: Where to.
-        samples: The tracks, all frames passed.
-        places: Where they are to be.
-        output: The file that it becomes; None is stdout.
+    output: the file that it becomes; None is stdout.
 
-    Returns:
-        Their paths, and what there is to say of their frames.
+    Returns their paths, and what there is to say of their frames.
     """
     found = prop_paths(samples.tracks, places.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)

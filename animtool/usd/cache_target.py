@@ -26,38 +26,23 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TargetMesh:
-    """A mesh of a rig layer, or strands.
+    """A mesh of a rig layer, or strands."""
 
-    Attributes:
-        name: As the rig names it.
-        path: Its prim, as a layer over the rig names it.
-        space: Where its points are, in the rig's unit.
-        normals: Whether it has normals that a cache can replace.
-        blocked: Attributes whose values do not hold for deformed points.
-    """
-
-    name: str
-    path: str
-    space: PointSpace
-    normals: bool
-    blocked: tuple[str, ...]
+    name: str  # as the rig names it
+    path: str  # its prim, as a layer over the rig names it
+    space: PointSpace  # where its points are, in the rig's unit
+    normals: bool  # whether it has normals that a cache can replace
+    blocked: tuple[str, ...]  # attributes whose values do not hold for deformed points
 
 
 @dataclass(frozen=True, slots=True)
 class CacheTarget:
-    """A rig whose meshes and strands a cache moves in UsdSkel's place.
+    """A rig whose meshes and strands a cache moves in UsdSkel's place."""
 
-    Attributes:
-        rig: The rig's stage.
-        meshes: Those that the cache has points of.
-        strands: Likewise.
-        notices: What is odd.
-    """
-
-    rig: RigTarget
-    meshes: tuple[TargetMesh, ...]
+    rig: RigTarget  # the rig's stage
+    meshes: tuple[TargetMesh, ...]  # those that the cache has points of
     strands: tuple[TargetMesh, ...]
-    notices: tuple[Fault, ...]
+    notices: tuple[Fault, ...]  # what is odd
 
     @property
     def prims(self) -> tuple[TargetMesh, ...]:
@@ -97,12 +82,7 @@ class CacheTarget:
     def check(self, layer: Any, *, points: bool = True) -> None:
         """Compose the layer with its rig, and see that its points are what shows.
 
-        Args:
-            layer: What was authored.
-            points: Whether it holds the points itself.
-
-        Raises:
-            OutputError: The rig's own opinions win (USD042).
+        points: whether it holds the points itself.
         """
         stage = compose_check(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
@@ -129,17 +109,7 @@ class CacheTarget:
 def open_cache_target(
     rig: RigTarget, wanted: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
 ) -> CacheTarget:
-    """Find the meshes and strands of a rig by the names that a cache has for them.
-
-    Args:
-        rig: The rig.
-        wanted: Number of points of each mesh that deforms, by name.
-        curves: How many strands of how many points, by name.
-
-    Raises:
-        FormatError: A mesh or strands have another number of points (USD041), or move
-            below their skeleton by themselves (USD043); with every such prim.
-    """
+    """Find the meshes and strands of a rig by the names that a cache has for them."""
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()

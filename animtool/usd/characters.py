@@ -28,30 +28,19 @@ from animtool.usd.values import numbers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageMeshes:
-    """Meshes and strands of a Skeleton.
+    """Meshes and strands of a Skeleton."""
 
-    Attributes:
-        surfaces: The meshes [m].
-        strands: The curves that single joints carry [m].
-        bind: World transforms of the Skeleton's J joints at bind time, scale and shear
-            included, for column vectors ``(J, 4, 4)`` [m].
-        up: Up axis of all of it.
-        notices: What is left out.
-    """
-
-    surfaces: tuple[Surface, ...]
-    strands: tuple[Strands, ...]
+    surfaces: tuple[Surface, ...]  # the meshes [m]
+    strands: tuple[Strands, ...]  # the curves that single joints carry [m]
+    # World transforms of the Skeleton's J joints at bind time, scale and shear
+    # included, for column vectors ``(J, 4, 4)`` [m].
     bind: FloatArray
-    up: UpAxis
-    notices: list[Fault]
+    up: UpAxis  # up axis of all of it
+    notices: list[Fault]  # what is left out
 
 
 def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
-    """Return the meshes of the character that a USD file is read as.
-
-    Raises:
-        FormatError: A mesh is malformed, or the bind transforms are (USD019).
-    """
+    """Return the meshes of the character that a USD file is read as."""
     with usd_errors(path):
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
@@ -61,11 +50,7 @@ def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
 
 
 def target_meshes(target: RigTarget) -> StageMeshes:
-    """Return the meshes of a rig layer.
-
-    Raises:
-        FormatError: A mesh is malformed, or the bind transforms are (USD019).
-    """
+    """Return the meshes of a rig layer."""
     with usd_errors(target.path):
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)

@@ -23,39 +23,25 @@ HELD = 32_000_000
 
 
 class Growing:
-    """A layer that samples are put into.
-
-    Attributes:
-        layer: The layer.
-    """
+    """A layer that samples are put into."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
         """Begin.
 
-        Args:
-            layer: A crate of its own file, or a layer in memory.
-            path: What the file will be called; None keeps all in memory.
+        path: what the file will be called; None keeps all in memory.
         """
         self.layer = layer
         self._path = path
         self._held = 0
 
     def added(self, size: int) -> None:
-        """Note samples of a size [byte]; bring them to the disk where they are many.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
+        """Note samples of a size [byte]; bring them to the disk where they are many."""
         self._held += size
         if self._path is not None and self._held > HELD:
             self.save()
 
     def save(self) -> None:
-        """Bring to the disk what is not there.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
+        """Bring to the disk what is not there."""
         assert self._path is not None
         with _written(self._path):
             self.layer.Save()
@@ -64,15 +50,7 @@ class Growing:
 
 @contextmanager
 def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
-    """Give a crate that is whole at the end of the block.
-
-    Args:
-        temporary: Its file.
-        path: What that will be called.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
+    """Give a crate that is whole at the end of the block."""
     with _written(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
     growing = Growing(layer, path)
@@ -83,16 +61,9 @@ def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
 def save_grown(layer: Any, path: Path | None, grow: Callable[[Growing], object]) -> int:
     """Write a layer and what is put into it then, whole or not at all.
 
-    Args:
-        layer: In memory.
-        path: The file; None is usda on stdout.
-        grow: Puts samples into it; what it raises leaves nothing behind.
+    path: the file; None is usda on stdout.
 
-    Returns:
-        The bytes written.
-
-    Raises:
-        OutputError: It cannot be written.
+    Returns the bytes written.
     """
     if path is None or path.suffix.lower() == ".usda":
         grow(Growing(layer))
@@ -115,17 +86,11 @@ def _written(path: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class ClipFiles:
-    """The chunks and the manifest of one set of value clips.
+    """The chunks and the manifest of one set of value clips."""
 
-    Attributes:
-        output: The layer that joins them.
-        name: Of the set.
-        manifest: What states which attributes the chunks have.
-    """
-
-    output: Path
-    name: str
-    manifest: Path
+    output: Path  # the layer that joins them
+    name: str  # of the set
+    manifest: Path  # what states which attributes the chunks have
 
     def chunk(self, number: int) -> Path:
         """Return a chunk, 0 being the first.
@@ -186,15 +151,7 @@ def author_clips(
     starts: Sequence[float],
     last: float,
 ) -> None:
-    """Let a prim, and what is below it, have the values of chunks.
-
-    Args:
-        layer: The layer of the prim; the files are named as it sees them.
-        path: Of the prim, the same in every chunk.
-        files: The chunks.
-        starts: First time code of each.
-        last: Last time code of all.
-    """
+    """Let a prim, and what is below it, have the values of chunks."""
     chunks = [Sdf.AssetPath(f"./{files.chunk(i).name}") for i in range(len(starts))]
     clips = {
         "assetPaths": Sdf.AssetPathArray(chunks),

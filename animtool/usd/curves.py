@@ -74,22 +74,15 @@ Evaluate = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class CurveReport:
-    """What became of a curve.
-
-    Attributes:
-        name: The attribute.
-        knots: Knots of the spline.
-        split: Segments that had to be split.
-        difference: Largest difference of the spline from the curve, over samples
-            at the keys, within every segment and outside the keys [value].
-        seam: Difference at the very end of a cycle [value].
-    """
+    """What became of a curve."""
 
     name: str
-    knots: int
-    split: int
+    knots: int  # knots of the spline
+    split: int  # segments that had to be split
+    # Largest difference of the spline from the curve, over samples at the keys, within
+    # every segment and outside the keys [value].
     difference: float
-    seam: float
+    seam: float  # difference at the very end of a cycle [value]
 
 
 def author_controls(
@@ -99,11 +92,6 @@ def author_controls(
 
     The attribute of a control whose name USD forbids has the name as its display
     name.
-
-    Args:
-        layer: Where to.
-        prim_path: A prim that the layer has.
-        controls: One curve each, over time codes of the layer.
     """
     names = distinct_names(*[list(controls)] * 3)
     reports = []
@@ -132,18 +120,8 @@ def author_curve(
 ) -> CurveReport:
     """Write one curve as a spline on a custom attribute, and measure it.
 
-    Args:
-        layer: Where to.
-        prim_path: A prim that the layer has.
-        name: Of the attribute, such as ``animtool:control:smile``.
-        curves: One curve, with a key at least.
-        evaluate: Its values ``(F,)`` at times ``(F,)``, to measure against and to
-            continue it by.
-        start: Time code of the curve's time 0.
-
-    Raises:
-        OutputError: A number of the spline is not finite (USD170).
-        ValueError: There is not one curve with a key.
+    evaluate: its values ``(F,)`` at times ``(F,)``, to measure against and to continue
+    it by.
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("one curve with a key is needed")
@@ -252,11 +230,7 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
 
 
 def _knots(pieces: list[_Piece], curves: Curves, start: float, where: str) -> list[Any]:
-    """Return the knots at the ends of all pieces.
-
-    Raises:
-        OutputError: A number of one is not finite (USD170).
-    """
+    """Return the knots at the ends of all pieces."""
     ends = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
     last = (float(curves.times[-1] + start), float(curves.values[-1]), None)
     knots = []

@@ -20,16 +20,12 @@ from animtool.usd.stderr import without_usd_warnings
 
 @dataclass(slots=True)
 class _Walk:
-    """Layers that are brought in, each looked at and opened once.
+    """Layers that are brought in, each looked at and opened once."""
 
-    Attributes:
-        path: Of the layer that brings them in, as the user named it.
-        states: What their files were before USD opened them.
-        layers: Held, so that the stage finds them open.
-    """
-
-    path: Path
+    path: Path  # of the layer that brings them in, as the user named it
+    # What their files were before USD opened them.
     states: dict[Path, FileState] = field(default_factory=dict)
+    # Held, so that the stage finds them open.
     layers: list[Any] = field(default_factory=list)
     _seen: set[str] = field(default_factory=set)
 
@@ -50,11 +46,7 @@ class _Walk:
                     todo.append((found, {**found.expressionVariables, **variables}))
 
     def _opened(self, layer: Any, name: str) -> Any:
-        """Return a layer that another names; None where USD opens none, or it is known.
-
-        Raises:
-            FormatError: It is no file, or too large (USD155).
-        """
+        """Return a layer that another names; None where USD opens none or knows it."""
         asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
         bare, _ = Sdf.Layer.SplitIdentifier(asset)
         if asset in self._seen or not Sdf.FileFormat.FindByExtension(bare):
@@ -107,16 +99,7 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def open_composed(layer: Any, path: Path) -> Any:
-    """Return the stage of a layer, all that it brings in looked at before.
-
-    Args:
-        layer: The layer.
-        path: As the user named it.
-
-    Raises:
-        FormatError: USD cannot make a stage of it (USD001), or a file that it brings in
-            is none, or too large (USD155).
-    """
+    """Return the stage of a layer, all that it brings in looked at before."""
     walk = _Walk(path)
     with usd_errors(path):
         with without_usd_warnings():
@@ -127,12 +110,7 @@ def open_composed(layer: Any, path: Path) -> Any:
 
 
 def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
-    """Note the files that a stage is composed of, and those that it lacks.
-
-    Args:
-        stage: The stage.
-        states: What files were before USD opened them, as far as known.
-    """
+    """Note the files that a stage is composed of, and those that it lacks."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:
             continue

@@ -20,13 +20,9 @@ def shape_bounds(
 ) -> Float32Array | None:
     """Return bounds ``(2, 3)`` of all frames in the space of a SkelRoot.
 
-    Args:
-        root: The SkelRoot's prim.
-        shapes: Names of S shapes.
-        weights: Their weights ``(F, S)``, one array a block.
+    weights: their weights ``(F, S)``, one array a block.
 
-    Returns:
-        None where there is no mesh with points.
+    Returns none where there is no mesh with points.
     """
     from pxr import Usd, UsdGeom
 
@@ -95,14 +91,7 @@ def author_extents(
     rest alone, so one frame tells it; where the SkelRoot holds several skeletons
     or moves its own within, UsdSkel computes every frame.
 
-    Args:
-        job: What is written.
-        visible: Whether there are bones or meshes to see.
-        layers: That of the animation first, all else authored.
-        writers: The takes and their names.
-
-    Raises:
-        OutputError: UsdSkel would not resolve what was authored (USD011, USD032).
+    visible: whether there are bones or meshes to see.
     """
     bare = job.target is None and not visible
     if bare and job.joints:
@@ -232,11 +221,7 @@ def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> No
 
 
 def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:
-    """Refuse a binding that UsdSkel does not follow.
-
-    Raises:
-        OutputError: It resolves another animation, or none (USD011).
-    """
+    """Refuse a binding that UsdSkel does not follow."""
     from animtool.usd.target import resolved_animation
 
     found = resolved_animation(stage, job.paths.skeleton)

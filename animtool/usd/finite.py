@@ -32,17 +32,11 @@ _MAX_ROUNDED = 2.0**103
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """What an attribute's values are of, for messages.
+    """What an attribute's values are of, for messages."""
 
-    Attributes:
-        attribute: Its name or path.
-        of: What each value is of, such as ``joint``; or what the one value is.
-        names: Of those, where they have names.
-    """
-
-    attribute: str
-    of: str = ""
-    names: Sequence[str] = ()
+    attribute: str  # its name or path
+    of: str = ""  # what each value is of, such as ``joint``; or what the one value is
+    names: Sequence[str] = ()  # of those, where they have names
 
     def at(self, index: Sequence[int]) -> str:
         """Return in words which value is meant."""
@@ -74,14 +68,7 @@ def narrowed(
 ) -> npt.NDArray[Any]:
     """Return values as float16 (``h``) or float32 (``f``).
 
-    Args:
-        values: ``(F, N, …)``, or ``(N, …)`` without codes.
-        letter: Of the type.
-        labels: What they are of.
-        codes: Time codes ``(F,)``.
-
-    Raises:
-        OutputError: One is NaN, infinite or beyond the type's range (USD170).
+    values: ``(F, N, …)``, or ``(N, …)`` without codes; codes: time codes ``(F,)``.
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
@@ -96,14 +83,7 @@ def rounded(
 ) -> tuple[Float32Array, float, int, int]:
     """Return points as `_kernels.round_points` does.
 
-    Args:
-        points: ``(F, V, 3)``.
-        unit: What they are divided by.
-        labels: What they are of.
-        codes: Time codes ``(F,)``.
-
-    Raises:
-        OutputError: One is NaN, infinite or beyond float32 (USD170).
+    points: ``(F, V, 3)``; codes: time codes ``(F,)``.
     """
     made, error, frame, vertex = _kernels.round_points(points, unit)
     # Beyond the range the error is larger than any rounding, so nothing more is read.
@@ -120,11 +100,7 @@ def check_rows(
 ) -> None:
     """Raise `OutputError` where an attribute's type does not hold a value (USD170).
 
-    Args:
-        rows: ``(F, …)``.
-        letter: Of the type.
-        labels: What they are of.
-        codes: Time codes ``(F,)``.
+    rows: ``(F, …)``; codes: time codes ``(F,)``.
     """
     if not np.isfinite(codes).all():
         raise _error(labels, "a time code is not finite")
@@ -137,11 +113,7 @@ def check_value(
 ) -> None:
     """Raise `OutputError` where an attribute's type does not hold a value (USD170).
 
-    Args:
-        value: A number, or a vector, matrix, quaternion or array of USD's.
-        letter: Of the type.
-        labels: What it is of.
-        code: Time code; None is the default.
+    code: time code; None is the default.
     """
     numbers = floats_of(value)
     if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
@@ -152,12 +124,7 @@ def check_value(
 
 
 def check_data(value: object, name: str) -> None:
-    """Raise `OutputError` where metadata hold a number that is not finite (USD170).
-
-    Args:
-        value: A number, text, list or mapping of such.
-        name: What it is, for messages.
-    """
+    """Raise `OutputError` where metadata hold a number that is not finite (USD170)."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             check_data(item, f"{name}:{key}")

@@ -39,15 +39,7 @@ def output_paths(output: Path, form: Form) -> list[Path]:
 
 
 def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
-    """Refuse a path that is not that of a USD file.
-
-    Args:
-        path: Of an output.
-        source: What it is made from, for the command that writes other formats.
-
-    Raises:
-        OptionError: It is another (OUT004), or USD could not open it (OUT006).
-    """
+    """Refuse a path that is not that of a USD file."""
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         if not is_text(str(path.absolute())):

@@ -27,94 +27,61 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:
-    """What `write_usd` needs beside the blocks.
+    """What `write_usd` needs beside the blocks."""
 
-    Attributes:
-        form: Stage, split or layer.
-        output: The file; None writes usda to stdout.
-        rig: The joints, as the blocks have them.
-        names: Their USD names.
-        joints: Their paths as the Skeleton has them.
-        paths: The character's prims.
-        fps: Time codes a second.
-        meters_per_unit: Unit of the layer [m].
-        target: The rig of a layer.
-        bones: Add geometry that shows the joints.
-        shot: The shot that is written; None is no shot.
-    """
-
-    form: Form
-    output: Path | None
-    rig: Rig
-    names: UsdNames
-    joints: list[str]
-    paths: RigPaths
-    fps: Fraction
-    meters_per_unit: float
-    target: RigTarget | None = None
-    bones: bool = False
-    shot: Shot | None = None
+    form: Form  # stage, split or layer
+    output: Path | None  # the file; None writes usda to stdout
+    rig: Rig  # the joints, as the blocks have them
+    names: UsdNames  # their USD names
+    joints: list[str]  # their paths as the Skeleton has them
+    paths: RigPaths  # the character's prims
+    fps: Fraction  # time codes a second
+    meters_per_unit: float  # unit of the layer [m]
+    target: RigTarget | None = None  # the rig of a layer
+    bones: bool = False  # add geometry that shows the joints
+    shot: Shot | None = None  # the shot that is written; None is no shot
 
 
 @dataclass(frozen=True, slots=True)
 class UsdTake:
-    """One animation of a job.
+    """One animation of a job."""
 
-    Attributes:
-        blocks: Its frames, as the layer will hold them.
-        start: Time code of the first sample.
-        step: Time codes from one sample to the next.
-        frames: First and last time code; None takes those of the samples.
-        chosen: Joints to write ``(J,)``; None is all.
-        shapes: Names of the rig's shapes, as the blocks have their weights.
-        curves: Curves of controls, by their names, over time codes of the layer.
-        name: Of a library's take, legal and distinct; empty where it is the only
-            animation, which needs no variant.
-        source_name: What the source of a library's take is called.
-        props: Things beside the rig, gathered while the blocks are drawn; None is
-            none.
-    """
-
-    blocks: Iterable[WrittenBlock]
-    start: Fraction
-    step: Fraction
+    blocks: Iterable[WrittenBlock]  # its frames, as the layer will hold them
+    start: Fraction  # time code of the first sample
+    step: Fraction  # time codes from one sample to the next
+    # First and last time code; None takes those of the samples.
     frames: tuple[Fraction, Fraction] | None = None
-    chosen: BoolArray | None = None
+    chosen: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    # Names of the rig's shapes, as the blocks have their weights.
     shapes: tuple[str, ...] = ()
+    # Curves of controls, by their names, over time codes of the layer.
     curves: Mapping[str, Curves] = field(default_factory=dict)
+    # Of a library's take, legal and distinct; empty where it is the only animation,
+    # which needs no variant.
     name: str = ""
-    source_name: str = ""
+    source_name: str = ""  # what the source of a library's take is called
+    # Things beside the rig, gathered while the blocks are drawn; None is none.
     props: PropSamples | None = None
 
 
 @dataclass(slots=True)
 class WrittenTake:
-    """What was written of one take.
+    """What was written of one take."""
 
-    Attributes:
-        animation: Path of its SkelAnimation.
-        name: Of a library's take; empty where it is the only one.
-        samples: Number of time samples.
-        first: Time code of the first frame.
-        last: Time code of the last frame.
-        sampled: Attributes of the SkelAnimation that change.
-        joints: Joints in the SkelAnimation.
-        rounding: What rounding to float32, and of scales to float16, moved.
-        curves: What became of the curves of controls.
-        props: Paths of the things beside the rig.
-        notices: What there is to say of its frames.
-    """
-
-    animation: str
-    name: str = ""
-    samples: int = 0
-    first: Fraction = Fraction(0)
-    last: Fraction = Fraction(0)
+    animation: str  # path of its SkelAnimation
+    name: str = ""  # of a library's take; empty where it is the only one
+    samples: int = 0  # number of time samples
+    first: Fraction = Fraction(0)  # time code of the first frame
+    last: Fraction = Fraction(0)  # time code of the last frame
+    # Attributes of the SkelAnimation that change.
     sampled: list[str] = field(default_factory=list)
-    joints: int = 0
+    joints: int = 0  # joints in the SkelAnimation
+    # What rounding to float32, and of scales to float16, moved.
     rounding: Rounding = field(default_factory=Rounding)
+    # What became of the curves of controls.
     curves: list[CurveReport] = field(default_factory=list)
-    props: list[str] = field(default_factory=list)
+    props: list[str] = field(default_factory=list)  # paths of the things beside the rig
+    # What there is to say of its frames.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -129,20 +96,14 @@ def layer_span(layer: Any) -> FrameSpan:
 
 @dataclass(slots=True)
 class UsdResult:
-    """What was written.
+    """What was written."""
 
-    Attributes:
-        span: First frame, last frame and rate that the written layer states.
-        outputs: The files.
-        bytes: Their size.
-        takes: Each animation, at least one.
-        notices: Warnings and notes of `animtool.usd.write`.
-    """
-
-    span: FrameSpan
+    span: FrameSpan  # first frame, last frame and rate that the written layer states
     outputs: list[Path] = field(default_factory=list)
     bytes: int = 0
+    # Each animation, at least one.
     takes: list[WrittenTake] = field(default_factory=list)
+    # Warnings and notes of `animtool.usd.write`.
     notices: list[Fault] = field(default_factory=list)
 
     @property

@@ -33,25 +33,15 @@ CRATE = b"PXR-USDC"
 
 @dataclass(frozen=True, slots=True)
 class StageMetadata:
-    """What every layer states about itself.
+    """What every layer states about itself."""
 
-    Attributes:
-        default_prim: Name of the root prim; empty states none.
-        fps: Frames and time codes a second.
-        first: Time code of the first frame.
-        last: Time code of the last frame.
-        meters_per_unit: Length unit [m].
-        up: Up axis.
-        shot: The shot that the layer is of; None is no shot.
-    """
-
-    default_prim: str
-    fps: Fraction
-    first: Fraction
-    last: Fraction
-    meters_per_unit: float
+    default_prim: str  # name of the root prim; empty states none
+    fps: Fraction  # frames and time codes a second
+    first: Fraction  # time code of the first frame
+    last: Fraction  # time code of the last frame
+    meters_per_unit: float  # length unit [m]
     up: UpAxis
-    shot: Shot | None = None
+    shot: Shot | None = None  # the shot that the layer is of; None is no shot
 
 
 # Why USD opens no file whose path has other bytes.
@@ -59,11 +49,7 @@ NO_TEXT = "its path has bytes that are no UTF-8"
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
-    """State the rate, the range, the units, the up axis, the default prim, the shot.
-
-    Raises:
-        OutputError: A number is not finite (USD170).
-    """
+    """State the rate, the range, the units, the up axis, the default prim, the shot."""
     root = layer.pseudoRoot
     numbers = {
         "timeCodesPerSecond": float(metadata.fps),
@@ -134,12 +120,7 @@ def asset_path(file: Path, folder: Path) -> str:
 
 
 def find_layer(path: Path) -> Any:
-    """Open a layer; USD opens it by its path.
-
-    Raises:
-        FormatError: It is no file that can be read (IO001), too large (IO010), no USD
-            layer, or changed while it was opened (IO004).
-    """
+    """Open a layer; USD opens it by its path."""
     state = layer_state(path, noted=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
@@ -156,12 +137,7 @@ def find_layer(path: Path) -> Any:
 def layer_state(path: Path, *, noted: bool = False) -> FileState:
     """Return what a file is that USD may open.
 
-    Args:
-        path: The file.
-        noted: Whether a user or a document names it as an input.
-
-    Raises:
-        FormatError: It is no file that can be read (IO001), or too large (IO010).
+    noted: whether a user or a document names it as an input.
     """
     with open_input(path, None, noted=noted) as file:
         binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
@@ -187,11 +163,7 @@ def compute_alone() -> None:
 
 @contextmanager
 def usd_errors(path: Path) -> Iterator[None]:
-    """Turn what USD itself raises about a file into a `FormatError`.
-
-    Raises:
-        FormatError: USD raised (USD001), or crashed before over it (USD160).
-    """
+    """Turn what USD itself raises about a file into a `FormatError`."""
     with reading(path):
         try:
             yield
@@ -237,11 +209,7 @@ def attribute(
     uniform: bool = False,
     interpolation: str = "",
 ) -> Any:
-    """Return a new attribute of a prim, with a default where one is given.
-
-    Raises:
-        OutputError: USD holds the default as no finite number (USD170).
-    """
+    """Return a new attribute of a prim, with a default where one is given."""
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
     made = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
@@ -263,9 +231,6 @@ def save_layer(layer: Any, path: Path | None) -> int:
     """Write a layer to a file, whole or not at all, or as text to stdout.
 
     Returns the bytes written.
-
-    Raises:
-        OutputError: It cannot be written.
     """
     if path is None:
         text = layer.ExportToString()
@@ -281,17 +246,7 @@ def save_layer(layer: Any, path: Path | None) -> int:
 def export_layer(
     layer: Any, temporary: Path, path: Path, arguments: Mapping[str, str] | None = None
 ) -> None:
-    """Write a layer to a file that becomes ``path`` when all is well.
-
-    Args:
-        layer: What to write.
-        temporary: Where to.
-        path: What the user calls that.
-        arguments: Of USD's file format.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write a layer to a file that becomes ``path`` when all is well."""
     try:
         done = layer.Export(str(temporary), args=dict(arguments or {}))
     except Tf.ErrorException as error:

@@ -90,17 +90,11 @@ def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
 
 @dataclass(frozen=True, slots=True)
 class TakeSet:
-    """The takes that a stage has for a character.
+    """The takes that a stage has for a character."""
 
-    Attributes:
-        prim: The prim with the variant set.
-        names: Of the takes.
-        selected: The one that is bound.
-    """
-
-    prim: Any
-    names: tuple[str, ...]
-    selected: str
+    prim: Any  # the prim with the variant set
+    names: tuple[str, ...]  # of the takes
+    selected: str  # the one that is bound
 
 
 def find_take_set(start: Any) -> TakeSet | None:
@@ -119,11 +113,7 @@ def find_take_set(start: Any) -> TakeSet | None:
 
 
 def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
-    """Return the takes with one bound, on their stage's session layer alone.
-
-    Raises:
-        OptionError: There is none of that name, or no take to choose (USD031).
-    """
+    """Return the takes with one bound, on their stage's session layer alone."""
     if takes is None:
         message = f"there is no take {excerpt(name)}: the file is no clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
@@ -141,17 +131,7 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
 
 
 def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
-    """Refuse a variant whose values something on the stage overrides.
-
-    Args:
-        stage: The layer over its rig, with the take selected.
-        layer: The layer.
-        paths: The take's prims.
-        where: The output, for the message.
-
-    Raises:
-        OutputError: A property of the variant is not the strongest (USD032).
-    """
+    """Refuse a variant whose values something on the stage overrides."""
     for place in sorted({paths.root, paths.binding}):
         spec = layer.GetPrimAtPath(place)
         for own in spec.properties if spec else ():
@@ -172,16 +152,7 @@ def check_library(
 ) -> None:
     """Refuse a file that a take cannot be added to.
 
-    Args:
-        path: The file, which exists.
-        name: Of the take.
-        prim_path: The character, where there are several.
-        overwrite: Whether a take of that name may be replaced.
-
-    Raises:
-        FormatError: It is no USD file.
-        OptionError: It is no clip library, or the take is one of a sublayer (SCN051);
-            or it has such a take, which may not be replaced (SCN050).
+    overwrite: whether a take of that name may be replaced.
     """
     with usd_errors(path):
         stage = open_stage(path)
@@ -208,12 +179,6 @@ def merged_library(path: Path, made: Any, paths: RigPaths, name: str) -> Any:
     """Return a library with a take of another layer added, or replaced by it.
 
     Every other take, and what it selects, stays as it is.
-
-    Args:
-        path: The library.
-        made: A layer over it that has the take.
-        paths: The character's prims.
-        name: Of the take.
     """
     whole = new_layer(path)
     whole.TransferContent(find_layer(path))

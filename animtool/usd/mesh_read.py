@@ -44,15 +44,6 @@ def read_meshes(
     that name no target. A mesh that follows joints as a whole has their influences at
     every vertex; one that follows none stands where its prim places it. Numbers are in
     the unit of the rig.
-
-    Args:
-        skeleton: A `UsdSkel.Skeleton`.
-        rig: What was read of it.
-        where: The file, for messages.
-
-    Raises:
-        FormatError: Counts do not fit, or a number is not finite (USD017), or an index
-            is out of range (USD018).
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
@@ -274,15 +265,6 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
 
     Curves of other kinds, of different lengths, or that follow several joints, are
     passed over. Points are in the unit of the rig.
-
-    Args:
-        skeleton: A `UsdSkel.Skeleton`.
-        rig: What was read of it.
-        where: The file, for messages.
-
-    Raises:
-        FormatError: A number is not finite (USD017), or a joint is none of the
-            Skeleton (USD018).
     """
     return tuple(entry for entry, _ in bound_strands(skeleton, rig, where))
 
@@ -290,11 +272,7 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
 def bound_strands(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> list[tuple[Attachment, Any]]:
-    """Return what `read_strands` does, each with its prim.
-
-    Raises:
-        FormatError: As for `read_strands`.
-    """
+    """Return what `read_strands` does, each with its prim."""
     made: list[tuple[Attachment, Any]] = []
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):

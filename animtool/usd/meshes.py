@@ -42,13 +42,7 @@ def author_strands(
 ) -> None:
     """Write strands as linear curves below the SkelRoot, each bound to its joint.
 
-    Args:
-        layer: Where to.
-        strands: What to write.
-        paths: The character's prims.
-        tokens: Path of each joint of the Skeleton, by the joint's name.
-        meters_per_unit: Unit of the layer [m].
-        bound: Bind them; False writes curves alone.
+    meters_per_unit: unit of the layer [m].
     """
     if not strands:
         return
@@ -140,14 +134,7 @@ def author_meshes(
 
     Weights of a skin are normalised, which a note says (SKIN101).
 
-    Args:
-        layer: Where to.
-        surfaces: What to write.
-        paths: The character's prims.
-        tokens: Path of each joint of the Skeleton, by the joint's name, in order.
-        meters_per_unit: Unit of the layer [m].
-        bound: Bind them to the Skeleton, with their shapes; False writes surfaces
-            alone.
+    meters_per_unit: unit of the layer [m].
     """
     notices: list[Fault] = []
     found, renamed = mesh_names(surfaces, paths)

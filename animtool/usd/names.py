@@ -14,17 +14,12 @@ from animtool.similar import distinct
 
 @dataclass(frozen=True, slots=True)
 class UsdNames:
-    """Names for the joints of a rig.
+    """Names for the joints of a rig."""
 
-    Attributes:
-        names: A legal name each, no two the same.
-        originals: The name in the source, by legal name, where it is another.
-        notices: A warning for every two names that became one.
-    """
-
-    names: list[str]
+    names: list[str]  # A legal name each, no two the same
+    # The name in the source, by legal name, where it is another.
     originals: dict[str, str]
-    notices: list[Fault]
+    notices: list[Fault]  # A warning for every two names that became one
 
 
 def plain_text(name: str) -> str:
@@ -68,13 +63,7 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
 def distinct_names(
     named: Sequence[str], wanted: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
-    """Return legal and distinct names.
-
-    Args:
-        named: What they name, for messages.
-        wanted: What they would be.
-        sources: What their source calls them.
-    """
+    """Return legal and distinct names."""
     names: list[str] = []
     originals: dict[str, str] = {}
     first: dict[str, str] = {}
@@ -100,21 +89,13 @@ def distinct_names(
 
 @dataclass(frozen=True, slots=True)
 class RigPaths:
-    """Where a character's prims are.
+    """Where a character's prims are."""
 
-    Attributes:
-        model: The component, ``/hero``.
-        root: The SkelRoot, ``/hero/Rig``.
-        skeleton: The Skeleton, ``/hero/Rig/Skel``.
-        animation: The SkelAnimation, ``/hero/Rig/Anim``.
-        binding: The prim that carries ``skel:animationSource``.
-    """
-
-    model: str
-    root: str
-    skeleton: str
-    animation: str
-    binding: str
+    model: str  # the component, ``/hero``
+    root: str  # the SkelRoot, ``/hero/Rig``
+    skeleton: str  # the Skeleton, ``/hero/Rig/Skel``
+    animation: str  # the SkelAnimation, ``/hero/Rig/Anim``
+    binding: str  # the prim that carries ``skel:animationSource``
 
     @staticmethod
     def below(model: str) -> RigPaths:

@@ -270,11 +270,7 @@ class FrameWriter:
             self.put(layer, code, name, value)
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
-        """Write the value of an attribute at a time code; the first is its default.
-
-        Raises:
-            OutputError: USD holds it as no finite number (USD170).
-        """
+        """Write the value of an attribute at a time code; the first is its default."""
         path = f"{self.report.path}.{name}"
         if name not in self._last:
             spec = layer.GetAttributeAtPath(path)

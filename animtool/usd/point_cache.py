@@ -77,15 +77,8 @@ def round_points(
 ) -> PointBlock:
     """Return frames of a mesh rounded to what USD holds, and what the rounding did.
 
-    Args:
-        mesh: The mesh's place in the job.
-        codes: Time codes ``(F,)``.
-        deformed: Its frames [m].
-        meters_per_unit: Unit of the layer [m].
-        space: Where they are written.
-
-    Raises:
-        OutputError: USD holds a value as no finite number (USD170).
+    codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
+    layer [m].
     """
     points, extents = deformed.points, deformed.extents
     velocities, normals = deformed.velocities, deformed.normals
@@ -139,9 +132,6 @@ def author_cache(
     SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
     the SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is
     deformed already.
-
-    Raises:
-        OutputError: The rig's own opinions would win (USD042).
     """
     layer = new_layer(job.output or Path("stdout.usda"))
     with Sdf.ChangeBlock():
@@ -200,11 +190,7 @@ class ChunkedCache:
     _clips: ClipFiles
 
     def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
-        """Write the manifest, then the layer; return all files, the layer last.
-
-        Raises:
-            OutputError: A file cannot be written.
-        """
+        """Write the manifest, then the layer; return all files, the layer last."""
         output, clips = self._clips.output, self._clips
         if self._job.target is None and any(report.samples for report in self.reports):
             self.layer.subLayerPaths.append(clips.defaults)
@@ -224,14 +210,6 @@ def write_chunks(
     Every file also has the first sample of the next, for what lies between them.
     Nothing is there under its name before all is written, the layer last. Only then do
     chunks go that an earlier, longer bake left: a layer always has its own.
-
-    Args:
-        job: What to write; with an output.
-        blocks: Frames of the meshes, in time order for each.
-        size: Samples a file.
-
-    Raises:
-        OutputError: A file cannot be written.
     """
     output = job.output
     assert output is not None
@@ -271,16 +249,7 @@ class _Chunk:
 
 
 class _Chunks:
-    """Files of a cache, each written when the next has begun for every mesh.
-
-    Attributes:
-        paths: Files written.
-        starts: First time code of each.
-        last: Last time code of all.
-        reports: What was written of each mesh.
-        still: Values of meshes that have not moved so far, by attribute.
-        names: Attributes of each mesh.
-    """
+    """Files of a cache, each written when the next has begun for every mesh."""
 
     def __init__(self, job: CacheJob, clips: ClipFiles, size: int) -> None:
         self._job, self._clips, self._size = job, clips, size

@@ -33,20 +33,11 @@ def open_prim(
     Units and up axis of the stage are converted to the rig's; second 0 is time code
     0. Scales of the prim are left out.
 
-    Args:
-        path: The USD file.
-        prim: Path of the prim.
-        rig: Whose world it is.
-        space: Path of a prim in whose frame the rig stands, its numbers being the
-            rig's own; None is the world.
+    space: path of a prim in whose frame the rig stands, its numbers being the rig's
+    own; None is the world.
 
-    Returns:
-        A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
-        ``(F, 4)``; it raises `FormatError` where a transform is not finite.
-
-    Raises:
-        FormatError: It is no USD file, or holds no such prim (USD034); the fault of a
-            ``space`` says so in its ``where``.
+    Returns A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
+    ``(F, 4)``; it raises `FormatError` where a transform is not finite.
     """
     with usd_errors(path):
         stage = open_stage(path)
@@ -120,46 +111,23 @@ def nearest_prim(stage: Any, name: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class StillMesh:
-    """Points and faces in the world.
+    """Points and faces in the world."""
 
-    Attributes:
-        points: ``(N, 3)`` [m].
-        counts: Corners of each face ``(M,)``.
-        indices: Corners, face by face.
-    """
-
-    points: FloatArray
-    counts: IntArray
-    indices: IntArray
+    points: FloatArray  # ``(N, 3)`` [m]
+    counts: IntArray  # corners of each face ``(M,)``
+    indices: IntArray  # corners, face by face
 
 
 def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
-    """Return a mesh as it is at the earliest time that its file has.
-
-    Args:
-        path: The USD file.
-        prim: Path of the prim.
-        up: Up axis of the world.
-
-    Raises:
-        FormatError: The file is no USD.
-        OptionError: It has no such mesh, or the mesh makes no sense (SIM051).
-    """
+    """Return a mesh as it is at the earliest time that its file has."""
     return open_mesh(path, prim, up).at(None)
 
 
 class MeshSource:
     """A mesh of a stage that is open.
 
-    Attributes:
-        fps: Time codes a second.
-        span: First and last time code at which it is told to move, in shape or place;
-            None where it never does.
-
-    Args:
-        stage: The stage.
-        prim: Of the mesh.
-        up: Up axis of the world.
+    span: first and last time code at which it is told to move, in shape or place; None
+    where it never does.
     """
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
@@ -197,17 +165,7 @@ class MeshSource:
 
 
 def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
-    """Return a mesh that can be looked at over time.
-
-    Args:
-        path: The USD file.
-        prim: Path of the prim.
-        up: Up axis of the world.
-
-    Raises:
-        FormatError: The file is no USD.
-        OptionError: It has no such mesh (SIM051).
-    """
+    """Return a mesh that can be looked at over time."""
     with usd_errors(path):
         stage = open_stage(path)
         found = find_prim(stage, prim)

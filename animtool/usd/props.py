@@ -63,46 +63,32 @@ _LENGTHS = frozenset(_OF_CAMERAS[:7])
 
 @dataclass(frozen=True, slots=True)
 class PropRequest:
-    """What is to be read of a file.
-
-    Attributes:
-        file: The file.
-        prim: Path of the prim.
-        path: Where it is to be written.
-        attributes: Names of attributes beside those of a camera.
-        reference: File that shows it; the file itself with the prim, or another with
-            its default prim. None shows nothing.
-    """
+    """What is to be read of a file."""
 
     file: Path
-    prim: str
-    path: str
-    attributes: tuple[str, ...] = ()
+    prim: str  # path of the prim
+    path: str  # where it is to be written
+    attributes: tuple[str, ...] = ()  # names of attributes beside those of a camera
+    # File that shows it; the file itself with the prim, or another with its default
+    # prim. None shows nothing.
     reference: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PropSource:
-    """A prim of a stage that is open.
+    """A prim of a stage that is open."""
 
-    Attributes:
-        track: It, over the time codes of its file.
-        fps: Time codes a second.
-        keys: Time codes of everything that moves it, ascending ``(K,)``.
-        span: First and last time code that it is for; None where it never moves.
-        unstated: What decides what a camera sees, and is not stated.
-        sheared: Whether its place is a matrix, as translation, rotation and scale do
-            not come to the same.
-        shear: Returns the largest share of a transform that was left out so far, as
-            such a matrix would have it between keys.
-    """
-
-    track: Track
-    fps: Fraction
-    keys: FloatArray
+    track: Track  # it, over the time codes of its file
+    fps: Fraction  # time codes a second
+    keys: FloatArray  # time codes of everything that moves it, ascending ``(K,)``
+    # First and last time code that it is for; None where it never moves.
     span: tuple[Fraction, Fraction] | None
-    unstated: tuple[str, ...]
+    unstated: tuple[str, ...]  # what decides what a camera sees, and is not stated
+    # Whether its place is a matrix, as translation, rotation and scale do not come to
+    # the same.
     sheared: bool
+    # Returns the largest share of a transform that was left out so far, as such a
+    # matrix would have it between keys.
     shear: Callable[[], float]
 
 
@@ -111,15 +97,6 @@ def open_prop(wanted: PropRequest, up: UpAxis) -> PropSource:
 
     Its place is that in the world of its file: all operations of it and of the prims
     above come together. Units are metres, the up axis is that of the rig.
-
-    Args:
-        wanted: Which prim.
-        up: Up axis of the rig's world.
-
-    Raises:
-        FormatError: The file is no USD.
-        OptionError: It has no such prim, or none that is placed or has the attributes
-            (SCN048, SCN049).
     """
     with usd_errors(wanted.file):
         stage = open_stage(wanted.file)
@@ -196,11 +173,7 @@ def _reference(wanted: PropRequest, stage: Any) -> Reference | None:
 
 
 def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
-    """Return the attributes to read.
-
-    Raises:
-        OptionError: One is not there, or of a type that is not carried (SCN049).
-    """
+    """Return the attributes to read."""
     found, faults = [], []
     if prim.IsA(UsdGeom.Camera):
         # What USD takes for lengths that are not stated depends on the unit.
@@ -256,36 +229,23 @@ def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
 
 @dataclass(slots=True)
 class _Sampler:
-    """Reads a prim at time codes.
+    """Reads a prim at time codes."""
 
-    Attributes:
-        stage: Open as long as this is, and its prims with it.
-        prim: The prim.
-        attributes: Of it.
-        described: The same, without values.
-        unit: Of the stage [m].
-        turn: From its up axis to that of the rig; None is none.
-        where: The file.
-        placed: Whether it has a place in the world.
-        keys: Time codes at which something is stated, ascending.
-        moves: Whether anything is another at one time than at another.
-        sheared: Whether places are matrices.
-        shear: Largest share of a transform that was left out so far.
-        scales: Those of every time, where they are even but for rounding.
-    """
-
-    stage: Any
+    stage: Any  # open as long as this is, and its prims with it
     prim: Any
     attributes: Sequence[Any]
-    described: tuple[Attribute, ...]
-    unit: float
+    described: tuple[Attribute, ...]  # the same, without values
+    unit: float  # of the stage [m]
+    # From its up axis to that of the rig; None is none.
     turn: tuple[float, float, float, float] | None
     where: str
-    placed: bool
+    placed: bool  # whether it has a place in the world
+    # Time codes at which something is stated, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
-    moves: bool = True
-    sheared: bool = False
-    shear: float = 0.0
+    moves: bool = True  # whether anything is another at one time than at another
+    sheared: bool = False  # whether places are matrices
+    shear: float = 0.0  # largest share of a transform that was left out so far
+    # Those of every time, where they are even but for rounding.
     scales: FloatArray | None = None
 
     def settle(self) -> None:

@@ -59,15 +59,7 @@ def read_usd(
     character is placed is no part of its take. A layer without its rig has no rest
     pose: its joints rest at their first sample.
 
-    Args:
-        path: A USD file.
-        prim_path: The character, where the stage has several.
-        take: Which take of a clip library; None is the one that it selects.
-
-    Raises:
-        FormatError: The file cannot be read, holds no skeletal animation, or one
-            that UsdSkel would ignore.
-        OptionError: ``prim_path`` is no path, or there is no such take (USD031).
+    take: which take of a clip library; None is the one that it selects.
     """
     path = Path(path)
     with usd_errors(path):
@@ -338,13 +330,9 @@ def _attributes(
 
 @dataclass(frozen=True, slots=True)
 class _Joints:
-    """The joints of an animation among those of its Skeleton.
+    """The joints of an animation among those of its Skeleton."""
 
-    Attributes:
-        places: Index in the Skeleton; -1 where it has none such.
-    """
-
-    places: IntArray
+    places: IntArray  # index in the Skeleton; -1 where it has none such
 
     def whole(
         self, attribute: Any | None, rest: FloatArray, codes: list[float], where: str

@@ -35,18 +35,13 @@ _AXES = "XYZ"
 
 @dataclass(frozen=True, slots=True)
 class PhysicsJoint:
-    """What a joint prim says of a joint.
+    """What a joint prim says of a joint."""
 
-    Attributes:
-        name: USD name of the joint.
-        type: What it can do.
-        axis: Unit axis of a pin or prismatic joint, in the joint's rest frame.
-        limits: How far it may go [rad], [m]; None is any way.
-    """
-
-    name: str
-    type: JointType
+    name: str  # USD name of the joint
+    type: JointType  # what it can do
+    # Unit axis of a pin or prismatic joint, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    # How far it may go [rad], [m]; None is any way.
     limits: RangeLimit | BallLimit | None = None
 
 
@@ -55,12 +50,7 @@ def author_physics(
 ) -> int:
     """Write bodies and joints below ``MODEL/Physics``; return how many joints.
 
-    Args:
-        layer: Where to.
-        model: Path of the model.
-        rig: J joints.
-        names: Their USD names.
-        meters_per_unit: Unit of the layer [m].
+    meters_per_unit: unit of the layer [m].
     """
     held = [i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE]
     bodies = sorted({*held, *(rig.joints[i].parent for i in held)} - {-1})
@@ -186,9 +176,7 @@ def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
     Joints of other tools are read where they have one axis or none; where there is no
     ``animtool:joint``, a PhysicsJoint is a ball.
 
-    Args:
-        stage: With joint prims.
-        meters_per_unit: Unit of its lengths [m].
+    meters_per_unit: unit of its lengths [m].
     """
     found = {}
     for made in Usd.PrimRange(stage.GetPseudoRoot()):
@@ -265,10 +253,6 @@ def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
 
     It holds the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
     blend shapes, and in customData what USD has no place for. It binds no animation.
-
-    Raises:
-        FormatError: An array of the rig cannot be read.
-        OutputError: It cannot be written.
     """
     layer, names = _rig_layer(rig, path)
     return save_layer(layer, path), names
@@ -309,16 +293,7 @@ def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
 def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]:
     """Write joints as UsdPhysics has them, over a rig layer.
 
-    Args:
-        rig: The rig of that layer.
-        path: The file.
-        rig_path: The rig layer, beside it.
-
-    Returns:
-        Bytes, and how many joints.
-
-    Raises:
-        OutputError: It cannot be written.
+    Returns bytes, and how many joints.
     """
     layer = new_layer(path)
     paths = RigPaths.below(f"/{legal_name(rig.name)}")

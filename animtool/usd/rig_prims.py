@@ -36,26 +36,15 @@ LARGEST_REST = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True, slots=True)
 class SkeletonRig:
-    """A rig made of a Skeleton prim.
+    """A rig made of a Skeleton prim."""
 
-    Attributes:
-        rig: Its joints, named by the last part of their path.
-        tokens: Their paths as the prim has them.
-        rest_scales: Scale of the rest transforms ``(J, 3)``.
-    """
-
-    rig: Rig
-    tokens: list[str]
-    rest_scales: FloatArray
+    rig: Rig  # its joints, named by the last part of their path
+    tokens: list[str]  # their paths as the prim has them
+    rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage.
-
-    Raises:
-        FormatError: The file does not exist, is no USD layer, does not compose, or
-            brings in what is no file (USD155).
-    """
+    """Open a stage."""
     stage = open_composed(find_layer(path), path)
     _check_metadata(stage, str(path))
     return stage
@@ -102,9 +91,6 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     """Return the rig of a Skeleton prim, in metres.
 
     A character of blend shapes alone has no joints.
-
-    Raises:
-        FormatError: The order of its joints or their rest transforms are wrong.
     """
     stage = skeleton.GetPrim().GetStage()
     where = f"{path}<{skeleton.GetPath()}>"
@@ -129,11 +115,7 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
 
 
 def check_moves(joints: int, shapes: int, where: str) -> None:
-    """Refuse a character that has nothing to move.
-
-    Raises:
-        FormatError: It has neither joints nor blend shapes (USD002).
-    """
+    """Refuse a character that has nothing to move."""
     if not joints and not shapes:
         _fail("USD002", "there are no joints and no blend shapes", where)
 
@@ -268,11 +250,7 @@ def up_axis(stage: Any) -> UpAxis:
 
 
 def prim_below(stage: Any, prim_path: str | None) -> str:
-    """Return the prim to look below: the one named, the default one, or all.
-
-    Raises:
-        OptionError: The path is no prim path.
-    """
+    """Return the prim to look below: the one named, the default one, or all."""
     if prim_path is not None:
         check_prim_path(prim_path)
         return prim_path
@@ -295,13 +273,7 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
 def others_notice(
     skeletons: list[Any], where: str, hint: str | None = None
 ) -> list[Fault]:
-    """Name the characters that are passed over where there are several.
-
-    Args:
-        skeletons: Those found, the one taken first.
-        where: The file.
-        hint: How to take another, where there is a way.
-    """
+    """Name the characters that are passed over where there are several."""
     if len(skeletons) < 2:
         return []
     taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]

@@ -21,8 +21,7 @@ class Samples:
     quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
     every rotation over time is written here.
 
-    Attributes:
-        sampled: Whether they changed, or are sampled all the same.
+    sampled: whether they changed, or are sampled all the same.
     """
 
     def __init__(
@@ -50,11 +49,7 @@ class Samples:
         self.sampled = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
-        """Add frames of values ``(F, …)``.
-
-        Raises:
-            OutputError: USD holds one of them as no finite number (USD170).
-        """
+        """Add frames of values ``(F, …)``."""
         rows = np.ascontiguousarray(self._continued(rows))
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)

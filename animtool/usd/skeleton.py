@@ -27,11 +27,7 @@ _EXTRAS_VERSION = 1
 def author_rig(
     layer: Any, rig: Rig, names: UsdNames, paths: RigPaths, meters_per_unit: float
 ) -> None:
-    """Write the model, the SkelRoot and the Skeleton of a rig, with its strands.
-
-    Raises:
-        FormatError: An array of the rig cannot be read any more (RIG018).
-    """
+    """Write the model, the SkelRoot and the Skeleton of a rig, with its strands."""
     model = prim(layer, paths.model, "Xform")
     model.SetInfo("kind", "component")
     for ancestor in Sdf.Path(paths.model).GetAncestorsRange():

@@ -60,11 +60,7 @@ def unique_name(name: str, used: set[str]) -> str:
 
 
 def floats(attr: Any, width: int, at: str) -> FloatArray:
-    """Return the rows of an attribute ``(N, width)``.
-
-    Raises:
-        FormatError: One is not finite (USD017).
-    """
+    """Return the rows of an attribute ``(N, width)``."""
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
@@ -74,11 +70,7 @@ def floats(attr: Any, width: int, at: str) -> FloatArray:
 
 
 def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
-    """Return the rig's names of the joints that a prim's indices count.
-
-    Raises:
-        FormatError: One is no joint of the Skeleton (USD018).
-    """
+    """Return the rig's names of the joints that a prim's indices count."""
     order = query.GetJointOrder()
     index = {token: i for i, token in enumerate(rig.tokens)}
     tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
@@ -92,9 +84,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
 def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
     """Return the world transforms of the first skeleton of a stage, by UsdSkel.
 
-    Args:
-        path: A stage with a skeleton.
-        codes: Time codes, between samples too ``(F,)``.
+    codes: time codes, between samples too ``(F,)``.
     """
     stage = Usd.Stage.Open(str(path))
     prim = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
@@ -146,14 +136,6 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     A rig alone has one character, at the top, and nothing where the path begins: a
     shot will have it at the path. Any other stage is the shot itself, in which the
     path must be that of a character.
-
-    Args:
-        stage: The stage.
-        prim_path: Where the character is, or will be.
-        where: The file, for messages.
-
-    Raises:
-        OptionError: It is the shot, and the path is of no character in it (USD033).
     """
     if find_skeletons(stage, prim_path):
         return True

@@ -43,11 +43,6 @@ def joined_attachments(
 
     Strands are as USD has them; others than the rig's stand last. What is left out has
     lost its mesh or curves, or the vertices that it pins.
-
-    Args:
-        rig: Its meshes are those of USD, its attachments have no arrays yet.
-        strands: Those of USD, by name.
-        pins: Vertices by the name of a cloth, as customData has them.
     """
     others = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
@@ -96,17 +91,6 @@ def joined_rig(
     the rig that it was written from. Else USD's own tree, rest and bind count, what
     names joints that are gone is left out, and a warning says so (USD117). Cloth and
     strands have no arrays yet; see `with_attachments`.
-
-    Args:
-        read: As USD says.
-        data: The Skeleton's customData ``animtool``.
-        tokens: Paths of its joints.
-        rest: Its rest transforms.
-        bind: Its bind transforms.
-        path: The file.
-
-    Raises:
-        FormatError: The customData is malformed (USD007).
     """
     text = data.get("rig")
     if not text:
@@ -141,12 +125,6 @@ def with_attachments(
     """Return a joined rig whose cloth and strands have what USD holds of them.
 
     Those whose mesh or curves USD lost or broke are left out, and named (USD119).
-
-    Args:
-        joined: As `joined_rig` returns it.
-        read: As USD says, its joints in the same order.
-        data: The Skeleton's customData ``animtool``.
-        path: The file.
     """
     if not data.get("rig"):
         return joined, []
@@ -279,14 +257,6 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
 
     With bind pose, meshes, shapes and strands, and what its customData holds beyond
     USD.
-
-    Args:
-        path: The file.
-        prim_path: The character, where there are several.
-
-    Raises:
-        FormatError: It is no USD file or holds no sound Skeleton there.
-        OptionError: The path is no prim path.
     """
     with usd_errors(path):
         stage = open_stage(path)

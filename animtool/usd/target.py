@@ -38,37 +38,21 @@ from animtool.usd.values import array_value
 
 @dataclass(frozen=True, slots=True)
 class RigTarget:
-    """A rig on a stage, and where a layer over it has its prims.
-
-    Attributes:
-        path: The file.
-        stage: It, opened.
-        skeleton: Its rig.
-        paths: Prims as the layer names them.
-        stage_model: The model as the rig's own stage names it.
-        fps: The stage's time codes a second.
-        start: The stage's start time code, where it states one.
-        operations: Transform operations of the SkelRoot that place it.
-        moves: Whether it has others, which move it: the take replaces those.
-        skeletons: How many skeletons share the SkelRoot's extent.
-        unit: Length unit that the stage states [m]; the rig has its own.
-        up: Up axis that the stage states.
-        notices: What is odd about it.
-    """
+    """A rig on a stage, and where a layer over it has its prims."""
 
     path: Path
     stage: Any
     skeleton: SkeletonRig
-    paths: RigPaths
-    stage_model: str
-    fps: Fraction
-    start: Fraction | None
-    operations: list[str]
-    moves: bool
-    skeletons: int
-    unit: float
-    up: UpAxis
-    notices: list[Fault]
+    paths: RigPaths  # prims as the layer names them
+    stage_model: str  # the model as the rig's own stage names it
+    fps: Fraction  # the stage's time codes a second
+    start: Fraction | None  # the stage's start time code, where it states one
+    operations: list[str]  # transform operations of the SkelRoot that place it
+    moves: bool  # whether it has others, which move it: the take replaces those
+    skeletons: int  # how many skeletons share the SkelRoot's extent
+    unit: float  # length unit that the stage states [m]; the rig has its own
+    up: UpAxis  # up axis that the stage states
+    notices: list[Fault]  # what is odd about it
 
     @property
     def names(self) -> UsdNames:
@@ -94,18 +78,7 @@ class RigTarget:
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
-    """Open the stage that holds a rig: a rig layer, or a shot that refers to one.
-
-    Args:
-        path: The file.
-        prim_path: The character where the stage has it; or, of a rig alone, where a
-            shot will have it.
-
-    Raises:
-        FormatError: It is no USD file or holds no character.
-        OptionError: ``prim_path`` is no path, or none of a character in a shot
-            (USD033).
-    """
+    """Open the stage that holds a rig: a rig layer, or a shot that refers to one."""
     with usd_errors(path):
         return _target(open_stage(path), path, prim_path)
 
@@ -243,23 +216,16 @@ def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
 
 @dataclass(frozen=True, slots=True)
 class JointMap:
-    """How the joints of a take stand in a target rig.
+    """How the joints of a take stand in a target rig."""
 
-    Attributes:
-        rig: The target's joints.
-        source: Joint of the take for each joint of the target ``(J,)``, -1 for none.
-        rest_scales: Scale of the target's rest ``(J, 3)``.
-        notices: Joints and shapes of the take that the target lacks, or spells in
-            another way.
-        shapes: Names of the take's shapes as the target has them.
-        fit: How well the take's rest skeleton fits; None where there are no joints.
-    """
-
-    rig: Rig
+    rig: Rig  # the target's joints
+    # Joint of the take for each joint of the target ``(J,)``, -1 for none.
     source: IntArray
-    rest_scales: FloatArray
+    rest_scales: FloatArray  # scale of the target's rest ``(J, 3)``
+    # Joints and shapes of the take that the target lacks, or spells in another way.
     notices: list[Fault]
-    shapes: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
+    # How well the take's rest skeleton fits; None where there are no joints.
     fit: Fit | None = None
 
     def apply(self, motion: Motion) -> Motion:
@@ -298,18 +264,7 @@ _NONE: IntArray = np.zeros(0, np.int64)
 def map_joints(
     take: Rig, target: RigTarget, strip_namespaces: int, *, force_fit: bool = False
 ) -> JointMap:
-    """Match joints by path, else by name, legal or original.
-
-    Args:
-        take: The take's rig, with the target's up axis.
-        target: The rig of the layer.
-        strip_namespaces: Leading ``ns:`` parts of the take's names to drop.
-        force_fit: Accept a take whose rest skeleton does not fit.
-
-    Raises:
-        FormatError: No joint of the take is in the target (USD010), or the take does
-            not fit it (RIG040).
-    """
+    """Match joints by path, else by name, legal or original."""
     names = joint_names(take.joints, strip_namespaces)
     own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     by_key: dict[str, list[int]] = {}
@@ -365,11 +320,7 @@ def map_joints(
 
 
 def _check_shapes(take: Rig, target: RigTarget) -> None:
-    """Refuse a take that has no joint of a rig and is not one of its shapes alone.
-
-    Raises:
-        FormatError: It moves nothing there (USD010).
-    """
+    """Refuse a take that has no joint of a rig and is not one of its shapes alone."""
     rig, known = target.skeleton.rig, _known_shapes(target)
     names = [shape.name for shape in take.shapes]
     shared = known is None or {arkit_name(n) or n for n in names} & {
