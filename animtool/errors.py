@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import ClassVar
 
-from animtool.printing import escaped
+from animtool.quantities import escaped
 
 # Names in a message in brief.
 MAX_NAMED = 12

@@ -8,7 +8,7 @@ from pathlib import PurePath
 from typing import Literal
 from xml.etree import ElementTree
 
-from animtool.printing import escaped, escaped_lines
+from animtool.quantities import escaped, escaped_lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,43 @@
-"""Curves that options write as lists of pairs: weights and times by frame."""
+"""Options that are curves, lists of pairs, or one of a few words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.choices import chosen
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
+from animtool.similar import similar
+
+Choice = TypeVar("Choice", bound=StrEnum)
+
+
+def chosen(choices: type[Choice], given: str, option: str) -> Choice:
+    """Return a choice by its word, or as it is.
+
+    Raises:
+        OptionError: There is none of that word (SCN025).
+
+    >>> class Side(StrEnum):
+    ...     LEFT = "left"
+    >>> chosen(Side, "left", "side")
+    <Side.LEFT: 'left'>
+    """
+    try:
+        return choices(given)
+    except ValueError as error:
+        words = [str(choice) for choice in choices]
+        message = f"{option} is {excerpt(str(given))}; it is one of {', '.join(words)}"
+        near = similar(str(given), words)
+        hint = f"did you mean {near}?" if near else None
+        raise OptionError(Fault("SCN025", message, hint=hint)) from error
+
 
 Keys: TypeAlias = Sequence[Sequence[float]]
 Weight: TypeAlias = float | Keys

@@ -11,9 +11,9 @@ from animtool import BakeOptions, bake
 from animtool.errors import FormatError
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import replacing
-from animtool.prefetch import prefetch
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
+from animtool.signals import prefetch
 
 
 def names(inputs: Inputs, folder: Path) -> set[str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from animtool.prefetch import prefetch
+from animtool.signals import prefetch
 
 
 def threads() -> set[str]:

@@ -26,7 +26,7 @@ from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, Severity, listed
 from animtool.files import FoundFile, Places, files_meant
-from animtool.output_names import inside
+from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_scene, is_timeline, source_stem
 from animtool.usd.forms import check_suffix

@@ -17,7 +17,7 @@ from animtool.batch.spec import made_by, named_from, place_of
 from animtool.errors import Fault, FormatError, OptionError, OutputError
 from animtool.files import Places
 from animtool.inputs import FileState
-from animtool.output_names import name_key
+from animtool.output import name_key
 
 
 class Reason(StrEnum):

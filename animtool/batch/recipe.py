@@ -27,7 +27,7 @@ from animtool.batch.spec import BatchSpec, named_from
 from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import FoundFile
-from animtool.output_names import inside, name_problem
+from animtool.output import inside, name_problem
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene, source_stem
 from animtool.shot import Shot

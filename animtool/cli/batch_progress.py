@@ -13,8 +13,7 @@ from animtool.batch.run import BatchReport, ItemReport
 from animtool.batch.work import Status
 from animtool.cli.console import Console
 from animtool.errors import AnimtoolError, counted
-from animtool.printing import escaped, json_printed
-from animtool.quantities import length_text
+from animtool.quantities import escaped, json_printed, length_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

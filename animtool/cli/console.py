@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TextIO
 
 from animtool.errors import Fault, Severity
-from animtool.printing import escaped, json_printed
+from animtool.quantities import escaped, json_printed
 from animtool.supervisor import note_said
 
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}

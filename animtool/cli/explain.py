@@ -8,7 +8,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
-from animtool.printing import escaped_lines
+from animtool.quantities import escaped_lines
 
 if TYPE_CHECKING:
     from animtool.validation.rule import Rule

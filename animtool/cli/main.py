@@ -13,7 +13,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.errors import AnimtoolError, ExitCode, FormatError, StrictError
-from animtool.printing import escaped
+from animtool.quantities import escaped
 from animtool.signals import (
     TerminatedError,
     ending,

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from itertools import islice
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.printing import CONTROL
+from animtool.quantities import CONTROL
 from animtool.similar import similar
 
 # What stands in for a name that is missing, and is none.

@@ -14,7 +14,7 @@ from animtool.documents.mend import annotation_at, replaced, stand_in, takes_no_
 from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.yaml_values import plain_scalar
 from animtool.errors import excerpt
-from animtool.output_names import name_problem
+from animtool.output import name_problem
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.choices import chosen
 from animtool.clock import time_codes
 from animtool.edit.combine import (
     Strength,
@@ -23,7 +22,7 @@ from animtool.edit.combine import (
 )
 from animtool.edit.frames import exact
 from animtool.edit.tree import joints_matching
-from animtool.keyed import Interpolation, Weight, weights_at
+from animtool.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.motion import Motion
 from animtool.passes import (
     MOTION_PARTS,

@@ -10,10 +10,10 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.choices import chosen
 from animtool.edit.mirror_controls import ControlMirror
 from animtool.edit.tree import joint_index
 from animtool.errors import Fault, OptionError, Severity, listed, percent
+from animtool.keyed import chosen
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import EVERY_PART, MOTION_PARTS, Pass, PassContext, Scope, TakePart

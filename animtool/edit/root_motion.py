@@ -7,7 +7,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from animtool.choices import chosen
 from animtool.edit.chain import (
     above,
     ancestors,
@@ -19,6 +18,7 @@ from animtool.edit.combine import continuous
 from animtool.edit.travel import traveller
 from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
 from animtool.errors import Fault, OptionError
+from animtool.keyed import chosen
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart

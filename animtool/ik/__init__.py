@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from animtool.lazy import lazy_names
+from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.ik.clip_solver import FollowOptions as FollowOptions

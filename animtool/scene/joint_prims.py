@@ -15,13 +15,13 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
 from animtool.maths.curves import Curves
 from animtool.motion import Motion
-from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, moving_joints
 from animtool.scene.prims import BakePlan, Draft, TakeRun, rig_paths
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.sources import source_stem
+from animtool.signals import prefetch
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form

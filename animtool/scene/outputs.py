@@ -11,8 +11,7 @@ from typing import TypeAlias
 from animtool.clock import Clock
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.motion import Motion
-from animtool.output import check_outputs, sparing_inputs, together
-from animtool.output_names import name_key
+from animtool.output import check_outputs, name_key, sparing_inputs, together
 from animtool.passes import PassthroughTracks
 from animtool.placing import target
 from animtool.scene.bake import run_bake

@@ -10,11 +10,11 @@ from typing import Any
 
 from animtool.errors import Fault, FormatError
 from animtool.output import size_of
-from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.scene.deform import Character, PointStream
 from animtool.scene.prims import BakePlan, Draft, Save, TakeRun
 from animtool.scene.report import BakeReport, MeshReport
+from animtool.signals import prefetch
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.author_props import author_props, prop_placements

@@ -8,7 +8,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from animtool.lazy import lazy_names
+from animtool.plugins import lazy_names
 from animtool.signals import deferred_signals
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError
-from animtool.output_names import is_text
+from animtool.output import is_text
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 # What `convert` writes, and outputs of scenes too.

@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
-from animtool.printing import CONTROL
+from animtool.quantities import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.similar import distinct
 from animtool.units import UpAxis

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from animtool.printing import escaped_lines
+from animtool.quantities import escaped_lines
 
 # Of its own writers, about every file with a spline or with time codes in metadata:
 # nothing that a user could change.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.formats.bvh.lines import HeaderLines
-from animtool.printing import CONTROL
+from animtool.quantities import CONTROL
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
 

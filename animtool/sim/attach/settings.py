@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.choices import chosen
 from animtool.errors import Fault, OptionError
-from animtool.keyed import Interpolation, Weight, weights_at
+from animtool.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.units import parse_length

@@ -19,8 +19,7 @@ from animtool.documents.edit import Add, EditError, Put, Remove, edited
 from animtool.documents.references import split_reference
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import read_input
-from animtool.output import ahead, replacing, together
-from animtool.output_names import name_problem
+from animtool.output import ahead, name_problem, replacing, together
 from animtool.placing import output_error
 from animtool.rig.parts import ArrayRef
 from animtool.scene.convert_rig import write_arrays

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from animtool.errors import Fault, Severity
 from animtool.junit import JunitCase, junit_xml
-from animtool.printing import escaped, json_printed
+from animtool.quantities import escaped, json_printed
 from animtool.validation.run import Report
 
 _LEVELS = {

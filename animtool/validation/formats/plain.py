@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from animtool.errors import Fault, FormatError, Severity, counted
 from animtool.files import read_input
-from animtool.printing import escaped
+from animtool.quantities import escaped
 from animtool.validation.run import Report
 
 # What YAML takes for the end of a line.

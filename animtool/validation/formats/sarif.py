@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from animtool.errors import Fault, Severity
-from animtool.printing import json_printed
+from animtool.quantities import json_printed
 from animtool.validation.formats.plain import Sources
 from animtool.validation.rule import Rule
 from animtool.validation.run import Report

@@ -18,7 +18,7 @@ from animtool.batch.file import load_batch
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import AnimtoolError, Fault
 from animtool.ik.file import load_targets
-from animtool.printing import json_printed
+from animtool.quantities import json_printed
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
 from animtool.scene.file import load_scene

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from animtool.errors import Fault, Severity
-from animtool.printing import escaped
+from animtool.quantities import escaped
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.formats.plain import cut
 from animtool.validation.run import Report
