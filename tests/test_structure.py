@@ -52,6 +52,7 @@ LAYERS = [
     {"formats"},
     {"usd"},
     {"edit", "sim"},
+    {"systems"},
     {"scene"},
     {"batch"},
     {"preview", "report", "validation"},

@@ -11,7 +11,7 @@ from support.data import data_files
 
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Poses
-from animtool.sim.particles import (
+from animtool.systems.particles import (
     Emitter,
     ParticleRun,
     Particles,

@@ -27,8 +27,8 @@ from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
-from animtool.sim.particles.forces import FORCES, find_force
-from animtool.sim.particles.velocity_field import VARIABLES
+from animtool.systems.particles.forces import FORCES, find_force
+from animtool.systems.particles.velocity_field import VARIABLES
 
 TEXT = PAGE.read_text("utf-8")
 BLOCKS = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.M | re.S)

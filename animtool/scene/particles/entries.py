@@ -12,10 +12,10 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.particles.schema import EmitterModel, ParticlesModel
 from animtool.scene.particles.system import ParticleSetup, SurfaceCollider
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.fields import Named
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.particles import (
+from animtool.systems.fields import Named
+from animtool.systems.particles import (
     BoxPlace,
     Disc,
     Emitter,

@@ -9,14 +9,16 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Pair, Real, Vector, Whole
-from animtool.scene.systems.collider_schema import (
+from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
+    Named,
+    PlacedModel,
+    Preroll,
+    PrimName,
     SystemColliderModel,
     SystemSurfaceModel,
 )
-from animtool.scene.systems.fields import Named, Preroll, PrimName
-from animtool.scene.systems.placed_schema import PlacedModel
 
 
 class EmitterModel(PlacedModel):

@@ -20,13 +20,13 @@ from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
-from animtool.sim.particles.run import ParticleRun
-from animtool.sim.particles.trial import ParticleTrial
+from animtool.systems.particles.run import ParticleRun
+from animtool.systems.particles.trial import ParticleTrial
 
 if TYPE_CHECKING:
     from animtool.scene.springs.setup import SpringSetup
     from animtool.sim.options import IntegrateOptions
-    from animtool.sim.particles.setup import Particles
+    from animtool.systems.particles.setup import Particles
 
 
 @dataclass(frozen=True, slots=True)

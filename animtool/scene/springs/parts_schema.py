@@ -9,8 +9,12 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
-from animtool.scene.systems.fields import CharacterFile, OwnCharacter, TimedVector
-from animtool.scene.systems.placed_schema import FollowedPrimModel
+from animtool.systems.fields import (
+    CharacterFile,
+    FollowedPrimModel,
+    OwnCharacter,
+    TimedVector,
+)
 
 
 class SelfContactModel(FileModel):

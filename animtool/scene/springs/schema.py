@@ -18,12 +18,15 @@ from animtool.scene.springs.parts_schema import (
     VolumeSpringsModel,
     WindModel,
 )
-from animtool.scene.systems.collider_schema import (
+from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
+    Preroll,
+    PrimName,
+    PrimPath,
     SystemColliderModel,
+    UsdFile,
 )
-from animtool.scene.systems.fields import Preroll, PrimName, PrimPath, UsdFile
 
 
 class SpringsModel(FileModel):

@@ -21,14 +21,14 @@ from animtool.maths import so3
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.particles.schema import EmitterModel
 from animtool.scene.systems.character_collider import CharacterCollider
-from animtool.scene.systems.collider_schema import (
-    CharacterModel,
-    MovingMeshModel,
-    SystemColliderModel,
-)
-from animtool.scene.systems.fields import Named
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
+from animtool.systems.fields import (
+    CharacterModel,
+    MovingMeshModel,
+    Named,
+    SystemColliderModel,
+)
 
 SHAPES: dict[str, type[Any]] = {
     "box": Box,

@@ -21,7 +21,7 @@ from animtool.scene.springs.system import RunningSprings
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import (
-    Simulation,
+    RunningSystem,
     located_systems,
     open_systems,
 )
@@ -92,7 +92,7 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _running(opened: Simulation, name: str) -> RunningSprings:
+def _running(opened: RunningSystem, name: str) -> RunningSprings:
     """Return a rope or strands under way."""
     lines = isinstance(opened, RunningSprings) and isinstance(
         opened.setup.body.shape, Curves

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from animtool.sim.trials.trial import Trial
 
 
-class Simulation(Protocol):
+class RunningSystem(Protocol):
     """A system under way."""
 
     @property
@@ -45,7 +45,7 @@ class Simulation(Protocol):
 
 
 @runtime_checkable
-class Tearable(Simulation, Protocol):
+class Tearable(RunningSystem, Protocol):
     """A system under way whose surface may part."""
 
     @property
@@ -86,7 +86,7 @@ class Opening:
 
     last: float
     characters: CharacterMotions = field(default_factory=CharacterMotions)
-    opened: dict[str, Simulation] = field(default_factory=dict)
+    opened: dict[str, RunningSystem] = field(default_factory=dict)
     progress: SystemProgress | None = None
 
     def phase(self) -> Progress:
@@ -99,7 +99,7 @@ class Opening:
 
 
 # From systems that are simulated as one to these at their beginnings.
-Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[Simulation]]
+Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[RunningSystem]]
 
 
 # From systems that are simulated as one, what opens those that they need, each time
@@ -137,7 +137,7 @@ def open_systems(
     last: float = 0.0,
     own: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
-) -> list[Simulation]:
+) -> list[RunningSystem]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
     Args:
@@ -154,9 +154,9 @@ def open_systems(
     return _opened(systems, opening)
 
 
-def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation]:
+def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[RunningSystem]:
     """Return systems at their beginnings, of which the opening takes note."""
-    found: dict[int, Simulation] = {}
+    found: dict[int, RunningSystem] = {}
     for group in in_order(systems):
         members = [systems[i] for i in group]
         opener = cast(Opener, load_object(SYSTEM_KINDS[members[0].kind].opener))

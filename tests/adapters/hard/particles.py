@@ -9,7 +9,7 @@ from adapters.hard.subsystem import Subsystem
 from animtool.errors import OptionError
 from animtool.sim import IntegrateOptions
 from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
-from animtool.sim.particles import Emitter, ParticleRun, Particles, find_force
+from animtool.systems.particles import Emitter, ParticleRun, Particles, find_force
 
 __all__ = ["PARTICLES"]
 

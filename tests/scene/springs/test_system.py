@@ -750,7 +750,7 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     nothing, springs, particles = map(json.loads, lines)
     assert nothing == []
     assert "animtool.sim.springs" in springs
-    assert "animtool.sim.particles" not in springs
-    assert "animtool.sim.particles" in particles
+    assert "animtool.systems.particles" not in springs
+    assert "animtool.systems.particles" in particles
     assert "animtool.sim.springs" not in particles
     assert {p.stem for p in tmp_path.glob("*.usdc")} == {"plain", "rope", "rain"}

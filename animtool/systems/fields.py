@@ -1,0 +1,189 @@
+"""Keys that several kinds of systems have, as types and models of a spec."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from annotated_types import Ge, Gt, Len
+from pydantic import AfterValidator, Field
+
+from animtool.documents.check import FileModel
+from animtool.documents.fields import (
+    Frame,
+    Name,
+    Quaternion,
+    Real,
+    Vector,
+    check_numbers,
+)
+
+# One name of a table, and its options.
+Named = Annotated[
+    dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
+]
+# Seconds from the first frame on, and a vector.
+TimedVector = Annotated[list[Real], Len(4, 4)]
+
+PrimName = Annotated[str, Field(description="Name of the prim.")]
+UsdFile = Annotated[Name, Field(description="The USD file.")]
+PrimPath = Annotated[Name, Field(description="Path of the prim.")]
+CharacterFile = Annotated[
+    Name | None,
+    Field(
+        description="A clip or a scene; its first frame comes at 0 s.",
+        examples=["walk.clip.yaml"],
+    ),
+]
+OwnCharacter = Annotated[
+    bool,
+    Field(
+        description="In place of a file: the character of this scene, behind its "
+        "passes.",
+        examples=[True],
+    ),
+]
+Margin = Annotated[
+    Real, Field(description="Distance that they keep [m].", examples=[0.01])
+]
+Preroll = Annotated[
+    Real,
+    Ge(0),
+    Field(
+        description="Seconds before the first frame that it begins in.", examples=[2]
+    ),
+]
+
+
+class FollowedPrimModel(FileModel):
+    """A prim of a USD file, as that moves and turns."""
+
+    file: UsdFile = Field(examples=["props.usda"])
+    prim: PrimPath = Field(examples=["/Set/hook"])
+    frame: Frame | None = Field(
+        default=None,
+        description="Time code of its file that comes at 0 s. Not given: the first.",
+        examples=[101],
+    )
+
+
+class PlacedModel(FileModel):
+    """What stands somewhere, or moves."""
+
+    at: Vector = Field(
+        default=[0.0, 0.0, 0.0],
+        description="Where it is [m].",
+        examples=[[0, 1.5, 0]],
+    )
+    rotate: Quaternion = Field(
+        default=[1.0, 0.0, 0.0, 0.0],
+        description="How it is turned: a quaternion w, x, y, z.",
+        examples=[[0.7071, 0, 0.7071, 0]],
+    )
+    moves: list[TimedVector] = Field(
+        default=[],
+        description="Where it is over time, from `at`: rows of seconds from the first "
+        "frame on and three coordinates [m]. Not given: it stays.",
+        examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
+    )
+    turns: list[Annotated[list[Real], Len(5, 5)]] = Field(
+        default=[],
+        description="How it is turned over time, after `rotate`: rows of seconds from "
+        "the first frame on and a quaternion w, x, y, z; it turns the short way from "
+        "row to row. Not given: it does not turn.",
+        examples=[[[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]]],
+    )
+    prim: FollowedPrimModel | None = Field(
+        default=None,
+        description="A prim that it goes and turns with, in place of `moves` and "
+        "`turns`; `at` and `rotate` are in the frame of the prim then.",
+        examples=[{"file": "props.usda", "prim": "/Set/mill"}],
+    )
+
+
+class _MaterialModel(FileModel):
+    restitution: Real = Field(
+        default=0.0,
+        description="Share of the speed into the surface that comes back, 0 to 1.",
+        examples=[0.4],
+    )
+    friction: Real = Field(
+        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
+    )
+
+
+class SystemColliderModel(PlacedModel, _MaterialModel):
+    """What particles run into, or where they are removed."""
+
+    name: str = Field(default="", description="For messages.", examples=["step_1"])
+    shape: Named = Field(
+        description="`plane`, `sphere`, `capsule`, `box` or `mesh`.",
+        examples=[{"box": {"size": [2, 0.2, 1]}}],
+    )
+    container: bool = Field(
+        default=False,
+        description="Particles are to stay inside; of `kill`, those outside go.",
+        examples=[True],
+    )
+    margin: Margin = 0.0
+    depenetration: Real = Field(
+        default=1.0,
+        description="How fast those that begin inside are moved out [m/s].",
+        examples=[0.5],
+    )
+    speed_limit: Real = Field(
+        default=200.0,
+        description="What moves faster was put elsewhere, and hits nothing [m/s].",
+        examples=[500],
+    )
+
+
+class CharacterModel(_MaterialModel):
+    """A character in motion that particles run into: capsules of its rig, or a mesh."""
+
+    file: CharacterFile = None
+    source: OwnCharacter = False
+    margin: Margin = 0.0
+    mesh: Name | None = Field(
+        default=None,
+        description="A mesh of its rig in motion, in place of the capsules; `margin` "
+        "is half its thickness.",
+        examples=["body"],
+    )
+    closed: bool = Field(
+        default=False,
+        description="The mesh is the skin of a body: met from outside alone.",
+        examples=[True],
+    )
+
+
+class SystemSurfaceModel(_MaterialModel):
+    """Cloth or a volume of the same scene that particles run into."""
+
+    system: Name = Field(
+        description="Its name; it does not feel them.", examples=["flag"]
+    )
+
+
+class MovingMeshModel(FollowedPrimModel, _MaterialModel):
+    """A mesh of a USD file that particles run into, as it moves and changes shape."""
+
+    radius: Real = Field(
+        default=0.005, description="Half its thickness [m].", examples=[0.01]
+    )
+    closed: bool = Field(
+        default=False,
+        description="It is the skin of a body: met from outside alone.",
+        examples=[True],
+    )
+
+
+class SystemSpec(FileModel):
+    """What a scene says of a system that steps evenly: subclass it, and add keys."""
+
+    name: PrimName
+    step: Annotated[Real, Gt(0)] = Field(
+        default=0.01,
+        description="Step of the simulation [s], whatever the frame rate is.",
+        examples=[0.005],
+    )
+    preroll: Preroll = 0.0

@@ -1,0 +1,216 @@
+"""What makes particles: who is born when, where and how fast."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.sim.colliders.poses import Poses
+from animtool.systems.particles.places import Place, Point
+from animtool.systems.particles.rng import uniforms
+
+# Keys of what bursts make, apart from those of the steady rate.
+_BURST = 1 << 40
+# Of a burst, so that numbers of all bursts are apart.
+MAX_AT_ONCE = 10**12
+_CHANCES = 8
+# Over which the motion of an emitter is measured [s].
+_BRIEF = 1e-4
+# A direction that is no longer than this has no certain length.
+SHORTEST = 1e-150
+
+
+@dataclass(frozen=True, slots=True)
+class Births:
+    """The first N particles that an emitter makes.
+
+    Attributes:
+        times: When ``(N,)`` [s].
+        keys: Which of the emitter's they are ``(N,)``.
+        missed: How many more there would be, for which there is no room.
+    """
+
+    times: FloatArray
+    keys: IntArray
+    missed: int = 0
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """Makes particles; of which number when depends on time alone.
+
+    Every particle draws its place, direction, speed and lifetime by its number, so
+    that neither the step nor the frame rate of an output changes them.
+
+    Attributes:
+        name: For messages.
+        place: Where, in its frame.
+        poses: Of its frame in the world over time.
+        rate: Particles a second.
+        bursts: Times [s], and how many at once.
+        start: From when on the rate holds [s].
+        end: Until when [s].
+        direction: Middle of the directions, in its frame; of surfaces None is outwards.
+        spread: Half the angle of the cone about it [rad]; pi is all around.
+        speed: [m/s].
+        speed_spread: Most that a speed is beside that [m/s].
+        inherit: Share of the emitter's own velocity that particles have too [1].
+        lifetime: [s]; infinity is for ever.
+        lifetime_spread: Most that a lifetime is beside that [s].
+        radius: Of each particle [m].
+        radius_spread: Most that a radius is beside that [m].
+        mass: Of each particle [kg].
+        charge: Of each particle [C].
+        seed: Of what is random.
+    """
+
+    name: str = ""
+    place: Place = field(default_factory=Point)
+    poses: Poses = field(default_factory=Poses)
+    rate: float = 0.0
+    bursts: Sequence[tuple[float, int]] = ()
+    start: float = -math.inf
+    end: float = math.inf
+    direction: Sequence[float] | None = None
+    spread: float = 0.0
+    speed: float = 0.0
+    speed_spread: float = 0.0
+    inherit: float = 1.0
+    lifetime: float = math.inf
+    lifetime_spread: float = 0.0
+    radius: float = 0.005
+    radius_spread: float = 0.0
+    mass: float = 0.001
+    charge: float = 0.0
+    seed: int = 0
+
+    def births(
+        self, begin: float, after: float | None, until: float, room: int
+    ) -> Births:
+        """Return who is born after a time, up to another.
+
+        Args:
+            begin: When the simulation begins [s]: the rate holds from then on.
+            after: [s]; None is from the beginning on, that time included.
+            until: [s]; included.
+            room: How many there may be; the first ones are.
+        """
+        start = max(self.start, begin)
+        first = 0 if after is None else self._made(start, after)
+        last = self._made(start, until)
+        made, kept = last - first, min(last - first, room)
+        numbers = np.arange(first, first + kept, dtype=np.int64)
+        times = [start + (numbers + 0.5) / self.rate] if len(numbers) else []
+        keys = [numbers] if len(numbers) else []
+        for i, (when, count) in enumerate(self.bursts):
+            late = begin <= when if after is None else after < when
+            if late and when <= until:
+                made, some = made + count, min(count, room)
+                times.append(np.full(some, float(when)))
+                keys.append(_BURST * (i + 1) + np.arange(some, dtype=np.int64))
+                kept += some
+        if not times:
+            return Births(np.zeros(0), np.zeros(0, np.int64), made)
+        when_all, key_all = np.concatenate(times), np.concatenate(keys)
+        order = np.argsort(when_all, kind="stable")
+        times_all = np.clip(when_all[order], begin, until)
+        return Births(times_all, key_all[order], made - kept)
+
+    def _made(self, start: float, t: float) -> int:
+        """Return how many the rate has made up to a time."""
+        span = min(t, self.end) - start
+        return max(math.floor(span * self.rate + 0.5), 0) if span > 0 else 0
+
+    def drawn(
+        self, births: Births
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return positions, velocities ``(N, 3)``, lifetimes and radii ``(N,)``."""
+        chances = uniforms(self.seed, births.keys, _CHANCES)
+        points, outwards = self.place.points(chances[:, :3])
+        ways = self._directions(chances[:, 3:5], outwards)
+        speeds = self.speed + self.speed_spread * (2 * chances[:, 5] - 1)
+        lifetimes = self.lifetime + self.lifetime_spread * (2 * chances[:, 6] - 1)
+        radii = self.radius + self.radius_spread * (2 * chances[:, 7] - 1)
+        positions, velocities = self._in_world(
+            births.times, points, ways * speeds[:, None]
+        )
+        return positions, velocities, np.maximum(lifetimes, 0.0), radii
+
+    def _directions(
+        self, chances: FloatArray, outwards: FloatArray | None
+    ) -> FloatArray:
+        """Return directions in a cone, evenly by solid angle ``(N, 3)``."""
+        given = (0.0, 1.0, 0.0) if self.direction is None else self.direction
+        middle = np.broadcast_to(np.asarray(given, np.float64), (len(chances), 3))
+        if outwards is not None and self.direction is None:
+            middle = outwards
+        middle = middle / np.linalg.norm(middle, axis=1)[:, None]
+        height = 1 - chances[:, :1] * (1 - math.cos(self.spread))
+        across = np.sqrt(np.maximum(1 - height * height, 0))
+        angle = 2 * np.pi * chances[:, 1:]
+        least = np.argmin(np.abs(middle), axis=1)
+        side = np.cross(middle, np.eye(3)[least])
+        side /= np.linalg.norm(side, axis=1)[:, None]
+        other = np.cross(middle, side)
+        around = side * np.cos(angle) + other * np.sin(angle)
+        return np.asarray(middle * height + around * across, np.float64)
+
+    def _in_world(
+        self, times: FloatArray, points: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        if len(self.poses.moments) == 1:
+            row = self.poses.rows[0]
+            return (
+                so3.rotate(row[3:], points) + row[:3],
+                so3.rotate(row[3:], velocities),
+            )
+        now, before = self.poses.over(times), self.poses.over(times - _BRIEF)
+        positions = so3.rotate(now[:, 3:], points) + now[:, :3]
+        earlier = so3.rotate(before[:, 3:], points) + before[:, :3]
+        own = (positions - earlier) * (self.inherit / _BRIEF)
+        return positions, so3.rotate(now[:, 3:], velocities) + own
+
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+        found = [("place", message) for message in self.place.faults()]
+        found += [("poses", message) for message in self.poses.faults()]
+        for name in ("mass", "lifetime", "radius"):
+            value = getattr(self, name)
+            infinite = name == "lifetime" and value == math.inf
+            if not (0 < value < math.inf or infinite):
+                found.append((name, f"its {name} must be above 0, not {value:g}"))
+        for name in ("rate", "speed_spread", "lifetime_spread", "radius_spread"):
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                found.append((name, f"its {name} must be 0 or more, not {value:g}"))
+        for name in ("speed", "charge", "inherit"):
+            if not math.isfinite(getattr(self, name)):
+                found.append((name, f"its {name} is not finite"))
+        if not 0 <= self.spread <= math.pi:
+            found.append(("spread", "its spread must be 0 to half a turn"))
+        if self.radius_spread >= self.radius > 0:
+            message = "its radius_spread must be below its radius"
+            found.append(("radius_spread", message))
+        if not self.start <= self.end:
+            found.append(("end", "its end is before its start"))
+        if self.direction is not None and not (
+            SHORTEST < float(np.linalg.norm(self.direction)) < math.inf
+        ):
+            message = "its direction must be three finite numbers, not all 0"
+            found.append(("direction", message))
+        for i, (when, count) in enumerate(self.bursts):
+            if not math.isfinite(when) or not 0 <= count <= MAX_AT_ONCE:
+                message = f"burst {i} must be at a finite time, of 0 particles or more"
+                message += f" and {MAX_AT_ONCE:g} at most"
+                found.append(("bursts", message))
+        return found
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense (SIM021)."""
+        return [Fault("SIM021", why, where=where) for _, why in self.problems()]

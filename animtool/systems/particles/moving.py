@@ -1,0 +1,167 @@
+"""Particles from the begin of a step to its end: all that is set up once for a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, Severity, ToleranceError
+from animtool.sim.advancing import advance, checkpoint_of, stats_of
+from animtool.sim.checks import check_fit, check_start, ending, step_notices
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
+from animtool.sim.equations import Equations
+from animtool.sim.options import check_options
+from animtool.sim.run import Run
+from animtool.sim.trajectory import Checkpoint, Stats, Status
+from animtool.systems.particles.divergence import DivergenceCheck
+from animtool.systems.particles.setup import Particles
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.particles.system import (
+    ParticleFlow,
+    ParticleForces,
+    particle_system,
+)
+
+# Motions that are faster by less than this share need no other steps [1].
+NOTABLE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Particles at the end of a step.
+
+    Attributes:
+        state: Positions, then velocities ``(2, N, 3)``.
+        checkpoint: What the method takes along.
+        contacts: What they met; None where there is nothing to meet.
+    """
+
+    state: FloatArray
+    checkpoint: Checkpoint
+    contacts: Contacts | None
+
+
+class Mover:
+    """Takes particles over steps, by one method.
+
+    Attributes:
+        notices: Of steps that are too long.
+        taken: Steps of the method so far.
+        stop: What it took in the step that it stopped in; None where it did not.
+
+    Args:
+        setup: What moves them.
+        colliders: What they run into.
+
+    Raises:
+        OptionError: The method is not for such particles (SIM006).
+    """
+
+    def __init__(self, setup: Particles, colliders: Colliders) -> None:
+        self._setup, self._colliders = setup, colliders
+        self._integrator = check_options(setup.options)
+        none = particle_system(
+            setup, colliders, ParticleState.none(), np.zeros((2, 0, 3))
+        )
+        check_fit(Equations(none), self._integrator)
+        self._watch = DivergenceCheck(setup, colliders)
+        self._fastest: FloatArray | None = None
+        self.notices: list[Fault] = []
+        self.taken = 0
+        self.stop: Stats | None = None
+
+    def moved(
+        self,
+        particles: ParticleState,
+        state: FloatArray,
+        checkpoint: Checkpoint | None,
+        now: float,
+        until: float,
+    ) -> Moved:
+        """Return particles after a step.
+
+        Args:
+            particles: Who they are.
+            state: At its begin ``(2, N, 3)``.
+            checkpoint: What the method took along so far, None where others lived.
+            now: Its begin [s].
+            until: Its end [s].
+
+        Raises:
+            OptionError: What moves them is no number at the begin (SIM003).
+            ToleranceError: It blew up (SIM102), or the method could not go on.
+        """
+        system = particle_system(self._setup, self._colliders, particles, state)
+        begin = checkpoint or Checkpoint(now, system.state)
+        with np.errstate(all="ignore"):
+            self._watch.look_at(particles, state)
+            self._look_at_steps(system, begin.state, now, until)
+            run = self._run(system, begin, until)
+            status = advance(run, until)
+            self.taken += run.steps
+            if status is not Status.OK:
+                self._stop(run, status, [(now, begin.state), (run.time, run.state)])
+        end = run.state
+        if isinstance(system, ParticleFlow):
+            end = np.stack([end, system.rate(until, end)])
+        met = system.contacts
+        if met is not None:
+            # Of colliders that change their shape nobody knows how fast they are.
+            driven = met.colliders >= len(self._colliders)
+            self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
+        return Moved(end, checkpoint_of(run, status, until, run.state), system.contacts)
+
+    def _run(
+        self, system: ParticleForces | ParticleFlow, begin: Checkpoint, until: float
+    ) -> Run:
+        return Run(
+            self._integrator,
+            Equations(system),
+            self._setup.options,
+            self._watch,
+            until,
+            begin.time,
+            begin.state,
+            begin.memory,
+            begin.trial,
+        )
+
+    def _look_at_steps(
+        self,
+        system: ParticleForces | ParticleFlow,
+        state: FloatArray,
+        now: float,
+        until: float,
+    ) -> None:
+        """Note once that steps are too long, looking where motions became faster."""
+        if self.notices:
+            return
+        modes = system.frequencies(now, state)
+        if modes is None or not self._faster(modes):
+            return
+        self._fastest = modes
+        equations, options = Equations(system), self._setup.options
+        moments = np.array([now, until])
+        self.notices = step_notices(
+            equations, self._integrator, options, moments, state
+        )
+        self._watch.too_long = bool(self.notices)
+
+    def _faster(self, modes: FloatArray) -> bool:
+        known = self._fastest
+        if known is None or known.shape != modes.shape:
+            return True
+        return bool((np.abs(modes - known) > NOTABLE * known).any())
+
+    def _stop(
+        self, run: Run, status: Status, places: list[tuple[float, FloatArray]]
+    ) -> None:
+        # A force that is no number at once is no blow-up.
+        check_start(run.equations, *places[0])
+        self.stop = stats_of(run, status, places)
+        why = ending(self._integrator, self._setup.options, self.stop)
+        raise ToleranceError(
+            [replace(each, severity=Severity.ERROR) for each in [*self.notices, why]]
+        )

@@ -1,0 +1,263 @@
+"""Particles through time: born, moved, stopped, removed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
+from animtool.sim.trajectory import Checkpoint, Stats
+from animtool.systems.particles.moving import Mover
+from animtool.systems.particles.setup import Particles
+from animtool.systems.particles.spawn import spawned
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.simulation import SteppedRun
+
+_NONE = np.zeros((2, 0, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleRunState:
+    """Where a simulation stands at the end of a step, so that it can be gone on with.
+
+    Attributes:
+        steps: Taken since the beginning.
+        particles: Who lives.
+        state: Positions, then velocities ``(2, N, 3)``.
+        born: How many were born so far.
+        missed: How many were not, for want of room.
+        checkpoint: What the method takes along, as long as the same particles live.
+    """
+
+    steps: int
+    particles: ParticleState
+    state: FloatArray
+    born: int = 0
+    missed: int = 0
+    checkpoint: Checkpoint | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFrame:
+    """Particles at a time.
+
+    Attributes:
+        time: [s].
+        ids: ``(N,)``, ascending.
+        points: ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        radii: ``(N,)`` [m].
+        ages: Since birth ``(N,)`` [s].
+    """
+
+    time: float
+    ids: IntArray
+    points: FloatArray
+    velocities: FloatArray
+    radii: FloatArray
+    ages: FloatArray
+
+
+class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
+    """Particles under way, born, moved, stopped and removed in steps of one length.
+
+    Attributes:
+        state: At the end of the last whole step.
+        contacts: What particles met in the last step that was taken; None where there
+            was none. Those who were born in it are not among them.
+        notices: What is odd so far.
+
+    Args:
+        setup: What there is.
+        begin: Time of the first step [s].
+        state: Where to go on from, in place of the beginning.
+
+    Raises:
+        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
+            SIM024).
+    """
+
+    def __init__(
+        self,
+        setup: Particles,
+        begin: float = 0.0,
+        state: ParticleRunState | None = None,
+    ) -> None:
+        setup.check()
+        self.setup, self.begin = setup, begin
+        self.colliders = Colliders(setup.colliders, setup.sheets)
+        self.notices: list[Fault] = self.colliders.notices()
+        self._kills = [Colliders([kill.region]) for kill in setup.kills]
+        assert setup.options.step is not None
+        self.step_length = setup.options.step
+        self._held = False
+        self._mover = Mover(setup, self.colliders)
+        self.contacts: Contacts | None = None
+        if state is None:
+            state = ParticleRunState(0, ParticleState.none(), _NONE)
+            state = self._with_first(state)
+        self.state = state
+
+    @property
+    def taken(self) -> int:
+        """Steps that the method took so far, of looks between two steps too."""
+        return self._mover.taken
+
+    @property
+    def stop(self) -> Stats | None:
+        """What the step that it blew up in came to; None where it did not."""
+        return self._mover.stop
+
+    def stepped(self, state: ParticleRunState, until: float) -> ParticleRunState:
+        """Return the end of a step, or of a part of one."""
+        now = self.time(state.steps)
+        same = state.particles
+        if len(same):
+            state = self._moved(state, now, until)
+        state = replace(state, steps=state.steps + 1)
+        state = self._with_born(state, now, now, until)
+        state = self._without_dead(state, until)
+        return state if state.particles is same else replace(state, checkpoint=None)
+
+    def _moved(
+        self, state: ParticleRunState, now: float, until: float
+    ) -> ParticleRunState:
+        said = len(self._mover.notices)
+        moved = self._mover.moved(
+            state.particles, state.state, state.checkpoint, now, until
+        )
+        self.notices += self._mover.notices[said:]
+        self.contacts = moved.contacts
+        self._say_held(state.particles, until)
+        return replace(state, state=moved.state, checkpoint=moved.checkpoint)
+
+    def _with_first(self, state: ParticleRunState) -> ParticleRunState:
+        """Return a state with those who are born at the very beginning."""
+        return self._with_born(state, None, self.begin, self.begin)
+
+    def _with_born(
+        self, state: ParticleRunState, after: float | None, now: float, until: float
+    ) -> ParticleRunState:
+        """Return a state with those who are born in a step, at its end."""
+        room = max(self.setup.max_particles - len(state.particles), 0)
+        particles, born, beyond = self._born(after, until, state.born, room)
+        made = len(particles) + beyond
+        missed = max(made - room, 0)
+        if missed and not state.missed:
+            self._say_full(until)
+        state = replace(state, born=state.born + made, missed=state.missed + missed)
+        particles, born = (
+            particles.select(np.arange(len(particles))[:room]),
+            born[:, :room],
+        )
+        if not len(particles):
+            return state
+        if until > now:
+            born = spawned(self.setup, self.colliders, particles, born, now, until)
+        elif self.setup.velocity is not None:
+            born[1] = self.setup.velocity.velocity(until, born[0], particles)
+        return replace(
+            state,
+            particles=state.particles.joined(particles),
+            state=np.concatenate([state.state, born], axis=1),
+        )
+
+    def _born(
+        self, after: float | None, until: float, first: int, room: int
+    ) -> tuple[ParticleState, FloatArray, int]:
+        """Return who is born, with ids in the order of births, and how.
+
+        Of each emitter no more are made than there is room for; last is how many more
+        there would be.
+        """
+        particle_sets, states, beyond = [], [], 0
+        for emitter in self.setup.emitters:
+            births = emitter.births(self.begin, after, until, room)
+            beyond += births.missed
+            x, v, lifetimes, radii = emitter.drawn(births)
+            count = len(x)
+            particle_sets.append(
+                ParticleState(
+                    np.zeros(count, np.int64),
+                    np.full(count, float(emitter.mass)),
+                    np.full(count, float(emitter.charge)),
+                    radii,
+                    births.times,
+                    births.times + lifetimes,
+                    x,
+                )
+            )
+            states.append(np.stack([x, v]))
+        particles, state = particle_sets[0], np.concatenate(states, axis=1)
+        for other in particle_sets[1:]:
+            particles = particles.joined(other)
+        order = np.argsort(particles.births, kind="stable")
+        particles, state = particles.select(order), state[:, order]
+        ids = first + np.arange(len(particles), dtype=np.int64)
+        return replace(particles, ids=ids), state, beyond
+
+    def _say_held(self, particles: ParticleState, t: float) -> None:
+        """Say once that particles stay inside colliders."""
+        if self._held or self.contacts is None:
+            return
+        (held,) = np.nonzero(self.contacts.touches == Touch.UNRESOLVED)
+        if not len(held):
+            return
+        self._held = True
+        who = f"particle {int(particles.ids[held[0]])}"
+        which, solid = int(self.contacts.colliders[held[0]]), self.setup.colliders
+        what = [
+            *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
+            *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
+        ][which]
+        message = (
+            f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at once"
+        )
+        hint = (
+            "particles begin inside, or colliders close in on them from several sides"
+        )
+        self.notices.append(
+            Fault(
+                "SIM123",
+                message,
+                where=self.setup.name,
+                hint=hint,
+                severity=Severity.WARNING,
+            )
+        )
+
+    def _say_full(self, t: float) -> None:
+        room = self.setup.max_particles
+        message = f"there is room for {room} particles, from {t:g} s on for"
+        hint = "raise max_particles, or lower rates or lifetimes"
+        self.notices.append(
+            Fault(
+                "SIM121",
+                f"{message} no more",
+                where=self.setup.name,
+                hint=hint,
+                severity=Severity.WARNING,
+            )
+        )
+
+    def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
+        kept: BoolArray = state.particles.deaths > t
+        for region in self._kills:
+            kept = kept & (region.sample(state.state[0], t).distances[0] >= 0)
+        if kept.all():
+            return state
+        return replace(
+            state, particles=state.particles.select(kept), state=state.state[:, kept]
+        )
+
+    def frame(self, state: ParticleRunState, t: float) -> ParticleFrame:
+        """Return the particles of a state at its time [s]."""
+        particles = state.particles
+        points, velocities = state.state
+        ages = t - particles.births
+        return ParticleFrame(
+            t, particles.ids, points, velocities, particles.radii, ages
+        )

@@ -1,0 +1,131 @@
+"""What a simulation of particles is made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.sim.colliders.collider import Collider
+from animtool.sim.colliders.colliding import Colliders
+from animtool.sim.colliders.sheets import Sheet
+from animtool.sim.options import IntegrateOptions, check_options
+from animtool.systems.particles.emitter import Emitter
+from animtool.systems.particles.forces import FORCES
+from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.velocity_field import VelocityField
+
+# Twice over for a film frame, and for its half.
+STEP = 1 / 96
+
+
+@dataclass(frozen=True, slots=True)
+class KillRegion:
+    """Where particles are removed.
+
+    Attributes:
+        region: A collider's shape and poses; what touching does is not heeded. Of a
+            container particles are removed outside.
+    """
+
+    region: Collider
+
+    def kills(self, points: FloatArray, t: float) -> BoolArray:
+        """Return which of points ``(N, 3)`` are in it."""
+        found = Colliders([self.region]).sample(points, t).distances[0]
+        return np.asarray(found < 0, np.bool_)
+
+
+@dataclass(frozen=True)
+class Particles:
+    """Particles to be: where they come from, what moves, stops and removes them.
+
+    Attributes:
+        emitters: What makes them.
+        forces: What moves them.
+        velocity: A field that they go with in place of forces.
+        colliders: What they run into.
+        kills: Where they are removed.
+        options: Method, and step [s]: steps are of that length from the beginning on,
+            whatever times are asked for.
+        max_particles: Particles at once; who would be born beyond is not.
+        name: For messages.
+        sheets: Surfaces that change their shape, which they run into too.
+    """
+
+    emitters: Sequence[Emitter]
+    forces: Sequence[Force] = ()
+    velocity: VelocityField | None = None
+    colliders: Sequence[Collider] = ()
+    kills: Sequence[KillRegion] = ()
+    options: IntegrateOptions = field(
+        default_factory=lambda: IntegrateOptions("midpoint", step=STEP)
+    )
+    max_particles: int = 1_000_000
+    name: str = "particles"
+    sheets: Sequence[Sheet] = ()
+
+    def check(self) -> None:
+        """Raise where something makes no sense.
+
+        Raises:
+            OptionError: All that is wrong (SIM001, SIM004 to SIM006, SIM020 to SIM024).
+        """
+        faults = self._options() + self._parts()
+        if faults:
+            raise OptionError(faults)
+
+    def _options(self) -> list[Fault]:
+        found: list[Fault] = []
+        try:
+            check_options(self.options)
+        except AnimtoolError as error:
+            found += error.faults
+        if self.options.step is None:
+            message = "particles need a step: those who are born begin within one"
+            found.append(Fault("SIM024", message, where="step"))
+        if not 1 <= self.max_particles < math.inf:
+            message = f"max_particles must be 1 or more, not {self.max_particles}"
+            found.append(Fault("SIM024", message, where="max_particles"))
+        if not self.emitters:
+            message = "there is no emitter, so nothing is ever born"
+            found.append(Fault("SIM024", message, where="emitters"))
+        if self.velocity is not None and self.forces:
+            message = "a velocity field takes particles along, whatever the forces"
+            hint = "leave one of them out, or take a force by drag: wind, turbulence"
+            found.append(Fault("SIM024", message, where="velocity", hint=hint))
+        return found
+
+    def _parts(self) -> list[Fault]:
+        found: list[Fault] = []
+        for i, emitter in enumerate(self.emitters):
+            found += emitter.faults(emitter.name or f"emitters[{i}]")
+        for i, force in enumerate(self.forces):
+            found += [
+                Fault("SIM022", f"its {option} {why}", where=f"{_named(force)}[{i}]")
+                for option, why in force.faults()
+            ]
+        if self.velocity is not None:
+            found += [
+                Fault("SIM022", f"its {option} {why}", where="velocity")
+                for option, why in self.velocity.faults()
+            ]
+        for what, given in (
+            ("colliders", self.colliders),
+            ("kills", [kill.region for kill in self.kills]),
+        ):
+            for i, collider in enumerate(given):
+                found += collider.faults(collider.name or f"{what}[{i}]")
+        for i, sheet in enumerate(self.sheets):
+            found += sheet.faults(sheet.name or f"sheets[{i}]")
+        return found
+
+
+def _named(force: Force) -> str:
+    """Return the name of a force in the table, or of its class."""
+    kind = type(force).__name__
+    return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

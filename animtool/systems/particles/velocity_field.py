@@ -1,0 +1,87 @@
+"""A velocity field: particles go with it, whatever their mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.rig.expressions import Expression, parse_expression
+from animtool.systems.particles.state import ParticleState
+
+# What expressions of fields may name: place [m], velocity [m/s], time and age [s].
+VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
+_OF_PLACE = ("x", "y", "z", "t", "age")
+
+
+@dataclass(frozen=True)
+class VelocityField:
+    """Velocities by place and time, as expressions of x, y, z [m], t and age [s].
+
+    Attributes:
+        x: [m/s].
+        y: [m/s].
+        z: [m/s].
+    """
+
+    x: str = "0"
+    y: str = "0"
+    z: str = "0"
+
+    @cached_property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The three, ready to be evaluated."""
+        return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
+
+    def velocity(
+        self, t: float | FloatArray, x: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return velocities at places ``(N, 3)`` [m/s]."""
+        return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which of the three makes no sense, and why."""
+        return expression_faults(self, _OF_PLACE)
+
+
+def evaluated(
+    expressions: tuple[Expression, ...],
+    t: float | FloatArray,
+    x: FloatArray,
+    v: FloatArray,
+    particles: ParticleState,
+) -> FloatArray:
+    """Return three expressions at particles ``(N, 3)``."""
+    times = np.broadcast_to(np.asarray(t, np.float64), len(x))
+    columns = [
+        *x.T,
+        *v.T,
+        times,
+        times - particles.births,
+        particles.masses,
+        particles.charges,
+    ]
+    values = dict(zip(VARIABLES, columns, strict=True))
+    found = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
+    return np.stack(found, axis=1)
+
+
+def expression_faults(given: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return which of the expressions x, y and z makes no sense, and why."""
+    from animtool.documents.names import nearest
+
+    found = []
+    for axis in "xyz":
+        try:
+            expression = parse_expression(getattr(given, axis))
+        except ValueError as error:
+            found.append((axis, str(error)))
+            continue
+        found += [
+            (axis, f"{name!r} is no variable of it: {nearest(name, list(names))}")
+            for name in expression.names
+            if name not in names
+        ]
+    return found

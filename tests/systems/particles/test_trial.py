@@ -1,0 +1,147 @@
+"""Particles by every integrator, with errors that go as they should."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from animtool.errors import OptionError
+from animtool.sim.colliders import Collider, Plane, Poses
+from animtool.sim.options import IntegrateOptions
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.measuring import TrialRow, measure
+from animtool.sim.trials.trial import Setting
+from animtool.systems.particles import Emitter, Particles, find_force
+from animtool.systems.particles.trial import ParticleTrial
+
+
+@pytest.fixture(autouse=True)
+def _once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # How long anything takes is of no interest here.
+    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+
+
+def force(name: str, **options: Any) -> Any:
+    return find_force(name)(**options)
+
+
+def orbits(count: int = 2, mass: float = 1.0, **given: Any) -> Particles:
+    """Return particles around a centre."""
+    emitter = Emitter(
+        poses=Poses.fixed([1, 0, 0]),
+        bursts=[(0.0, count)],
+        direction=[0, 0, 1],
+        speed=0.9,
+        speed_spread=0.1,
+        mass=mass,
+    )
+    forces = given.pop("forces", [force("central", strength=1.0)])
+    options = IntegrateOptions("midpoint", step=0.02)
+    return Particles([emitter], forces, **{"options": options, **given})
+
+
+def trial(setup: Particles, seconds: float = 0.5, frames: int = 6) -> ParticleTrial:
+    def made(options: IntegrateOptions | None) -> Particles:
+        return replace(setup, options=options or setup.options)
+
+    return ParticleTrial(made, 0.0, np.linspace(0, seconds, frames))
+
+
+def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
+    return [row for row in rows if row.setting.method == method]
+
+
+def test_errors_go_with_the_order_of_each_method() -> None:
+    table = measure(trial(orbits()))
+    assert table.reference is not None
+    assert not table.reference.sensitive
+    for method, order in (
+        ("euler", 1),
+        ("symplectic_euler", 1),
+        ("midpoint", 2),
+        ("velocity_verlet", 2),
+        ("trapezoid", 2),
+        ("rk4", 4),
+    ):
+        errors = [row.error for row in rows_of(table.rows, method)]
+        sizes = [error.rms for error in errors if error]
+        assert len(sizes) == 4
+        assert math.log2(sizes[-2] / sizes[-1]) == pytest.approx(order, abs=0.35)
+    (chosen,) = [row for row in table.rows if row.chosen]
+    assert chosen.setting == Setting("midpoint", (("step", 0.02),))
+    assert all(row.steps > 0 for row in table.rows if row.status is Status.OK)
+
+
+def test_tolerances_are_tried_of_methods_that_choose_their_steps() -> None:
+    found = trial(orbits()).settings()
+    tried = [setting.options for setting in found if setting.method == "rk45"]
+    assert tried == [
+        (("step", 0.08), ("tolerance", value)) for value in (1e-4, 1e-6, 1e-8)
+    ]
+    own = IntegrateOptions("rk45", step=0.02, tolerance=1e-3)
+    ours = trial(orbits(options=own))
+    assert ours.chosen == Setting("rk45", (("step", 0.02), ("tolerance", 1e-3)))
+    assert ours.chosen in ours.settings()
+
+
+def test_energy_is_told_where_nothing_takes_or_brings_it() -> None:
+    drifts = []
+    for method in ("euler", "symplectic_euler"):
+        done = trial(orbits(), 6.0).run(Setting(method, (("step", 0.01),)))
+        assert done.energies is not None
+        assert len(done.energies) == 6
+        drifts.append(done.energies[-1].total - done.energies[0].total)
+    assert drifts[0] > 10 * abs(drifts[1])
+    for setup in (
+        orbits(colliders=[Collider(Plane(), Poses.fixed([0, -5, 0]))]),
+        orbits(forces=[force("drag", linear=0.1)]),
+        orbits(forces=[force("spring", anchor=[0, 0, 0], k=1.0, kd=0.5)]),
+    ):
+        done = trial(setup).run(trial(setup).chosen)
+        assert done.energies is None
+
+
+def test_a_stiff_spring_blows_up_and_says_which_step_is_stable() -> None:
+    # ω is 100 / s: semi-implicit Euler is stable up to 0.02 s.
+    setup = orbits(
+        mass=0.001,
+        forces=[force("spring", anchor=[0, 0, 0], k=10.0)],
+        options=IntegrateOptions("implicit_euler", step=0.03),
+    )
+    table = measure(trial(setup, 0.96, 3))
+    explicit = rows_of(table.rows, "symplectic_euler")
+    lost = [row for row in explicit if row.status is Status.UNSTABLE]
+    assert [dict(row.setting.options)["step"] for row in lost] == [0.12, 0.06, 0.03]
+    assert [row.stable_step for row in lost] == [pytest.approx(0.02)] * 3
+    calm = rows_of(table.rows, "implicit_euler")
+    assert all(row.status is Status.OK for row in calm)
+
+
+def test_particles_that_come_and_go_are_compared_by_their_ids() -> None:
+    emitter = Emitter(rate=200, speed=2, spread=0.3, lifetime=0.2, lifetime_spread=0.1)
+    setup = Particles(
+        [emitter],
+        [force("gravity")],
+        colliders=[Collider(Plane(), Poses.fixed([0, 0, 0]), restitution=0.5)],
+        options=IntegrateOptions("midpoint", step=0.02),
+    )
+    table = measure(trial(setup, 0.6, 8))
+    (chosen,) = [row for row in table.rows if row.chosen]
+    assert chosen.error is not None
+    assert chosen.error.apart == 0
+    assert chosen.error.rms < 0.1
+    assert table.points > 20
+
+
+def test_what_cannot_serve_them_is_left_out() -> None:
+    ours = trial(orbits(40))
+    ours.run(ours.chosen)
+    with pytest.raises(OptionError, match="120 unknowns"):
+        ours.run(Setting("radau", (("step", 0.02), ("tolerance", 1e-6))))
+    stopped = trial(orbits(colliders=[Collider(Plane(), Poses.fixed([0, -5, 0]))]))
+    with pytest.raises(OptionError, match="cannot stop for contacts"):
+        stopped.run(Setting("dop853", (("step", 0.02), ("tolerance", 1e-6))))
