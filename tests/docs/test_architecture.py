@@ -1,0 +1,26 @@
+"""The page on architecture names what is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def page(root: Path) -> str:
+    return (root / "animtool/docs/architecture.md").read_text("utf-8")
+
+
+def test_paths_are_there(page: str, root: Path) -> None:
+    named = set(re.findall(r"`((?:animtool|tests)/[\w./]+)`", page))
+    assert len(named) > 20
+    assert [path for path in sorted(named) if not (root / path).exists()] == []
+
+
+def test_every_package_has_a_line(page: str, root: Path) -> None:
+    listed = re.findall(r"^\| `animtool/(\w+)` \|", page, re.MULTILINE)
+    folders = {path.parent.name for path in (root / "animtool").glob("*/__init__.py")}
+    assert set(listed) == folders | {"kernels"}
+    assert len(listed) == len(set(listed))
