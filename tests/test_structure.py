@@ -37,7 +37,7 @@ LAYERS = [
         "supervisor",
         "similar",
     },
-    {"plugins", "shot"},
+    {"plugins", "ranges", "shot"},
     {"readers"},
     {"maths"},
     {"documents"},

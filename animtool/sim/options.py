@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 from animtool.errors import Fault, OptionError
+from animtool.ranges import above, at_least, range_faults
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
@@ -14,8 +15,6 @@ from animtool.sim.integrators.integrator import Control, Integrator
 TOLERANCE = 1e-6
 # scipy's solvers take none below.
 LEAST_TOLERANCE = 3e-14
-# Options that are no bounds, and so have no use for infinity.
-FINITE = {"step", "tolerance"}
 # Of a finer motion to compare with: over the step, and over the tolerance.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
@@ -44,14 +43,16 @@ class IntegrateOptions:
     """
 
     method: str = "rk45"
-    step: float | None = None
-    tolerance: float | None = None
-    absolute: float | None = None
+    step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+    tolerance: Annotated[
+        float | None, at_least(LEAST_TOLERANCE, "SIM004", finite=True)
+    ] = None
+    absolute: Annotated[float | None, at_least(0, "SIM004")] = None
     base: str = "rk4"
-    floor: float = 1e-12
-    budget: int = 10_000_000
-    growth: float = 100.0
-    stretch: float = 10.0
+    floor: Annotated[float, at_least(0, "SIM004")] = 1e-12
+    budget: Annotated[int, at_least(1, "SIM004")] = 10_000_000
+    growth: Annotated[float, above(0, "SIM004")] = 100.0
+    stretch: Annotated[float, above(1, "SIM004")] = 10.0
     estimate: bool = False
 
     @property
@@ -110,31 +111,7 @@ def _chosen(options: IntegrateOptions) -> Integrator:
 
 def _faults(options: IntegrateOptions, control: Control) -> list[Fault]:
     """Return what of options makes no sense, for a method of a kind."""
-    return _out_of_range(options) + _unfit(options, fixed=control is Control.FIXED)
-
-
-def _out_of_range(options: IntegrateOptions) -> list[Fault]:
-    ranges = {
-        "step": (options.step, 0.0, False),
-        "tolerance": (options.tolerance, LEAST_TOLERANCE, True),
-        "absolute": (options.absolute, 0.0, True),
-        "floor": (options.floor, 0.0, True),
-        "budget": (options.budget, 1, True),
-        "growth": (options.growth, 0.0, False),
-        "stretch": (options.stretch, 1.0, False),
-    }
-    faults = []
-    for name, (value, least, reached) in ranges.items():
-        if value is None:
-            continue
-        inside = value >= least if reached else value > least
-        bound = f"{'at least' if reached else 'above'} {least:g}"
-        if name in FINITE:
-            inside, bound = inside and math.isfinite(value), f"finite and {bound}"
-        if not inside:
-            message = f"{name} must be {bound}, not {value:g}"
-            faults.append(Fault("SIM004", message, where=name))
-    return faults
+    return range_faults(options) + _unfit(options, fixed=control is Control.FIXED)
 
 
 def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:

@@ -13,6 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
+from animtool.ranges import OF_ENTRY, range_faults
 from animtool.scene.springs.parts_schema import FamilyModel, LineFamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
@@ -76,27 +77,17 @@ def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
     axial = model.axial_stiffness if isinstance(model, LineFamilyModel) else None
     # Springs of ropes and strands may have the axial one instead.
     stiffness: float | None = getattr(model, "stiffness", None)
-    numbers = {
-        "stiffness": stiffness,
-        "axial_stiffness": axial,
-        "damping": model.damping,
-        "ratio": model.ratio,
-        "rest": model.rest,
-    }
-    faults: dict[str, tuple[str, str | None]] = {
-        name: (f"its {name} must be 0 or more, not {value:g}", None)
-        for name, value in numbers.items()
-        if value is not None and value < 0
-    }
     if not _has_one_stiffness(reader, at, stiffness, axial, model.rest):
         return Family(0.0)
     tear = math.inf if model.tear is None else model.tear
-    if not tear > 0:
-        faults["tear"] = f"its tear must be above 0, not {tear:g}", None
-    elif model.rest == 0 and tear < math.inf:
-        faults["tear"] = "springs of no length tear at once", "leave tear out"
-    for name, (message, hint) in faults.items():
-        reader.document.add("SIM042", (*at, name), message, hint)
+    faults = range_faults(model, OF_ENTRY)
+    if model.rest == 0 and 0 < tear < math.inf:
+        message, hint = "springs of no length tear at once", "leave tear out"
+        faults.append(Fault("SIM042", message, hint=hint, where="tear"))
+    for fault in faults:
+        reader.document.add(
+            fault.code, (*at, fault.where or ""), fault.message, fault.hint
+        )
     if faults:
         return Family(0.0)
     return Family(stiffness or 0.0, model.damping, model.ratio, tear, model.rest, axial)

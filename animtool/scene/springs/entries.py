@@ -63,14 +63,7 @@ def read_springs(
     winds = None if wind is None else _wind(reader, (*at, "wind"), wind)
     contact = _self_contact(model)
     options = _options(reader, at, model)
-    for name in ("drag", "radius"):
-        value = getattr(model, name)
-        if value < 0:
-            message = f"its {name} must be 0 or more, not {value:g}"
-            reader.note((*at, name), Fault("SIM050", message))
-    if not model.speed_limit > 0:
-        message = f"its speed_limit must be above 0, not {model.speed_limit:g}"
-        reader.note((*at, "speed_limit"), Fault("SIM050", message))
+    reader.note_ranges(at, model)
     if body is None:
         return None
     pins, joins = read_pins(reader, (*at, "pins"), model.pins, body)
@@ -130,9 +123,5 @@ def _wind(reader: EntryReader, at: Location, model: WindModel) -> Wind:
     made = Wind(np.array(model.velocity), gusts)
     if not isinstance(model, FaceWindModel):
         return made
-    for name in ("density", "drag", "lift"):
-        value = getattr(model, name)
-        if value < 0:
-            message = f"its {name} must be 0 or more, not {value:g}"
-            reader.note((*at, name), Fault("SIM050", message))
+    reader.note_ranges(at, model)
     return Wind(made.velocity, gusts, (model.density, model.drag, model.lift))

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
+from animtool.ranges import above, or_more
 from animtool.systems.fields import (
     CharacterFile,
     FollowedPrimModel,
@@ -47,25 +48,27 @@ SelfContactField = Annotated[
 class FamilyModel(FileModel):
     """What springs of a family have in common."""
 
-    stiffness: Real = Field(description="Force over lengthening [N/m].", examples=[1e4])
-    damping: Real = Field(
+    stiffness: Annotated[Real, or_more(0, "SIM042")] = Field(
+        description="Force over lengthening [N/m].", examples=[1e4]
+    )
+    damping: Annotated[Real, or_more(0, "SIM042")] = Field(
         default=0.0,
         description="Along the spring: force over speed [N s/m].",
         examples=[0.5],
     )
-    ratio: Real = Field(
+    ratio: Annotated[Real, or_more(0, "SIM042")] = Field(
         default=0.0,
         description="More of it, as a share of what one spring on its ends is "
         "critical with.",
         examples=[0.1],
     )
-    rest: Real = Field(
+    rest: Annotated[Real, or_more(0, "SIM042")] = Field(
         default=1.0,
         description="Length at rest over the distance of the ends as built; 0 draws "
         "them together.",
         examples=[0.9],
     )
-    tear: Real | None = Field(
+    tear: Annotated[Real | None, above(0, "SIM042")] = Field(
         default=None,
         description="Lengthening over the length at rest beyond which a spring tears. "
         "Not given: never.",
@@ -76,13 +79,13 @@ class FamilyModel(FileModel):
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
 
-    stiffness: Real | None = Field(  # type: ignore[assignment]
+    stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(  # type: ignore[assignment]
         default=None,
         description="Force over lengthening of each spring [N/m]. Not given: "
         "`axial_stiffness` is.",
         examples=[1e4],
     )
-    axial_stiffness: Real | None = Field(
+    axial_stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(
         default=None,
         description="In place of `stiffness`: force over strain [N], the same however "
         "many particles there are. A spring gets it divided by its length at rest.",
@@ -234,13 +237,13 @@ class PinModel(FileModel):
         "move each other.",
         examples=[{"system": "flag", "particles": ["top_left"]}],
     )
-    stiffness: Real | None = Field(
+    stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(
         default=None,
         description="They are drawn there by springs of no length and this stiffness "
         "[N/m]. Not given: they are held.",
         examples=[200],
     )
-    damping: Real = Field(
+    damping: Annotated[Real, or_more(0, "SIM042")] = Field(
         default=0.0,
         description="Of such springs: force over speed [N s/m].",
         examples=[1],
@@ -266,13 +269,15 @@ class WindModel(FileModel):
 class FaceWindModel(WindModel):
     """The air that faces bear."""
 
-    density: Real = Field(
+    density: Annotated[Real, or_more(0, "SIM050")] = Field(
         default=1.2, description="Of the air [kg/m³].", examples=[0.9]
     )
-    drag: Real = Field(
+    drag: Annotated[Real, or_more(0, "SIM050")] = Field(
         default=1.0, description="Coefficient along the flow.", examples=[1.5]
     )
-    lift: Real = Field(default=0.5, description="Coefficient across it.", examples=[0])
+    lift: Annotated[Real, or_more(0, "SIM050")] = Field(
+        default=0.5, description="Coefficient across it.", examples=[0]
+    )
 
 
 FaceWindField = Annotated[

@@ -200,11 +200,7 @@ def _pin(reader: EntryReader, at: Location, model: PinModel, found: IntArray) ->
         if (np.diff(moves[:, 0]) <= 0).any():
             message = "its times must ascend"
             reader.note((*at, "moves"), Fault("SIM044", message))
-    for name in ("stiffness", "damping"):
-        value = getattr(model, name)
-        if value is not None and value < 0:
-            message = f"its {name} must be 0 or more, not {value:g}"
-            reader.note((*at, name), Fault("SIM042", message))
+    reader.note_ranges(at, model)
     carrier, offset = None, None
     for key, read in _CARRIERS.items():
         given = getattr(model, key)

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
+from animtool.ranges import above, or_more
 from animtool.scene.springs.parts_schema import (
     ClothSpringsModel,
     FaceWindField,
@@ -43,12 +44,12 @@ class SpringsModel(FileModel):
         description="Acceleration of all particles [m/s²].",
         examples=[[0, -1.62, 0]],
     )
-    drag: Real = Field(
+    drag: Annotated[Real, or_more(0, "SIM050")] = Field(
         default=0.0,
         description="What slows all motion, over mass and speed [1/s].",
         examples=[0.5],
     )
-    radius: Real = Field(
+    radius: Annotated[Real, or_more(0, "SIM050")] = Field(
         default=0.005,
         description="Half its thickness: what it keeps from colliders, and of curves "
         "half their width [m].",
@@ -69,7 +70,7 @@ class SpringsModel(FileModel):
         description="Meshes of USD files that it runs into, whose points may move.",
         examples=[[{"file": "beast.usdc", "prim": "/beast/body", "closed": True}]],
     )
-    speed_limit: Real = Field(
+    speed_limit: Annotated[Real, above(0, "SIM050")] = Field(
         default=200.0,
         description="Pins that go faster were put elsewhere, and take along what hangs "
         "on them [m/s].",

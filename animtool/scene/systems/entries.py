@@ -18,6 +18,7 @@ from animtool.documents.names import nearest
 from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
+from animtool.ranges import OF_ENTRY, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.particles.schema import EmitterModel
 from animtool.scene.systems.character_collider import CharacterCollider
@@ -73,6 +74,11 @@ class EntryReader:
         """Note a fault at a place."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
+
+    def note_ranges(self, at: Location, model: FileModel) -> None:
+        """Note the numbers of an entry that are out of their ranges."""
+        for fault in range_faults(model, OF_ENTRY):
+            self.note((*at, fault.where or ""), fault)
 
     def place(self, at: Location, model: FileModel) -> Place:
         """Return the place of an entry, with those of the keys that it was given."""

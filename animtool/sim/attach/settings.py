@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from animtool.errors import Fault, OptionError
 from animtool.keyed import Interpolation, Weight, chosen, weights_at
 from animtool.passes import OptionChecks
+from animtool.ranges import Range, ranges_of
 from animtool.rig.parts import AttachKind
 from animtool.units import parse_length
 
@@ -36,6 +38,15 @@ class Lead(StrEnum):
 
     HOLD = "hold"
     EXTRAPOLATE = "extrapolate"
+
+
+def _number(
+    least: float = -math.inf, most: float = 1e9, *, reached: bool = True
+) -> Range:
+    """Return the range of an option, in both directions up to the most."""
+    bound = f"{least:g} or more" if reached else f"more than {least:g}"
+    bound = bound if math.isfinite(least) else "finite"
+    return Range(bound, "SIM031", least, most, reached, finite=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,29 +92,29 @@ class SimulateOptions:
     """
 
     what: tuple[str, ...] = ()
-    frequency: float | None = None
-    damping: float = 0.3
-    bend: float | None = None
-    shear: float = 20.0
-    stretch: float | None = None
-    gravity: float = 9.81
-    drag: float = 0.5
+    frequency: Annotated[float | None, _number(0.0)] = None
+    damping: Annotated[float, _number(0.0)] = 0.3
+    bend: Annotated[float | None, _number(0.0)] = None
+    shear: Annotated[float, _number(0.0)] = 20.0
+    stretch: Annotated[float | None, _number(0.0, reached=False)] = None
+    gravity: Annotated[float, _number()] = 9.81
+    drag: Annotated[float, _number(0.0)] = 0.5
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     colliders: bool = True
     radius: str = "5mm"
-    friction: float = 0.2
+    friction: Annotated[float, _number(0.0)] = 0.2
     thickness: str | None = None
-    settle: float = 1.0
-    preroll: float = 0.0
+    settle: Annotated[float, _number(0.0, 600.0)] = 1.0
+    preroll: Annotated[float, _number(0.0, 600.0)] = 0.0
     lead: Lead = Lead.HOLD
     loop: bool = False
     loop_tolerance: str = "0.1mm"
-    loop_repeats: int = 20
+    loop_repeats: Annotated[int, _number(1.0, 10_000.0)] = 20
     weight: Weight = 1.0
     interpolation: Interpolation = Interpolation.LINEAR
-    teleport_speed: float = 50.0
+    teleport_speed: Annotated[float, _number(0.0)] = 50.0
     teleports: tuple[float, ...] = ()
-    rate: float | None = None
+    rate: Annotated[float | None, _number(0.0, 1e6, reached=False)] = None
     save: str = ""
     save_at: tuple[float, ...] = ()
     resume: Path | None = None
@@ -180,35 +191,11 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
     )
 
 
-# What numbers must be: least value, and whether that itself is one.
-_LEAST: dict[str, tuple[float, bool]] = {
-    "frequency": (0.0, True),
-    "damping": (0.0, True),
-    "bend": (0.0, True),
-    "shear": (0.0, True),
-    "stretch": (0.0, False),
-    "gravity": (-math.inf, False),
-    "drag": (0.0, True),
-    "friction": (0.0, True),
-    "settle": (0.0, True),
-    "preroll": (0.0, True),
-    "loop_repeats": (1.0, True),
-    "teleport_speed": (0.0, True),
-    "rate": (0.0, False),
-}
-
-
-# What they come to at most, where it is not `_LARGEST`.
-_MOST: dict[str, float] = {
-    "settle": 600.0, "preroll": 600.0, "rate": 1e6, "loop_repeats": 10_000.0,
-}  # fmt: skip
-_LARGEST = 1e9
-
-
 def option_checks(options: SimulateOptions) -> OptionChecks:
     """Return what can be checked of the options before there is a take."""
     checks: dict[str, Callable[[], object]] = {
-        name: partial(_check_number, options, name) for name in _LEAST
+        name: partial(_check_number, options, name)
+        for name in ranges_of(SimulateOptions)
     }
     checks |= {
         name: partial(_check_length, options, name)
@@ -240,21 +227,14 @@ def _check_what(options: SimulateOptions) -> None:
 
 
 def _check_number(options: SimulateOptions, name: str) -> None:
-    value = getattr(options, name)
-    least, itself = _LEAST[name]
-    if value is None:
+    value, allowed = getattr(options, name), ranges_of(SimulateOptions)[name]
+    if value is None or (allowed.holds(value) and abs(value) <= allowed.most):
         return
-    if math.isfinite(value) and (value > least or (itself and value == least)):
-        most = _MOST.get(name, _LARGEST)
-        if abs(value) <= most:
-            return
-        message = f"{name} is {value:g}; it must be {most:g} or less"
-        raise OptionError(Fault("SIM031", message))
-    allowed = "finite"
-    if math.isfinite(least):
-        allowed = f"{least:g} or more" if itself else f"more than {least:g}"
-    message = f"{name} is {value:g}; it must be {allowed}"
-    raise OptionError(Fault("SIM031", message))
+    bound = allowed.bound
+    if replace(allowed, most=math.inf).holds(value):
+        bound = f"{allowed.most:g} or less"
+    message = f"{name} is {value:g}; it must be {bound}"
+    raise OptionError(Fault(allowed.code, message))
 
 
 def _check_finite(values: tuple[float, ...], name: str) -> None:

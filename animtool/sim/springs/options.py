@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError
+from animtool.ranges import above, range_faults
 from animtool.sim.springs.self_contact import Through
 from animtool.sim.trajectory import Trajectory
 
@@ -56,11 +57,11 @@ class SpringOptions:
     """
 
     solver: Solver | str = Solver.AUTO
-    step: float | None = None
-    stretch: float = 0.01
-    error: float | None = None
-    growth: float = 100.0
-    longest: float = 10.0
+    step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+    stretch: Annotated[float, above(0, "SIM004")] = 0.01
+    error: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+    growth: Annotated[float, above(0, "SIM004")] = 100.0
+    longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
 def check_options(options: SpringOptions) -> Solver:
@@ -76,19 +77,7 @@ def check_options(options: SpringOptions) -> Solver:
         message = f"there is no solver {options.solver!r}"
         hint = f"they are {', '.join(names)}"
         faults.append(Fault("SIM001", message, where="solver", hint=hint))
-    ranges = {
-        "step": (options.step, 0.0, True),
-        "stretch": (options.stretch, 0.0, False),
-        "error": (options.error, 0.0, True),
-        "growth": (options.growth, 0.0, False),
-        "longest": (options.longest, 1.0, False),
-    }
-    for name, (value, least, finite) in ranges.items():
-        if value is None or (value > least and not (finite and math.isinf(value))):
-            continue
-        bound = f"finite and above {least:g}" if finite else f"above {least:g}"
-        message = f"{name} must be {bound}, not {value:g}"
-        faults.append(Fault("SIM004", message, where=name))
+    faults += range_faults(options)
     if faults:
         raise OptionError(faults)
     return Solver(options.solver)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.ranges import above, or_more, range_faults
 from animtool.sim.springs.body import Body
 
 
@@ -43,9 +45,9 @@ class SelfContact:
         of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
     """
 
-    thickness: float
-    friction: float = 0.2
-    speed: float = 0.2
+    thickness: Annotated[float, above(0, "SIM045", finite=True)]
+    friction: Annotated[float, or_more(0, "SIM045", finite=True)] = 0.2
+    speed: Annotated[float, above(0, "SIM045", finite=True)] = 0.2
     rest: ArrayLike | None = None
 
 
@@ -56,14 +58,7 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
         OptionError: A number is out of its range, positions at rest do not fit, or the
             body has no triangles (SIM045), with every such fault.
     """
-    messages = []
-    ranges = {"thickness": False, "friction": True, "speed": False}
-    for name, itself in ranges.items():
-        value = getattr(contact, name)
-        if math.isfinite(value) and (value > 0 or (itself and value == 0)):
-            continue
-        bound = "0 or more" if itself else "above 0"
-        messages.append(f"{name} must be finite and {bound}, not {value:g}")
+    messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
         messages.append("a body without triangles does not keep apart from itself")
     if contact.rest is not None:
