@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
+    from animtool import edit as edit
     from animtool import ik as ik
     from animtool import sim as sim
     from animtool import usd as usd
@@ -15,10 +16,13 @@ if TYPE_CHECKING:
     from animtool.batch.run import run_batch as run_batch
     from animtool.batch.spec import BatchSpec as BatchSpec
     from animtool.clip.clip import Clip as Clip
+    from animtool.clock import Clock as Clock
     from animtool.errors import AnimtoolError as AnimtoolError
     from animtool.errors import Fault as Fault
     from animtool.formats.bvh import read_bvh as read_bvh
     from animtool.formats.bvh import write_bvh as write_bvh
+    from animtool.motion import Channel as Channel
+    from animtool.motion import Motion as Motion
     from animtool.report.compare import compare as compare
     from animtool.report.describe import describe as describe
     from animtool.rig.skeleton import Joint as Joint
@@ -40,10 +44,13 @@ _PUBLIC = {
     "AnimtoolError": "animtool.errors",
     "BakeOptions": "animtool.scene.options",
     "BatchSpec": "animtool.batch.spec",
+    "Channel": "animtool.motion",
     "Clip": "animtool.clip.clip",
+    "Clock": "animtool.clock",
     "Fault": "animtool.errors",
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
+    "Motion": "animtool.motion",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
     "Shot": "animtool.shot",
@@ -55,6 +62,7 @@ _PUBLIC = {
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
+    "edit": "animtool.edit",
     "ik": "animtool.ik",
     "load_batch": "animtool.batch.file",
     "load_scene": "animtool.scene.file",
@@ -69,4 +77,5 @@ _PUBLIC = {
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-__getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
+if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

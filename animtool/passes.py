@@ -88,19 +88,19 @@ def checked_tracks(
 PLUGIN_GROUP = "animtool.passes"
 
 PASSES: dict[str, str] = {
-    "blend": "animtool.edit.blend:PASS",
-    "difference": "animtool.edit.difference:PASS",
-    "hang": "animtool.edit.hang:PASS",
+    "blend": "animtool.edit.layers:BLEND",
+    "difference": "animtool.edit.layers:DIFFERENCE",
+    "hang": "animtool.edit.tree:PASS",
     "ik": "animtool.ik.take_pass:PASS",
-    "layer": "animtool.edit.layer:PASS",
-    "loop": "animtool.edit.loop:PASS",
-    "mirror": "animtool.edit.mirror:PASS",
+    "layer": "animtool.edit.layers:LAYER",
+    "loop": "animtool.edit.looping:PASS",
+    "mirror": "animtool.edit.mirroring:PASS",
     "resample": "animtool.edit.resample:PASS",
     "root_motion": "animtool.edit.root_motion:PASS",
     "simulate": "animtool.sim.attach.take_pass:PASS",
-    "time_scale": "animtool.edit.time_scale:PASS",
-    "time_warp": "animtool.edit.time_warp:PASS",
-    "trim": "animtool.edit.trim:PASS",
+    "time_scale": "animtool.edit.retiming:TIME_SCALE",
+    "time_warp": "animtool.edit.retiming:TIME_WARP",
+    "trim": "animtool.edit.retiming:TRIM",
 }
 
 

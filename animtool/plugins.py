@@ -41,7 +41,7 @@ def lazy_names(
         return names[name]
 
     def listed() -> list[str]:
-        return [*names, *places]
+        return sorted(places)
 
     return get, listed
 

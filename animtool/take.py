@@ -151,6 +151,19 @@ class Take:
         if faults:
             raise OptionError(faults)
 
+    @property
+    def fps(self) -> Fraction:
+        """Time codes a second; `Clock.rate` is the rate of the frames."""
+        return self.clock.fps
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self.clock.count
+
+    def __bool__(self) -> bool:
+        """Return True: a take without frames is a take too."""
+        return True
+
     def world(self) -> WorldTransforms:
         """Return where every joint is in every frame, world space.
 

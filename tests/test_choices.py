@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 from support.small_takes import content, small
 
-from animtool.edit.blend import blend
-from animtool.edit.layer import LayerMode, layer
-from animtool.edit.mirror import Axis, mirror
+from animtool.edit.layers import LayerMode, blend, layer
+from animtool.edit.mirroring import Axis, mirror
+from animtool.edit.retiming import time_warp
 from animtool.edit.root_motion import RootMotionOptions
-from animtool.edit.time_warp import time_warp
 from animtool.errors import OptionError
 from animtool.keyed import Interpolation
 from animtool.passes import PassContext, apply_pass, find_pass

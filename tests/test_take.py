@@ -148,3 +148,14 @@ def test_rotations_of_half_precision_are_a_take() -> None:
     rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 3)
     assert Take(rig, clock, values_of("half")).motion.frames == 3
+
+
+def test_a_take_is_as_long_as_its_frames() -> None:
+    rig = Rig("point", (Joint("a", -1),))
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1, 2), 3)
+    still = Motion(
+        Channel.from_dense(np.zeros((3, 1, 3))),
+        Channel.from_dense(np.tile([0.0, 0.0, 0.0, 1.0], (3, 1, 1))),
+    )
+    take = Take(rig, clock, still)
+    assert (len(take), take.fps, bool(take)) == (3, 30, True)

@@ -16,9 +16,8 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import Clock
-from animtool.edit.chain import place_of, rest_rotation, twist
 from animtool.edit.frames import frame_index
-from animtool.edit.travel import traveller
+from animtool.edit.travel import place_of, rest_rotation, traveller, twist
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.kinematics import forward, rest_size

@@ -7,15 +7,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from animtool.edit.chain import (
+from animtool.edit.combine import continuous
+from animtool.edit.travel import (
     above,
     ancestors,
     place_of,
     rest_rotation,
+    traveller,
     twist,
 )
-from animtool.edit.combine import continuous
-from animtool.edit.travel import traveller
 from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.keyed import chosen

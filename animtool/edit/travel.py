@@ -1,4 +1,4 @@
-"""Where a take is at a frame, and how far it carries the character."""
+"""Where joints of a take are, and how far and along what they travel."""
 
 from __future__ import annotations
 
@@ -8,11 +8,89 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.edit.chain import above, place_of, twist
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import JointType, Rig
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A joint in the world, in every frame.
+
+    Attributes:
+        position: Its origin ``(F, 3)`` [m].
+        rotation: The rotations of the joints down to it, without their scales
+            ``(F, 4)``.
+        linear: Linear part with scales ``(F, 3, 3)``; column c is its axis c.
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+    linear: FloatArray
+
+
+def ancestors(rig: Rig, joint: int) -> list[int]:
+    """Return the joints above one, the root first.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> ancestors(Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", 1))), 2)
+    [0, 1]
+    """
+    found: list[int] = []
+    parent = rig.joints[joint].parent
+    while parent >= 0:
+        found.append(parent)
+        parent = rig.joints[parent].parent
+    return found[::-1]
+
+
+def above(rig: Rig, motion: Motion, joint: int) -> Place:
+    """Return the frame that a joint's own transform is in: its parent, or the world."""
+    return _followed(motion, ancestors(rig, joint))
+
+
+def place_of(rig: Rig, motion: Motion, joint: int) -> Place:
+    """Return where a joint is in every frame."""
+    return _followed(motion, [*ancestors(rig, joint), joint])
+
+
+def rest_rotation(rig: Rig, joint: int) -> FloatArray:
+    """Return the rotation of a joint in the world at rest ``(4,)``."""
+    whole = so3.IDENTITY
+    for one in [*ancestors(rig, joint), joint]:
+        whole = so3.multiply(whole, rig.joints[one].rotation)
+    return whole
+
+
+def _followed(motion: Motion, joints: list[int]) -> Place:
+    position = np.zeros((motion.frames, 3))
+    rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
+    linear = np.tile(np.eye(3), (motion.frames, 1, 1))
+    for joint in joints:
+        step, turn = (
+            channel.gather(np.array([joint]))[:, 0]
+            for channel in (motion.translations, motion.rotations)
+        )
+        position = position + np.einsum("fij,fj->fi", linear, step)
+        rotation = so3.multiply(rotation, turn)
+        linear = linear @ so3.to_matrix(turn)
+        if motion.scales is not None:
+            linear = linear * motion.scales.gather(np.array([joint]))
+    return Place(position, rotation, linear)
+
+
+def twist(rotation: FloatArray, up: FloatArray) -> FloatArray:
+    """Return the part of rotations ``(..., 4)`` about a unit axis ``(3,)``.
+
+    It is identity where a rotation is half a turn about an axis across this one.
+
+    >>> twist(np.array([0.0, 0.6, 0.8, 0.0]), np.array([0.0, 1.0, 0.0])).tolist()
+    [0.0, 1.0, 0.0, 0.0]
+    """
+    along = np.sum(rotation[..., :3] * up, axis=-1, keepdims=True) * up
+    return so3.normalize(np.concatenate([along, rotation[..., 3:]], axis=-1))
+
 
 # A place this near to a frame [frame] is meant to be the frame: what rounding
 # leaves of a time code in the millions is less.

@@ -43,4 +43,5 @@ _PUBLIC = {
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-__getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
+if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

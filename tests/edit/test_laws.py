@@ -12,14 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.takes import assert_same_motion, motion_of, rigs, takes
 
-from animtool.edit.blend import blend
-from animtool.edit.difference import difference
-from animtool.edit.layer import LayerMode, layer
-from animtool.edit.mirror import Axis, mirror
+from animtool.edit.layers import LayerMode, blend, difference, layer
+from animtool.edit.mirroring import Axis, mirror
 from animtool.edit.resample import resampled
-from animtool.edit.time_scale import time_scale
-from animtool.edit.time_warp import time_warp
-from animtool.edit.trim import trim
+from animtool.edit.retiming import time_scale, time_warp, trim
 from animtool.formats.bvh import read_bvh
 from animtool.keyed import Interpolation
 from animtool.maths import so3

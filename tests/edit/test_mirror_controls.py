@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 from support.nasty import nasty_take
 
 from animtool import Clip, Rig
-from animtool.edit.mirror import mirror
-from animtool.edit.mirror_controls import ControlMirror
+from animtool.edit.mirroring import ControlMirror, mirror
 from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
 from animtool.take import Take

@@ -148,7 +148,7 @@ def test_a_name_that_is_nearly_right() -> None:
 
 
 def test_twice_as_fast_is_every_other_frame() -> None:
-    from animtool.edit.time_scale import time_scale
+    from animtool.edit.retiming import time_scale
 
     found = time_scale(small(), 2.0)
     source = small().motion.rotations.dense()[::2]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.edit.loop import gridded
+from animtool.edit.looping import gridded
 from animtool.maths import so3
 from animtool.transforms import Attribute, Track, Transforms
 

@@ -17,8 +17,8 @@ from support.takes import assert_same_motion, rigs
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
-from animtool.edit.chain import twist
-from animtool.edit.loop import PASS, LoopOptions, loop
+from animtool.edit.looping import PASS, LoopOptions, loop
+from animtool.edit.travel import twist
 from animtool.edit.tree import inserted
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh

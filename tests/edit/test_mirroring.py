@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.clock import Clock
-from animtool.edit.mirror import PASS, MirrorOptions, mirror
+from animtool.edit.mirroring import PASS, MirrorOptions, mirror
 from animtool.errors import Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.motion import Channel, Motion

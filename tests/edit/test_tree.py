@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool import bake
 from animtool.clock import Clock
-from animtool.edit.hang import hang
+from animtool.edit.tree import hang
 from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -1,0 +1,352 @@
+"""Takes over each other: layers, blends and differences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import Clock, time_codes
+from animtool.edit.combine import (
+    Strength,
+    add,
+    check_same_rig,
+    continuous,
+    mix,
+    other_frames,
+    subtract,
+)
+from animtool.edit.frames import check_count, exact, frame_index
+from animtool.edit.tree import joints_matching
+from animtool.errors import Fault, OptionError
+from animtool.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.motion import Channel, Motion
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    named_take,
+)
+from animtool.rig.skeleton import Rig
+from animtool.take import Take, TakeStream
+
+
+@dataclass(frozen=True, slots=True)
+class BlendOptions:
+    """What is blended with, and when.
+
+    Attributes:
+        take: File of the other take.
+        weight: Of the other take [1], one number or pairs ``[frame, weight]``.
+        interpolation: How a weight curve runs from pair to pair.
+        delay: By how much the other take starts later than this one [time code].
+    """
+
+    take: Path | None = None
+    weight: float | tuple[tuple[float, float], ...] = 0.5
+    interpolation: Interpolation = Interpolation.LINEAR
+    delay: float = 0.0
+
+
+def blend(
+    take: Take,
+    other: Take,
+    *,
+    weight: Weight = 0.5,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
+    delay: float = 0.0,
+) -> Take:
+    """Return the weighted mean of two takes, on the clock of the first.
+
+    The result lasts from the first frame of ``take`` to the end of the later of
+    the two; each is held at its ends. The other starts ``delay`` later.
+
+    Raises:
+        OptionError: A weight is not finite or not from 0 to 1 (SCN014), its curve
+            malformed (SCN015), the rigs differ (SCN017), or there would be too many
+            frames (SCN021).
+    """
+    check_same_rig(take.rig, other.rig)
+    clock = take.clock
+    late = exact(delay, "delay") / clock.step
+    length = (other.clock.count - 1) * clock.rate / other.clock.rate
+    count = max(clock.count, 1 + math.floor(late + length))
+    check_count(count)
+    whole = replace(clock, count=count)
+    weights = weights_at(weight, whole.times, interpolation)
+    strength = Strength(weights, isinstance(weight, (int, float)))
+    one = other_frames(take, clock.rate, 0, count)
+    two = other_frames(other, clock.rate, 0, count, late)
+    motion = continuous(mix(one, two, strength)).map(Channel.compact)
+    return replace(take, clock=whole, motion=motion)
+
+
+def _blended(take: Take, options: BlendOptions, context: PassContext) -> Take:
+    return blend(
+        take,
+        context.take(options.take),
+        weight=options.weight,
+        interpolation=options.interpolation,
+        delay=options.delay,
+    )
+
+
+def _check_blend(options: BlendOptions) -> OptionChecks:
+    return {
+        "take": lambda: named_take(options.take),
+        "weight": lambda: weights_at(options.weight, np.zeros(0)),
+        "delay": lambda: exact(options.delay, "delay"),
+    }
+
+
+BLEND = Pass(
+    "blend",
+    "Blend with another take",
+    BlendOptions,
+    Scope.CLIP,
+    _blended,
+    _check_blend,
+    changes=MOTION_PARTS,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DifferenceOptions:
+    """What the take is compared with.
+
+    Attributes:
+        base: File of the base take; none is the rest pose of the rig.
+        frame: Time code of the base whose pose is the base; none compares frame by
+            frame, first frame with first.
+    """
+
+    base: Path | None = None
+    frame: float | None = None
+
+
+def difference(
+    take: Take, base: Take | None = None, frame: float | None = None
+) -> Take:
+    """Return the additive take that makes ``take`` when it is put on ``base``.
+
+    The layer pass puts it back, with the convention of `animtool.maths.additive`.
+
+    Args:
+        take: F frames.
+        base: Resampled to the take's rate and held at its ends; None is the rest
+            pose.
+        frame: Time code of the base whose pose is the base; None is frame by frame.
+
+    Raises:
+        OptionError: The base has no such frame (SCN013), is of another rig
+            (SCN017), or a scale of it is 0 (SCN023).
+    """
+    below = rest_take(take.rig, take.clock) if base is None else base
+    return _without(TakeStream.of(take), _base(below, frame)).collect()
+
+
+def rest_take(rig: Rig, clock: Clock) -> Take:
+    """Return one frame of a rig at rest, on the rate of a clock."""
+    nobody = np.zeros(0, np.int64)
+    motion = Motion(
+        Channel(rig.rest_translations, nobody, np.zeros((1, 0, 3))),
+        Channel(rig.rest_rotations, nobody, np.zeros((1, 0, 4))),
+    )
+    return Take(rig, replace(clock, count=1), motion)
+
+
+def _base(base: Take, frame: float | None) -> Take:
+    if frame is not None:
+        index = frame_index(base.clock, frame, "frame")
+        motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
+        base = replace(base, clock=replace(base.clock, count=1), motion=motion)
+    scales = base.motion.scales
+    if scales is not None:
+        flat = (scales.dense() == 0).any(axis=(0, 2))
+        if flat.any():
+            name = base.rig.names[int(np.argmax(flat))]
+            message = f"the scale of joint {name!r} is 0 in the base"
+            raise OptionError(Fault("SCN023", message))
+    return base
+
+
+def _without(stream: TakeStream, base: Take) -> TakeStream:
+    check_same_rig(stream.rig, base.rig)
+    return replace(stream, blocks=_blocks(stream, base))
+
+
+def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
+    first, previous = 0, None
+    rate = stream.fps / stream.step
+    for block in stream.blocks:
+        below = other_frames(base, rate, first, block.frames)
+        motion = continuous(subtract(block, below), previous)
+        yield motion
+        first, previous = first + block.frames, motion.rotations.values[-1]
+
+
+def _subtracted(
+    stream: TakeStream, options: DifferenceOptions, context: PassContext
+) -> TakeStream:
+    if options.base is None:
+        start = Fraction(1) if stream.start is None else stream.start
+        base = rest_take(stream.rig, Clock(stream.fps, start, stream.step, 1))
+    else:
+        base = context.take(options.base, "base")
+    return _without(stream, _base(base, options.frame))
+
+
+DIFFERENCE = Pass(
+    "difference",
+    "Make an additive take",
+    DifferenceOptions,
+    Scope.FRAME,
+    _subtracted,
+    changes=MOTION_PARTS,
+)
+
+
+class LayerMode(StrEnum):
+    """What a layer does to what is below it."""
+
+    ADDITIVE = "additive"
+    OVERRIDE = "override"
+
+
+@dataclass(frozen=True, slots=True)
+class LayerOptions:
+    """What is put on top, where and how strongly.
+
+    Attributes:
+        take: File of the other take.
+        mode: ``override`` blends towards the other take; ``additive`` adds it, and
+            it must be a difference (see the pass of that name).
+        weight: [1], one number or pairs ``[frame, weight]``; 0 to 1 for
+            ``override``, any for ``additive``.
+        interpolation: How a weight curve runs from pair to pair.
+        joints: Names or patterns of the joints that change; none is all of them,
+            and shapes and controls too.
+        children: Take what is below these joints too.
+        delay: By how much the other take starts later than this one [time code].
+    """
+
+    take: Path | None = None
+    mode: LayerMode = LayerMode.OVERRIDE
+    weight: float | tuple[tuple[float, float], ...] = 1.0
+    interpolation: Interpolation = Interpolation.LINEAR
+    joints: tuple[str, ...] = ()
+    children: bool = False
+    delay: float = 0.0
+
+
+def layer(
+    take: Take,
+    other: Take,
+    *,
+    mode: LayerMode | str = LayerMode.OVERRIDE,
+    weight: Weight = 1.0,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
+    joints: str | Sequence[str] = (),
+    children: bool = False,
+    delay: float = 0.0,
+) -> Take:
+    """Return a take with another on top, see `LayerOptions`.
+
+    The result has the frames of ``take``. The other take starts with it, ``delay``
+    later, is resampled to its rate and held at its own ends.
+
+    Raises:
+        OptionError: A joint is not in the rig (SCN012), a weight is not finite or
+            out of bounds (SCN014), its curve malformed (SCN015), the rigs differ
+            (SCN017), or a mode or interpolation is none (SCN025).
+    """
+    plan = _Plan(
+        other,
+        chosen(LayerMode, mode, "mode"),
+        weight,
+        chosen(Interpolation, interpolation, "interpolation"),
+        _limited(take.rig, joints, children),
+        delay,
+    )
+    return plan.over(TakeStream.of(take)).collect()
+
+
+def _limited(rig: Rig, joints: str | Sequence[str], children: bool) -> list[int] | None:
+    return joints_matching(rig, joints, children=children) if joints else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    other: Take
+    mode: LayerMode
+    weight: Weight
+    interpolation: Interpolation
+    joints: list[int] | None
+    delay: float
+
+    def over(self, stream: TakeStream) -> TakeStream:
+        check_same_rig(stream.rig, self.other.rig)
+        self._weights(time_codes(Fraction(1), Fraction(1), 1))
+        return replace(stream, blocks=self._blocks(stream))
+
+    def _weights(self, times: FloatArray) -> FloatArray:
+        bounded = self.mode is LayerMode.OVERRIDE
+        return weights_at(self.weight, times, self.interpolation, bounded=bounded)
+
+    def _blocks(self, stream: TakeStream) -> Iterator[Motion]:
+        start = Fraction(1) if stream.start is None else stream.start
+        delay = exact(self.delay, "delay") / stream.step
+        operation = mix if self.mode is LayerMode.OVERRIDE else add
+        steady = isinstance(self.weight, (int, float))
+        first, previous = 0, None
+        for block in stream.blocks:
+            begin = start + first * stream.step
+            weights = self._weights(time_codes(begin, stream.step, block.frames))
+            rate = stream.fps / stream.step
+            above = other_frames(self.other, rate, first, block.frames, delay)
+            strength = Strength(weights, steady, self.joints)
+            motion = continuous(operation(block, above, strength), previous)
+            yield motion
+            first, previous = first + block.frames, motion.rotations.values[-1]
+
+
+def _layered(
+    stream: TakeStream, options: LayerOptions, context: PassContext
+) -> TakeStream:
+    plan = _Plan(
+        context.take(options.take),
+        chosen(LayerMode, options.mode, "mode"),
+        options.weight,
+        chosen(Interpolation, options.interpolation, "interpolation"),
+        _limited(stream.rig, options.joints, options.children),
+        options.delay,
+    )
+    return plan.over(stream)
+
+
+def _check_layer(options: LayerOptions) -> OptionChecks:
+    bounded = options.mode is LayerMode.OVERRIDE
+    return {
+        "take": lambda: named_take(options.take),
+        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=bounded),
+        "delay": lambda: exact(options.delay, "delay"),
+    }
+
+
+LAYER = Pass(
+    "layer",
+    "Put another take on top",
+    LayerOptions,
+    Scope.FRAME,
+    _layered,
+    _check_layer,
+    changes=MOTION_PARTS,
+)

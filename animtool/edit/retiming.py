@@ -1,0 +1,269 @@
+"""Takes cut to a range of frames, or at another speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import Clock
+from animtool.edit.combine import continuous
+from animtool.edit.frames import check_count, check_range, exact, frame_refusal
+from animtool.edit.travel import even_places, nearby_places
+from animtool.errors import Fault, OptionError
+from animtool.keyed import Interpolation, Keys, key_arrays, keyed
+from animtool.motion import Channel, Motion
+from animtool.passes import (
+    RETIMED_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
+from animtool.take import Take, TakeStream
+
+# Time codes are written to a few digits; a frame this near [frame] is meant.
+ON_FRAME = Fraction(1, 1_000_000)
+
+
+@dataclass(frozen=True, slots=True)
+class TrimOptions:
+    """Which frames to keep.
+
+    Attributes:
+        first: First time code to keep; None is the take's own.
+        last: Last time code to keep; None is the take's own.
+    """
+
+    first: float | None = None
+    last: float | None = None
+
+
+def trim(take: Take, first: float | None = None, last: float | None = None) -> Take:
+    """Return the frames of a take from one time code to another, both included.
+
+    Frames stay as they are and keep their time codes; where a time code lies
+    between two frames, the range begins behind it or ends before it.
+
+    Raises:
+        OptionError: The take has no frame in the range (SCN013).
+    """
+    return _trimmed(TakeStream.of(take), TrimOptions(first, last)).collect()
+
+
+def _trimmed(
+    stream: TakeStream, options: TrimOptions, context: PassContext | None = None
+) -> TakeStream:
+    # The frames of a shot at the ends of the range may lie between two samples.
+    in_shot = context is not None and context.in_shot
+    check_range(options.first, options.last)
+    start = Fraction(1) if stream.start is None else stream.start
+    low, high = 0, None
+    if options.first is not None:
+        away = (exact(options.first, "first") - start) / stream.step
+        whole = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
+        low = max(0, whole)
+    if options.last is not None:
+        away = (exact(options.last, "last") - start) / stream.step
+        high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
+    if high is not None and high < low:
+        raise frame_refusal(
+            f"no frame is from {_shown(options.first, start)} to {options.last:g}"
+        )
+    moved = stream.start if low == 0 else start + low * stream.step
+    return replace(stream, start=moved, blocks=_kept(stream, low, high, start))
+
+
+def _trim_checks(options: TrimOptions) -> OptionChecks:
+    return {"last": lambda: check_range(options.first, options.last)}
+
+
+def _shown(frame: float | None, start: Fraction) -> str:
+    return f"{float(start) if frame is None else frame:g}"
+
+
+def _kept(
+    stream: TakeStream, low: int, high: int | None, start: Fraction
+) -> Iterator[Motion]:
+    count = 0
+    # The source is read to its end, as its notices are complete only then.
+    for block in stream.blocks:
+        begin = max(0, low - count)
+        end = block.frames if high is None else min(block.frames, high + 1 - count)
+        if begin < end:
+            yield block.select(slice(begin, end))
+        count += block.frames
+    if low >= count:
+        last = start + (count - 1) * stream.step
+        raise frame_refusal(
+            f"the first frame to keep is {float(start + low * stream.step):g}, and "
+            f"the take has {float(start):g}-{float(last):g}"
+        )
+
+
+TRIM = Pass(
+    "trim",
+    "Keep a range of frames",
+    TrimOptions,
+    Scope.FRAME,
+    _trimmed,
+    _trim_checks,
+    reads=frozenset({TakePart.CLOCK}),
+    changes=frozenset({TakePart.CLOCK}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeScaleOptions:
+    """How fast the take plays.
+
+    Attributes:
+        speed: Factor: 2 is twice as fast, negative is backwards.
+        pivot: Time code that stays where it is; None is the first frame.
+    """
+
+    speed: float = 1.0
+    pivot: float | None = None
+
+
+def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
+    """Return the take at another speed, sampled on its own frame grid.
+
+    Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take.
+    The speed is taken as the decimal it is written as, so that frames which
+    coincide are the source's exactly.
+
+    Raises:
+        OptionError: The speed is 0 or not finite (SCN016), no frame of the grid is
+            left (SCN013), or there would be more than 10 million (SCN021).
+    """
+    _check_speed(speed)
+    clock = take.clock
+    rate = exact(speed, "speed")
+    fixed = clock.start if pivot is None else exact(pivot, "pivot")
+    # All in frames of the take, 0 being its first.
+    centre = (fixed - clock.start) / clock.step
+    ends = sorted(centre + (edge - centre) / rate for edge in (0, clock.count - 1))
+    low, high = math.ceil(ends[0]), math.floor(ends[1])
+    if low > high:
+        raise frame_refusal(f"at speed {speed:g} no frame of the take's grid is left")
+    check_count(high - low + 1)
+    index = np.arange(low, high + 1)
+    places = even_places(index, centre / rate - centre, rate, clock.count)
+    motion = take.motion.map(places.blend)
+    return replace(
+        take,
+        clock=replace(clock, start=clock.start + low * clock.step, count=len(index)),
+        motion=continuous(motion).map(Channel.compact),
+    )
+
+
+def _check_speed(speed: float) -> None:
+    if not math.isfinite(speed) or speed == 0:
+        message = f"speed is {speed}; it must be finite and not 0"
+        raise OptionError(Fault("SCN016", message))
+
+
+def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
+    return {"speed": lambda: _check_speed(options.speed)}
+
+
+def _scaled(take: Take, options: TimeScaleOptions, _: PassContext) -> Take:
+    return time_scale(take, options.speed, options.pivot)
+
+
+TIME_SCALE = Pass(
+    "time_scale",
+    "Play at another speed",
+    TimeScaleOptions,
+    Scope.CLIP,
+    _scaled,
+    _scale_checks,
+    reads=RETIMED_PARTS,
+    changes=RETIMED_PARTS,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeWarpOptions:
+    """The curve of time.
+
+    Attributes:
+        curve: Pairs ``[frame of the result, frame of the take]``, the former
+            ascending; none leaves the take as it is.
+        interpolation: How time runs from pair to pair.
+    """
+
+    curve: tuple[tuple[float, float], ...] = ()
+    interpolation: Interpolation = Interpolation.LINEAR
+
+
+def time_warp(
+    take: Take,
+    curve: Keys,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
+) -> Take:
+    """Return the take retimed, from the curve's first frame to its last.
+
+    The result has the frames of the take's own grid, carried on beyond its ends
+    where the curve reaches there. The curve may go back in time or stand still.
+
+    Args:
+        take: F frames.
+        curve: Pairs ``[frame of the result, frame of the take]``, time codes.
+        interpolation: ``smooth`` never leaves the range of two neighbouring pairs.
+
+    Raises:
+        OptionError: The curve is malformed (SCN015), shows frames that the take has
+            not or none of the grid (SCN013), or has too many (SCN021).
+    """
+    clock = take.clock
+    times, values = key_arrays(curve, "curve")
+    _check_inside(clock, values)
+    low = math.ceil((exact(times[0], "curve") - clock.start) / clock.step)
+    high = math.floor((exact(times[-1], "curve") - clock.start) / clock.step)
+    if low > high:
+        message = f"the curve from {times[0]:g} to {times[-1]:g} holds no whole frame"
+        raise frame_refusal(message)
+    check_count(high - low + 1)
+    start, step = float(clock.start), float(clock.step)
+    at = replace(clock, start=clock.start + low * clock.step, count=high - low + 1)
+    shown = keyed(times, values, at.times, interpolation)
+    motion = take.motion.map(nearby_places((shown - start) / step, clock.count).blend)
+    return replace(take, clock=at, motion=continuous(motion).map(Channel.compact))
+
+
+def _check_inside(clock: Clock, values: FloatArray) -> None:
+    first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
+    slack = 1e-6 * float(clock.step)
+    outside = values[(values < first - slack) | (values > last + slack)]
+    if len(outside):
+        message = f"the curve shows frame {outside[0]:g}, and the take has "
+        raise frame_refusal(f"{message}{first:g}-{last:g}")
+
+
+def _warped(take: Take, options: TimeWarpOptions, _: PassContext) -> Take:
+    if not options.curve:
+        return take
+    return time_warp(take, options.curve, options.interpolation)
+
+
+def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
+    return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
+
+
+TIME_WARP = Pass(
+    "time_warp",
+    "Retime by a curve",
+    TimeWarpOptions,
+    Scope.CLIP,
+    _warped,
+    _warp_checks,
+    reads=RETIMED_PARTS,
+    changes=RETIMED_PARTS,
+)

@@ -1,0 +1,30 @@
+"""Names that a user of the Python interface types."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+FACES = ("animtool", "animtool.edit", "animtool.ik", "animtool.sim", "animtool.usd")
+NAMESPACES = {"edit", "ik", "sim", "usd"}
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_public_names_alone_are_listed_and_exist(face: str) -> None:
+    module = import_module(face)
+    assert dir(module) == sorted(module.__all__)
+    assert all(hasattr(module, name) for name in module.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'maltese'"):
+        _ = module.maltese
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_no_module_takes_the_place_of_a_public_name(face: str) -> None:
+    module = import_module(face)
+    modules = {path.stem for path in Path(str(module.__file__)).parent.iterdir()}
+    names = {
+        name for name in module.__all__ if name not in {"edit", "ik", "sim", "usd"}
+    }
+    assert not names & modules
