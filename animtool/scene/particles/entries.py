@@ -10,8 +10,9 @@ from typing import Any
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.particles.schema import EmitterModel, ParticlesModel
-from animtool.scene.particles.system import ParticleSetup, SurfaceCollider
+from animtool.scene.particles.system import ParticleSetup
 from animtool.scene.systems.entries import PLACING, EntryReader
+from animtool.scene.systems.surroundings import Surroundings, read_surfaces
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
 from animtool.systems.fields import Named
@@ -54,19 +55,12 @@ def read_particles(
     characters = reader.characters((*at, "characters"), model.characters)
     if particles is None:
         return None
-    surfaces = tuple(
-        SurfaceCollider(
-            entry.system, entry.restitution, entry.friction, (*at, "systems", i)
-        )
-        for i, entry in enumerate(model.systems)
-    )
-    for surface in surfaces:
-        for option, why in surface.problems():
-            reader.note((*surface.at, option), Fault("SIM020", why))
+    surfaces = read_surfaces(reader, (*at, "systems"), model.systems)
     meshes = reader.meshes((*at, "meshes"), model.meshes)
-    return ParticleSetup(
-        particles, model.preroll, characters, surfaces, meshes, tuple(reader.files)
+    around = Surroundings(
+        tuple(particles.colliders), characters, surfaces, meshes, tuple(reader.files)
     )
+    return ParticleSetup(particles, around, model.preroll)
 
 
 class _Reader(EntryReader):

@@ -5,84 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, Severity, counted
 from animtool.frames import PointsFrame
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.character_collider import (
-    CharacterCollider,
-    character_colliders,
-)
 from animtool.scene.systems.kinds import SystemFacts
-from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.scene.systems.simulation import Opening
-from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
+from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.particles.run import ParticleRun
 from animtool.systems.particles.trial import ParticleTrial
 
 if TYPE_CHECKING:
-    from animtool.scene.springs.setup import SpringSetup
     from animtool.sim.options import IntegrateOptions
     from animtool.systems.particles.setup import Particles
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceCollider:
-    """Cloth or a volume that particles run into.
-
-    Attributes:
-        system: Its name.
-        restitution: Share of the speed into the surface that comes back [1].
-        friction: Coulomb's coefficient [1].
-        at: Place of the entry.
-    """
-
-    system: str
-    restitution: float
-    friction: float
-    at: Location
-
-    def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
-        like = Collider(Plane(), restitution=self.restitution, friction=self.friction)
-        return like.problems()
-
-
-class Watchable(Protocol):
-    """A system whose surface can be met.
-
-    Attributes:
-        setup: What it is made of.
-    """
-
-    setup: SpringSetup
-
-    def watched(self, begin: float, step: float) -> SheetMotion:
-        """Return its surface from a time on, looked at in steps [s]."""
-
-
-@dataclass(frozen=True, slots=True)
 class ParticleSetup:
-    """What particles are made of.
+    """What particles are made of: what moves them, and what they run into."""
 
-    Attributes:
-        particles: What makes, moves, stops and removes them.
-        preroll: Time before 0 s that they begin in [s].
-        characters: Those that they run into.
-        surfaces: Cloth and volumes of the scene that they run into.
-        meshes: Meshes of USD files that they run into.
-        followed: USD files that colliders and emitters go with.
-    """
-
-    particles: Particles
-    preroll: float = 0.0
-    characters: tuple[CharacterCollider, ...] = ()
-    surfaces: tuple[SurfaceCollider, ...] = ()
-    meshes: tuple[MovingMesh, ...] = ()
-    followed: tuple[Path, ...] = ()
+    particles: Particles  # without what they run into
+    around: Surroundings
+    preroll: float = 0.0  # time before 0 s that they begin in [s]
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
@@ -91,13 +38,13 @@ class ParticleSetup:
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that they meet, and that do not feel them."""
-        return tuple((met.system, (*met.at, "system")) for met in self.surfaces)
+        """Systems that they run into, and that do not feel them."""
+        return self.around.needs
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What is read beside the scene."""
-        return (*(met.file for met in self.characters), *self.followed)
+        """Files that are read along with the scene."""
+        return self.around.files
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -106,10 +53,7 @@ class ParticleSetup:
         reads = [counted(len(given.emitters), "emitter")]
         reads += [counted(len(given.forces), "force")] if given.forces else []
         reads += ["a velocity field"] if given.velocity else []
-        reads += [counted(len(given.colliders), "collider")] if given.colliders else []
-        reads += [met.system for met in self.surfaces]
-        reads += [mesh.prim for mesh in self.meshes]
-        return tuple(reads)
+        return (*reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
@@ -126,8 +70,8 @@ class ParticleSetup:
             "forces": len(given.forces),
             "max_particles": given.max_particles,
         }
-        many = len(given.colliders) + len(self.meshes)
-        return SystemFacts(counts, given.options.method, given.options.step, many)
+        options, count = given.options, self.around.count
+        return SystemFacts(counts, options.method, options.step, count)
 
 
 def open_particles(
@@ -159,7 +103,9 @@ def particle_trial(
 
     def made(options: IntegrateOptions | None) -> Particles:
         # Cloth that they run into begins again with them.
-        return _whole(members, rebuild() if setup.surfaces else opened, options)[1]
+        return _whole(members, rebuild() if setup.around.surfaces else opened, options)[
+            1
+        ]
 
     return ParticleTrial(made, -setup.preroll, times)
 
@@ -180,28 +126,9 @@ def _whole(
     setup = cast(ParticleSetup, member.setup)
     given = setup.particles
     options = options or given.options
-    capsules, skins = character_colliders(setup.characters, opening.characters)
     assert options.step is not None
-    sheets = [_sheet(met, opening, setup, options.step) for met in setup.surfaces]
-    sheets += [*(mesh.sheet() for mesh in setup.meshes), *skins]
-    return setup, replace(
-        given, colliders=[*given.colliders, *capsules], sheets=sheets, options=options
-    )
-
-
-def _sheet(
-    met: SurfaceCollider, opening: Opening, setup: ParticleSetup, step: float
-) -> Sheet:
-    other = cast(Watchable, opening.opened[met.system])
-    shape = other.setup.body.shape
-    return Sheet(
-        other.watched(-setup.preroll, step),
-        other.setup.radius,
-        getattr(shape, "closed", False),
-        met.system,
-        met.restitution,
-        met.friction,
-    )
+    colliders, sheets = setup.around.built(opening, -setup.preroll, options.step)
+    return setup, replace(given, colliders=colliders, sheets=sheets, options=options)
 
 
 class RunningParticles:

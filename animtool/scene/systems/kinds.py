@@ -92,6 +92,8 @@ class SystemKind:
         joiner: Notes what keeps systems that are joined from being one; empty where
             particles cannot be joined.
         surface: Whether it has faces, which others may run into.
+        build: Of kinds that `derived` reads and runs: from the spec and a `SimContext`
+            to a `Simulation`.
     """
 
     spec: str
@@ -102,6 +104,21 @@ class SystemKind:
     trial: str
     joiner: str = ""
     surface: bool = False
+    build: str = ""
+
+
+def system_kind(module: str, description: str, example: dict[str, Any]) -> SystemKind:
+    """Return a kind whose module has a `Spec` and a `build`; all else is derived."""
+    derived = "animtool.scene.systems.derived"
+    return SystemKind(
+        f"{module}:Spec",
+        description,
+        example,
+        f"{derived}:read_spec",
+        f"{derived}:open_spec",
+        f"{derived}:spec_trial",
+        build=f"{module}:build",
+    )
 
 
 def _springs(

@@ -1,0 +1,176 @@
+"""What a kind gets that is a spec and a build: it is read, run and tried from these."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from animtool._types import FloatArray
+from animtool.documents.document import Document, Location
+from animtool.errors import ToleranceError
+from animtool.frames import PointsFrame
+from animtool.plugins import load_object
+from animtool.scene.entries import SceneSystem
+from animtool.scene.systems.entries import EntryReader
+from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
+from animtool.scene.systems.simulation import Opening
+from animtool.scene.systems.surroundings import Surroundings, read_surfaces
+from animtool.sim.colliders import Colliders
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+from animtool.systems.fields import SystemSpec
+from animtool.systems.simulation import Simulation, SimulationRun
+
+STEPS = "steps"  # what a setting of such a kind is called
+
+
+@dataclass(frozen=True, slots=True)
+class SpecSetup:
+    """An entry whose kind is a spec and a build."""
+
+    spec: SystemSpec
+    around: Surroundings
+    joined: tuple[tuple[str, Location], ...] = ()
+
+    @property
+    def needs(self) -> tuple[tuple[str, Location], ...]:
+        """Systems that are to be there before it, and where they are named."""
+        return self.around.needs
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that are read along with the scene."""
+        return self.around.files
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What acts on it, in words."""
+        return tuple(self.around.reads)
+
+    @property
+    def makes(self) -> str:
+        """What results from it, in words."""
+        return f"{self.spec.name}, in steps of {self.spec.step:g} s"
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What it is made of, in numbers."""
+        return SystemFacts({}, STEPS, self.spec.step, self.around.count)
+
+    @property
+    def preroll(self) -> float:
+        """Time before 0 s that it begins in [s]."""
+        return self.spec.preroll
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What a build may ask for."""
+
+    begin: float  # time of the first step [s]
+    last: float  # the last time that will be asked for [s]
+    colliders: Colliders
+
+
+def read_spec(
+    document: Document, at: Location, spec: SystemSpec, roots: Sequence[Path]
+) -> SpecSetup | None:
+    """Return the setup of an entry; None where faults leave none.
+
+    What the keys `colliders`, `characters`, `systems` and `meshes` name is read with
+    its location, where the spec has them.
+    """
+    reader = EntryReader(document, roots)
+
+    def entries(key: str) -> tuple[Location, Any]:
+        return (*at, key), getattr(spec, key, [])
+
+    colliders = reader.colliders(*entries("colliders"))
+    characters = reader.characters(*entries("characters"))
+    surfaces = read_surfaces(reader, *entries("systems"))
+    meshes = reader.meshes(*entries("meshes"))
+    if not reader.sound:
+        return None
+    followed = tuple(reader.files)
+    around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
+    return SpecSetup(spec, around)
+
+
+def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[SimulationRun]:
+    """Return a system at its beginning; characters are read now.
+
+    Raises:
+        FormatError: The file of a character is malformed.
+        OptionError: Something makes no sense.
+    """
+    (member,) = members
+    setup = cast(SpecSetup, member.setup)
+    return [_run(member, opening, setup.spec.step)]
+
+
+def _run(member: SceneSystem, opening: Opening, step: float) -> SimulationRun:
+    setup = cast(SpecSetup, member.setup)
+    begin = -setup.preroll
+    colliders = Colliders(*setup.around.built(opening, begin, step))
+    build = cast(
+        Callable[[SystemSpec, Context], Simulation[Any]],
+        load_object(SYSTEM_KINDS[member.kind].build),
+    )
+    simulation = build(setup.spec, Context(begin, opening.last, colliders))
+    return SimulationRun(member.name, simulation, begin, step)
+
+
+def spec_trial(
+    members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
+) -> SpecTrial:
+    """Return a system that can be simulated with several steps."""
+    (member,) = members
+    return SpecTrial(member, rebuild, times)
+
+
+class SpecTrial:
+    """A system with the step of its file, and with others."""
+
+    def __init__(
+        self, member: SceneSystem, rebuild: Callable[[], Opening], times: FloatArray
+    ) -> None:
+        spec = cast(SpecSetup, member.setup).spec
+        self.name, self.kind = member.name, member.kind
+        self.span = float(times[-1]) + spec.preroll
+        self.chosen = Setting(STEPS, (("step", spec.step),))
+        self._member, self._rebuild, self._times = member, rebuild, times
+        self._step = spec.step
+
+    def settings(self) -> list[Setting]:
+        """Return several steps."""
+        return [Setting(STEPS, (("step", h),)) for h in ladder(self._step)]
+
+    def references(self) -> list[list[Setting]]:
+        """Return finer and finer steps."""
+        return [[Setting(STEPS, (("step", h),)) for h in ladder(self._step, FINER)]]
+
+    def run(self, setting: Setting) -> Outcome:
+        """Simulate it with one step."""
+        run = _run(self._member, self._rebuild(), dict(setting.options)["step"])
+        began = time.perf_counter()
+        shots, energies, status, reason = [], [], Status.OK, ""
+        try:
+            for t in self._times.tolist():
+                frame = run.at(t)
+                ids = frame.ids if isinstance(frame, PointsFrame) else None
+                shots.append(Shot(frame.points, ids))
+                energies.append(run.diagnostics.energy)
+        except ToleranceError as error:
+            status, reason = Status.UNSTABLE, error.faults[0].message
+        known = [energy for energy in energies if energy is not None]
+        return Outcome(
+            time.perf_counter() - began,
+            run.taken,
+            shots,
+            status,
+            reason,
+            energies=known if len(known) == len(shots) else None,
+        )

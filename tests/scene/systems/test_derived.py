@@ -1,0 +1,108 @@
+"""A kind that is a spec and a build is read, run, tried and resumed."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.swing import Spec
+
+from animtool.documents.document import Document, read_document
+from animtool.errors import FormatError, OptionError, ToleranceError
+from animtool.scene.entries import Place, SceneSystem
+from animtool.scene.systems.derived import SpecSetup, read_spec
+from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
+from animtool.scene.systems.simulation import open_systems, system_trials
+from animtool.sim.trials.measuring import measure
+from animtool.systems.simulation import SimulationRun
+
+FLOOR = {"shape": {"plane": None}, "at": [0, 0.25, 0]}
+TIMES = np.array([0.0, 0.3, 0.77, 1.0])
+
+
+@pytest.fixture(autouse=True)
+def _kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    example: dict[str, Any] = {"speed": 2}
+    kind = system_kind("support.swing", "A point on a circle.", example)
+    monkeypatch.setitem(SYSTEM_KINDS, "swing", kind)
+
+
+def read(folder: Path, **keys: Any) -> tuple[SpecSetup | None, Document]:
+    """Return the setup of an entry with some keys, and its file."""
+    keys = {"name": "it", "speed": 2.0, **keys}
+    path = folder / "a.scene.yaml"
+    path.write_text(str({"systems": [{"swing": keys}]}).replace("None", "null"))
+    document, at = read_document(path), ("systems", 0, "swing")
+    return read_spec(document, at, Spec.model_validate(keys), [folder]), document
+
+
+def system(folder: Path, **keys: Any) -> SceneSystem:
+    setup, document = read(folder, **keys)
+    assert setup is not None
+    return SceneSystem("it", "swing", setup, Place(document.path, 1, 1, "systems[0]"))
+
+
+def run(folder: Path, **keys: Any) -> SimulationRun:
+    (opened,) = open_systems([system(folder, **keys)], 1.0)
+    assert isinstance(opened, SimulationRun)
+    return opened
+
+
+def test_looking_more_often_changes_nothing(tmp_path: Path) -> None:
+    rarely, often = run(tmp_path), run(tmp_path)
+    frames = [rarely.at(t).points for t in TIMES]
+    found = {t: often.at(t).points for t in np.union1d(TIMES, np.arange(40) / 41)}
+    for t, points in zip(TIMES, frames, strict=True):
+        assert_array_equal(found[t], points)
+    assert_allclose(frames[-1], [[np.cos(2), np.sin(2), 0]], atol=2e-4)
+
+
+def test_a_run_is_resumed_from_a_state(tmp_path: Path) -> None:
+    whole = run(tmp_path)
+    whole.at(0.3)
+    rest = SimulationRun("it", whole.simulation, 0.0, 0.01, whole.state)
+    assert_array_equal(rest.at(1.0).points, whole.at(1.0).points)
+    assert whole.report() == {
+        "name": "it",
+        "steps": 100,
+        "radius": pytest.approx(1, abs=1e-5),
+    }
+    with pytest.raises(OptionError, match="SIM002"):
+        whole.at(0.5)
+
+
+def test_it_begins_in_its_preroll(tmp_path: Path) -> None:
+    early = run(tmp_path, preroll=0.5)
+    assert_allclose(early.at(0.0).points, run(tmp_path).at(0.5).points, atol=1e-12)
+
+
+def test_colliders_are_read_at_their_places(tmp_path: Path) -> None:
+    assert run(tmp_path, colliders=[FLOOR]).at(0.0).points[0, 1] == 0.25
+    bad = {**FLOOR, "restitution": 2.0}
+    setup, document = read(tmp_path, colliders=[FLOOR, bad])
+    assert setup is None
+    with pytest.raises(FormatError) as caught:
+        document.check()
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where) == (
+        "SIM020",
+        "systems[0].swing.colliders[1].restitution",
+    )
+
+
+def test_steps_are_tried_against_finer_ones(tmp_path: Path) -> None:
+    ((_, trial),) = system_trials([system(tmp_path)], TIMES)
+    errors = [row.error.largest for row in measure(trial).rows]
+    assert all(a > b for a, b in pairwise(errors))
+
+
+def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
+    ):
+        run(tmp_path, speed=1e18).at(1.0)

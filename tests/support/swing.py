@@ -1,0 +1,52 @@
+"""A small kind of system: a point on a circle, kept above a floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt
+from pydantic import Field
+
+from animtool.documents.fields import Real
+from animtool.frames import PointsFrame
+from animtool.sim.system import Energy
+from animtool.systems.fields import SystemColliderModel, SystemSpec
+from animtool.systems.simulation import Diagnostics, SimContext
+
+
+class Spec(SystemSpec):
+    """What there is to say of it."""
+
+    speed: Annotated[Real, Gt(0)] = Field(description="[rad/s].")
+    colliders: list[SystemColliderModel] = Field(default=[])
+
+
+@dataclass(frozen=True)
+class Swing:
+    spec: Spec
+    context: SimContext
+
+    def initial(self) -> np.ndarray:
+        return np.array([1.0, 0.0])
+
+    def step(self, state: np.ndarray, t: float, dt: float) -> np.ndarray:  # noqa: ARG002
+        """Go on by the midpoint method."""
+        rate = self.spec.speed * np.array([[0.0, -1.0], [1.0, 0.0]])
+        return state + dt * rate @ (state + dt / 2 * rate @ state)
+
+    def frame(self, state: np.ndarray, t: float) -> PointsFrame:
+        point = np.array([[*state, 0.0]])
+        if self.context.colliders:
+            away = self.context.colliders.sample(point, t)
+            point = point - np.minimum(away.distances[0], 0)[:, None] * [0, 1, 0]
+        return PointsFrame(np.arange(1), point, np.zeros((1, 3)), np.ones(1))
+
+    def diagnostics(self, state: np.ndarray, t: float) -> Diagnostics:  # noqa: ARG002
+        radius = float(np.hypot(*state))
+        return Diagnostics(Energy(radius**2, 0.0), {"radius": radius})
+
+
+def build(spec: Spec, context: SimContext) -> Swing:
+    return Swing(spec, context)
