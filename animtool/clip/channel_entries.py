@@ -31,13 +31,9 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ChannelReader:
-    """Makes channels of the curves in a document; what is wrong is noted there.
+    """Makes channels of the curves in a document; what is wrong is noted there."""
 
-    Attributes:
-        document: The file.
-    """
-
-    document: Document
+    document: Document  # the file
 
     def check(self, at: Location, model: CurveModel) -> None:
         """Note times out of order and handles on the wrong side of their keys."""

@@ -55,37 +55,25 @@ class Parametrization(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ClipChannel:
-    """K keys of a target with D components, in metres, radians and frames.
+    """K keys of a target with D components, in metres, radians and frames."""
 
-    Attributes:
-        target: ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``.
-        times: Ascending [frames] ``(K,)``.
-        values: ``(K, D)``; quaternions (x, y, z, w), Euler angles [rad] in the
-            order's own sequence.
-        interps: Of the segment after each key, K long.
-        tangents: Of each key, before and behind it, K long.
-        ins: Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``;
-            meant where the tangent is free.
-        outs: Handles behind the keys.
-        tcb: Tension, continuity, bias ``(K, 3)``.
-        parametrization: For Catmull-Rom.
-        euler: Order of the angles; empty for other channels.
-        pre: Before the first key.
-        post: Behind the last.
-    """
-
-    target: str
-    times: FloatArray
+    target: str  # ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``
+    times: FloatArray  # ascending [frames] ``(K,)``
+    # ``(K, D)``; quaternions (x, y, z, w), Euler angles [rad] in the order's own
+    # sequence.
     values: FloatArray
-    interps: tuple[Interp, ...]
+    interps: tuple[Interp, ...]  # of the segment after each key, K long
+    # Of each key, before and behind it, K long.
     tangents: tuple[tuple[Tangent, Tangent], ...]
+    # Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``; meant
+    # where the tangent is free.
     ins: FloatArray
-    outs: FloatArray
-    tcb: FloatArray
-    parametrization: Parametrization = Parametrization.UNIFORM
-    euler: str = ""
-    pre: Extrapolation = Extrapolation.HOLD
-    post: Extrapolation = Extrapolation.HOLD
+    outs: FloatArray  # handles behind the keys
+    tcb: FloatArray  # tension, continuity, bias ``(K, 3)``
+    parametrization: Parametrization = Parametrization.UNIFORM  # for Catmull-Rom
+    euler: str = ""  # order of the angles; empty for other channels
+    pre: Extrapolation = Extrapolation.HOLD  # before the first key
+    post: Extrapolation = Extrapolation.HOLD  # behind the last
 
     def __repr__(self) -> str:
         """Return the target and the number of keys."""

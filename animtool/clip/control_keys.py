@@ -86,17 +86,12 @@ def _settled(values: FloatArray, default: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FittedControls:
-    """Keys of the controls that are not at their default.
+    """Keys of the controls that are not at their default."""
 
-    Attributes:
-        channels: One each, in the rig's order.
-        values: What the keys give, of every control ``(F or 1, 1)``, by target.
-        moving: Samples of the channels that move.
-    """
-
-    channels: list[ReducedChannel]
+    channels: list[ReducedChannel]  # one each, in the rig's order
+    # What the keys give, of every control ``(F or 1, 1)``, by target.
     values: dict[str, FloatArray]
-    moving: int
+    moving: int  # samples of the channels that move
 
     @property
     def named(self) -> dict[str, FloatArray]:

@@ -45,26 +45,17 @@ class Same:
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """What a joint does relative to its rest frame, in n = F frames, or 1 if still.
+    """What a joint does relative to its rest frame, in n = F frames, or 1 if still."""
 
-    Attributes:
-        turn: ``(n, 4)``, signs continuous.
-        shift: ``(n, 3)`` [m].
-        coordinate: Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``;
-            zeros for others.
-        turn_off: Largest part of the turn that the joint's type does not have [rad].
-        shift_off: Likewise of the shift [m].
-        turn_rests: The local rotation is that of rest, to the last digit.
-        shift_rests: The local translation is.
-    """
-
-    turn: FloatArray
-    shift: FloatArray
+    turn: FloatArray  # ``(n, 4)``, signs continuous
+    shift: FloatArray  # ``(n, 3)`` [m]
+    # Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``, else 0.
     coordinate: FloatArray
+    # Largest part of the turn that the joint's type does not have [rad].
     turn_off: float
-    shift_off: float
-    turn_rests: bool
-    shift_rests: bool
+    shift_off: float  # likewise of the shift [m]
+    turn_rests: bool  # the local rotation is that of rest, to the last digit
+    shift_rests: bool  # the local translation is
 
 
 def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:

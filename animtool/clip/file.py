@@ -35,17 +35,12 @@ _REPLACED = {
 
 @dataclass(frozen=True, slots=True)
 class ClipFile:
-    """A clip file, not checked yet.
+    """A clip file, not checked yet."""
 
-    Attributes:
-        document: Its text, with places and with the faults of its keys and types.
-        model: Its content.
-        rig: The rig file that it names, resolved; None where it names none.
-    """
-
+    # Its text, with places and with the faults of its keys and types.
     document: Document
-    model: ClipModel
-    rig: Path | None
+    model: ClipModel  # its content
+    rig: Path | None  # the rig file that it names, resolved; None where it names none
 
     def needed_rig(self) -> Path:
         """Return the rig that the clip names.

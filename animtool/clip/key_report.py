@@ -27,19 +27,12 @@ MAX_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class ChannelError:
-    """How far a channel of a clip is from the take that it was made of.
+    """How far a channel of a clip is from the take that it was made of."""
 
-    Attributes:
-        target: Of the channel.
-        error: The largest, in ``unit``.
-        unit: Of the clip's file: ``deg``, ``rad``, a length, or empty.
-        frame: Time code where that is.
-    """
-
-    target: str
-    error: float
-    unit: str
-    frame: float
+    target: str  # of the channel
+    error: float  # the largest, in ``unit``
+    unit: str  # of the clip's file: ``deg``, ``rad``, a length, or empty
+    frame: float  # time code where that is
 
 
 def channel_errors(

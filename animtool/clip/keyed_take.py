@@ -52,20 +52,14 @@ FINER = 0.5
 
 @dataclass(frozen=True, slots=True)
 class KeyedTake:
-    """A clip, and how far it is from its take.
+    """A clip, and how far it is from its take."""
 
-    Attributes:
-        clip: For the rig.
-        reduction: Its keys; the errors are those of the clip sampled on the rig.
-        controls: Names of the rig's controls that have keys.
-        errors: Largest error of each channel.
-        notices: Notes on controls, joint types and mimics that the take departs from.
-    """
-
-    clip: Clip
+    clip: Clip  # for the rig
+    # Its keys; the errors are those of the clip sampled on the rig.
     reduction: Reduction
-    controls: tuple[str, ...]
-    errors: tuple[ChannelError, ...]
+    controls: tuple[str, ...]  # names of the rig's controls that have keys
+    errors: tuple[ChannelError, ...]  # largest error of each channel
+    # Notes on controls, joint types and mimics that the take departs from.
     notices: tuple[Fault, ...]
 
 

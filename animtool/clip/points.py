@@ -104,23 +104,15 @@ def point_errors(
 
 @dataclass(slots=True)
 class Budget:
-    """A track, the tolerance that it has for now, and the keys that this gives.
+    """A track, the tolerance that it has for now, and the keys that this gives."""
 
-    Attributes:
-        track: Samples of one channel.
-        tolerance: For the Euclidean error, in the unit of the samples.
-        share: Of the tolerance that each frame has ``(F,)`` [1].
-        keys: Fitted to the samples.
-        errors: Of these keys at every frame ``(F,)``, in the unit of the samples.
-        values: Of these keys at every frame ``(F, D)``.
-    """
-
-    track: Track
-    tolerance: float
-    share: FloatArray
-    keys: FittedKeys
+    track: Track  # samples of one channel
+    tolerance: float  # for the Euclidean error, in the unit of the samples
+    share: FloatArray  # of the tolerance that each frame has ``(F,)`` [1]
+    keys: FittedKeys  # fitted to the samples
+    # Of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
-    values: FloatArray
+    values: FloatArray  # of these keys at every frame ``(F, D)``
 
     @staticmethod
     def of(track: Track, tolerance: float) -> Budget:

@@ -31,57 +31,37 @@ class ChannelKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReducedChannel:
-    """The keys of one joint's translation, rotation or scale, a weight or a control.
+    """The keys of one joint's translation, rotation or scale, a weight or a control."""
 
-    Attributes:
-        target: ``joint.kind``, ``weight[i]`` or ``control/name``.
-        kind: What it drives.
-        index: Of the joint in its rig, of the weight, or of the control.
-        joint: Name of the joint; None for a weight or a control.
-        order: Of the Euler angles, left to right; None for all but rotations.
-        keys: Frames from 0, not time codes. Translations are in [m], rotations in
-            [deg], continuous over turns; the rest in [1]. Handles lie at thirds of
-            the segments beside a key.
-        part: The joint's part as a clip names it; empty for a weight or a control.
-    """
-
-    target: str
-    kind: ChannelKind
-    index: int
-    joint: str | None
-    order: str | None
+    target: str  # ``joint.kind``, ``weight[i]`` or ``control/name``
+    kind: ChannelKind  # what it drives
+    index: int  # of the joint in its rig, of the weight, or of the control
+    joint: str | None  # name of the joint; None for a weight or a control
+    order: str | None  # of the Euler angles, left to right; None for all but rotations
+    # Frames from 0, not time codes. Translations are in [m], rotations in [deg],
+    # continuous over turns; the rest in [1]. Handles lie at thirds of the segments
+    # beside a key.
     keys: FittedKeys
+    # The joint's part as a clip names it; empty for a weight or a control.
     part: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """Sparse keys of a take, and how far they are from it.
+    """Sparse keys of a take, and how far they are from it."""
 
-    Attributes:
-        clock: Of the take, F frames.
-        rest: One frame of what holds where there is no channel.
-        channels: In the order translation, rotation, scale of each joint, then the
-            weights. What stays at rest has none, what only stays has one key.
-        samples: F times the channels that move.
-        error: Largest distance of a point from where it was [m].
-        joint: Name of the joint that the point belongs to.
-        frame: Where that is [frame].
-        held: Whether every joint keeps its own tolerance.
-        weight_error: Largest error of a weight [1].
-        rounds: How many times the world error was measured.
-    """
-
-    clock: Clock
-    rest: Motion
+    clock: Clock  # of the take, F frames
+    rest: Motion  # one frame of what holds where there is no channel
+    # In the order translation, rotation, scale of each joint, then the weights. What
+    # stays at rest has none, what only stays has one key.
     channels: tuple[ReducedChannel, ...]
-    samples: int
-    error: float
-    joint: str
-    frame: int
-    held: bool
-    weight_error: float
-    rounds: int
+    samples: int  # F times the channels that move
+    error: float  # largest distance of a point from where it was [m]
+    joint: str  # name of the joint that the point belongs to
+    frame: int  # where that is [frame]
+    held: bool  # whether every joint keeps its own tolerance
+    weight_error: float  # largest error of a weight [1]
+    rounds: int  # how many times the world error was measured
 
     @property
     def keys(self) -> int:

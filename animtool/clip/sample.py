@@ -27,31 +27,21 @@ Parts = dict[str, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class ClipNotice:
-    """A fault of a control or a joint.
+    """A fault of a control or a joint."""
 
-    Attributes:
-        fault: It, without a place.
-        target: ``control/NAME`` or ``joint/NAME``.
-        frame: Where it is worst; None where it is of all frames.
-    """
-
-    fault: Fault
-    target: str
-    frame: float | None = None
+    fault: Fault  # it, without a place
+    target: str  # ``control/NAME`` or ``joint/NAME``
+    frame: float | None = None  # where it is worst; None where it is of all frames
 
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A clip at some times.
+    """A clip at some times."""
 
-    Attributes:
-        motion: Joints, shapes and controls; what does not move is stored once.
-        targeted: Controls out of range and limits exceeded, with frame and by how
-            much, the worst of each; joints that keys keep from following another, or
-            from what a moving control adds.
-    """
-
-    motion: Motion
+    motion: Motion  # joints, shapes and controls; what does not move is stored once
+    # Controls out of range and limits exceeded, with frame and by how much, the worst
+    # of each; joints that keys keep from following another, or from what a moving
+    # control adds.
     targeted: list[ClipNotice]
 
     @property

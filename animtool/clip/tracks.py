@@ -28,28 +28,21 @@ NEAR_LOCK = 0.17
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Samples of one channel.
+    """Samples of one channel."""
 
-    Attributes:
-        kind: What it drives.
-        index: Of the joint in its rig, or of the weight.
-        order: Of the Euler angles; None for all but rotations.
-        samples: ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles
-            [deg], lengths [m], or [1].
-        part: The joint's part as a clip names it; empty for a weight.
-        before: What the samples are relative to: rotations ``(F or 1, 4)``, or
-            translations ``(F or 1, 3)`` [m]; None is the parent's space.
-        rest: Rotation of the frame that relative translations are in.
-        axis: Of a pin's angle or a slide, in the joint's rest frame.
-    """
-
-    kind: ChannelKind
-    index: int
-    order: str | None
+    kind: ChannelKind  # what it drives
+    index: int  # of the joint in its rig, or of the weight
+    order: str | None  # of the Euler angles; None for all but rotations
+    # ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles [deg], lengths
+    # [m], or [1].
     samples: FloatArray
-    part: str = ""
+    part: str = ""  # the joint's part as a clip names it; empty for a weight
+    # What the samples are relative to: rotations ``(F or 1, 4)``, or translations ``(F
+    # or 1, 3)`` [m]; None is the parent's space.
     before: FloatArray | None = None
+    # Rotation of the frame that relative translations are in.
     rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    # Of a pin's angle or a slide, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def local(self, values: FloatArray) -> FloatArray:
@@ -159,21 +152,13 @@ def _off_lock(rotations: FloatArray, order: str) -> float:
 
 @dataclass(slots=True)
 class Pose:
-    """What a rig does in every frame, on top of a base if there is one.
+    """What a rig does in every frame, on top of a base if there is one."""
 
-    Attributes:
-        rig: J joints.
-        translations: ``(F, J, 3)`` [m].
-        rotations: ``(F, J, 4)``.
-        scales: ``(F, J, 3)`` [1]; None where nothing is scaled.
-        base: What the channels add to; None where they stand alone.
-    """
-
-    rig: Rig
-    translations: FloatArray
-    rotations: FloatArray
-    scales: FloatArray | None
-    base: Pose | None = None
+    rig: Rig  # J joints
+    translations: FloatArray  # ``(F, J, 3)`` [m]
+    rotations: FloatArray  # ``(F, J, 4)``
+    scales: FloatArray | None  # ``(F, J, 3)`` [1]; None where nothing is scaled
+    base: Pose | None = None  # what the channels add to; None where they stand alone
 
     def set(self, track: Track, values: FloatArray) -> None:
         """Put the values ``(F, D)`` of a track in place."""

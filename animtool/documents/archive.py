@@ -56,19 +56,12 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """How an array stands in a file.
+    """How an array stands in a file."""
 
-    Attributes:
-        shape: Of it.
-        dtype: Of its values.
-        order: How they follow each other, ``C`` or ``F``.
-        begin: Where they do [bytes].
-    """
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    order: Literal["C", "F"]
-    begin: int
+    shape: tuple[int, ...]  # of it
+    dtype: np.dtype[Any]  # of its values
+    order: Literal["C", "F"]  # how they follow each other, ``C`` or ``F``
+    begin: int  # where they do [bytes]
 
     @property
     def count(self) -> int:

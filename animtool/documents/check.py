@@ -80,17 +80,11 @@ def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str
 
 @dataclass(slots=True)
 class _Faults:
-    """The faults of a value: they are noted, and mended in the value.
+    """The faults of a value: they are noted, and mended in the value."""
 
-    Attributes:
-        document: Where they are noted.
-        model: What the value should be.
-        value: The document's value with what was mended before.
-    """
-
-    document: Document
-    model: type[BaseModel]
-    value: Any
+    document: Document  # where they are noted
+    model: type[BaseModel]  # what the value should be
+    value: Any  # the document's value with what was mended before
 
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""

@@ -21,31 +21,24 @@ _KINDS = frozenset({"batch", "clip", "rig", "scene", "targets"})
 
 @dataclass(slots=True)
 class Document:
-    """A file that a person wrote.
+    """A file that a person wrote."""
 
-    Attributes:
-        path: As the user named it.
-        value: Its content: mappings, lists, text, numbers, booleans, None.
-        places: 1-based line and column of every node, keys included, in the order
-            of the file.
-        faults: What is wrong with its content, as `add` found.
-        notices: What is odd about it, as `note` and `warn` found.
-        doubts: Where a value is faulty and something else stands in for it, so that
-            the rest can be checked.
-        partial: Keys of lists that have more entries in another file, which cannot be
-            read.
-        spellings: The key as written, of a value that is read under another key.
-        plain: What is written without quotes, as written, by its number in `places`.
-    """
-
-    path: Path
-    value: dict[str, Any]
+    path: Path  # as the user named it
+    value: dict[str, Any]  # its content: mappings, lists, text, numbers, booleans, None
+    # 1-based line and column of every node, keys included, in the order of the file.
     places: list[tuple[int, int]] = field(repr=False)
+    # What is wrong with its content, as `add` found.
     faults: list[Fault] = field(default_factory=list)
+    # What is odd about it, as `note` and `warn` found.
     notices: list[Fault] = field(default_factory=list)
+    # Where a value is faulty and something else stands in for it, so that the rest can
+    # be checked.
     doubts: set[Location] = field(default_factory=set)
+    # Keys of lists that have more entries in another file, which cannot be read.
     partial: set[str] = field(default_factory=set)
+    # The key as written, of a value that is read under another key.
     spellings: dict[Location, str] = field(default_factory=dict)
+    # What is written without quotes, as written, by its number in `places`.
     plain: dict[int, str] = field(default_factory=dict, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False

@@ -123,19 +123,12 @@ Splice = tuple[int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class _Page:
-    """A text and the nodes in it.
+    """A text and the nodes in it."""
 
-    Attributes:
-        text: Of the file.
-        root: Its outermost node.
-        json: Whether it is JSON.
-        newline: How its lines end.
-    """
-
-    text: str
-    root: Any
-    json: bool
-    newline: str
+    text: str  # of the file
+    root: Any  # its outermost node
+    json: bool  # whether it is JSON
+    newline: str  # how its lines end
 
     @classmethod
     def of(cls, text: str, *, json: bool) -> _Page:

@@ -40,25 +40,15 @@ from animtool.placing import output_error
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """A file, and what it is in the newest version of its format.
+    """A file, and what it is in the newest version of its format."""
 
-    Attributes:
-        path: The file.
-        kind: ``rig``, ``clip`` or ``scene``.
-        version: That it is written in.
-        newest: That it becomes.
-        before: Its text.
-        after: Its new text; the same where it is of the newest version.
-        notices: Comments that are not kept.
-    """
-
-    path: Path
-    kind: str
-    version: int
-    newest: int
-    before: str
-    after: str
-    notices: tuple[Fault, ...] = ()
+    path: Path  # the file
+    kind: str  # ``rig``, ``clip`` or ``scene``
+    version: int  # that it is written in
+    newest: int  # that it becomes
+    before: str  # its text
+    after: str  # its new text; the same where it is of the newest version
+    notices: tuple[Fault, ...] = ()  # comments that are not kept
 
     @property
     def needed(self) -> bool:

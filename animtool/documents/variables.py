@@ -30,16 +30,12 @@ _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 @dataclass(frozen=True, slots=True)
 class Variables:
-    """The variables of a document.
+    """The variables of a document."""
 
-    Attributes:
-        names: Of those that it uses or gives a value.
-        idle: Of those that it gives a value and no text uses.
-        effective: Of those whose values decide more than the key ``output``.
-    """
-
-    names: frozenset[str] = frozenset()
+    names: frozenset[str] = frozenset()  # of those that it uses or gives a value
+    # Of those that it gives a value and no text uses.
     idle: frozenset[str] = frozenset()
+    # Of those whose values decide more than the key ``output``.
     effective: frozenset[str] = frozenset()
 
 
@@ -126,26 +122,19 @@ def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
 
 @dataclass(slots=True)
 class _Resolver:
-    """Puts values into texts.
+    """Puts values into texts."""
 
-    Attributes:
-        document: Changed in place.
-        model: What it should be.
-        values: Of the variables that are known.
-        stated: Names of those that the document gives a value.
-        uses: Names of those that texts use, by key of the document; in values of
-            variables by name of the variable too.
-        faulty: Names of those whose own value is faulty.
-        parts: Names of those whose values, or what these are made of, other files
-            state.
-    """
-
-    document: Document
-    model: type[BaseModel]
-    values: dict[str, str]
+    document: Document  # changed in place
+    model: type[BaseModel]  # what it should be
+    values: dict[str, str]  # of the variables that are known
+    # Names of those that the document gives a value.
     stated: set[str] = field(default_factory=set)
+    # Names of those that texts use, by key of the document; in values of variables by
+    # name of the variable too.
     uses: dict[Location, set[str]] = field(default_factory=dict)
+    # Names of those whose own value is faulty.
     faulty: set[str] = field(default_factory=set)
+    # Names of those whose values, or what these are made of, other files state.
     parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:

@@ -61,16 +61,12 @@ _UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 
 
 class ReadValues(NamedTuple):
-    """What a text holds.
+    """What a text holds."""
 
-    Attributes:
-        value: Plain values: mappings, lists, texts, numbers.
-        places: Line and column of every node, in the order of the text.
-        plain: Of scalars without quotes, what is written, by number of the node.
-    """
-
-    value: Any
+    value: Any  # plain values: mappings, lists, texts, numbers
+    # Line and column of every node, in the order of the text.
     places: list[tuple[int, int]]
+    # Of scalars without quotes, what is written, by number of the node.
     plain: dict[int, str]
 
 
@@ -281,28 +277,18 @@ class _Reader:
 
 @dataclass(slots=True)
 class _Open:
-    """A mapping or list that is not at its end yet.
+    """A mapping or list that is not at its end yet."""
 
-    Attributes:
-        made: What there is of it.
-        key: Of a mapping, the one whose value comes next.
-        keys: Line of each key.
-        flow: Whether it stands between brackets.
-        pieces: What commas may have cut a text into: a value with an open bracket, and
-            the keys behind it.
-        brackets: How many are open in the pieces.
-        spot: Where the first of them is.
-        faults: How many there were before.
-    """
-
-    made: Any
-    key: str | None = None
-    keys: dict[str, int] = field(default_factory=dict)
-    flow: bool = False
+    made: Any  # what there is of it
+    key: str | None = None  # of a mapping, the one whose value comes next
+    keys: dict[str, int] = field(default_factory=dict)  # line of each key
+    flow: bool = False  # whether it stands between brackets
+    # What commas may have cut a text into: a value with an open bracket, and the keys
+    # behind it.
     pieces: list[str] = field(default_factory=list)
-    brackets: int = 0
-    spot: tuple[int, int] = (1, 1)
-    faults: int = 0
+    brackets: int = 0  # how many are open in the pieces
+    spot: tuple[int, int] = (1, 1)  # where the first of them is
+    faults: int = 0  # how many there were before
 
     def put(
         self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""

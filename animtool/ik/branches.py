@@ -33,34 +33,23 @@ SPREAD = (0.5, 1.5, 3.0)
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive frames, to be passed through some other way.
+    """Consecutive frames, to be passed through some other way."""
 
-    Attributes:
-        problem: What is asked.
-        targets: Of all F frames of the clip.
-        frames: Of the stretch, the first of which is where paths part.
-        broken: The frame that is not to be come to by a jump.
-        poses: The path as it is, chain coordinates ``(L, C)``.
-        costs: Of what it misses, see `price` ``(L,)``.
-        reference: The motion that the path is a change of ``(L, C)``; one pose
-            repeated where it is none.
-        easy: How far a joint may go from frame to frame as if it were near
-            ``(L - 1,)``; what is beyond is avoided.
-        wished: Poses of all frames that the problem's ``rest_weight`` draws to
-            ``(F, Q)``.
-        options: How frames are solved.
-    """
-
-    problem: Problem
-    targets: Targets
-    frames: range
-    broken: int
-    poses: FloatArray
-    costs: FloatArray
+    problem: Problem  # what is asked
+    targets: Targets  # of all F frames of the clip
+    frames: range  # of the stretch, the first of which is where paths part
+    broken: int  # the frame that is not to be come to by a jump
+    poses: FloatArray  # the path as it is, chain coordinates ``(L, C)``
+    costs: FloatArray  # of what it misses, see `price` ``(L,)``
+    # The motion that the path is a change of ``(L, C)``; one pose repeated where it is
+    # none.
     reference: FloatArray
+    # How far a joint may go from frame to frame as if it were near ``(L - 1,)``; what
+    # is beyond is avoided.
     easy: FloatArray
+    # Poses of all frames that the problem's ``rest_weight`` draws to ``(F, Q)``.
     wished: FloatArray
-    options: IkOptions
+    options: IkOptions  # how frames are solved
 
     @property
     def chain(self) -> Chain:

@@ -55,36 +55,26 @@ GAP = 1e-6
 
 @dataclass(frozen=True)
 class Chain:
-    """Nodes: joints turned so that pins turn about z, slides go along it, balls twist.
+    """Nodes: joints turned so that z is what they turn, slide or twist about."""
 
-    Attributes:
-        nodes: Kind, parent, coordinate, whether it follows ``(N, 4)``.
-        numbers: Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in
-            shares of ``length``.
-        goals: Node, root and middle of the limb, level ``(E, 4)``.
-        goal_numbers: Offset in the node's frame, of the joint and from the joint, aim
-            axis, weights ``(E, 13)``.
-        goal_frames: node_from_joint quaternions ``(E, 4)`` of the goals' joints.
-        columns: Of the rig's coordinates, those of the chain, in its order.
-        scales: What each of them is divided by.
-        periods: Least and largest of each that turns all the way round, else
-            infinite ``(C, 2)``.
-        turns: ``(first column of a ball, ball_from_joint quaternion)``.
-        degrees: Degrees of freedom.
-        length: [m].
-    """
-
-    nodes: IntArray
+    nodes: IntArray  # kind, parent, coordinate, whether it follows ``(N, 4)``
+    # Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in shares of
+    # ``length``.
     numbers: FloatArray
-    goals: IntArray
+    goals: IntArray  # node, root and middle of the limb, level ``(E, 4)``
+    # Offset in the node's frame, of the joint and from the joint, aim axis, weights
+    # ``(E, 13)``.
     goal_numbers: FloatArray
+    # Node_from_joint quaternions ``(E, 4)`` of the goals' joints.
     goal_frames: FloatArray
-    columns: IntArray
-    scales: FloatArray
+    columns: IntArray  # of the rig's coordinates, those of the chain, in its order
+    scales: FloatArray  # what each of them is divided by
+    # Least and largest of each that turns all the way round, else infinite ``(C, 2)``.
     periods: FloatArray
+    # ``(first column of a ball, ball_from_joint quaternion)``.
     turns: tuple[tuple[int, FloatArray], ...]
-    degrees: int
-    length: float
+    degrees: int  # degrees of freedom
+    length: float  # [m]
 
     @cached_property
     def turning(self) -> IntArray:

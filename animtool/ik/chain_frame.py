@@ -31,21 +31,13 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Frames that are problems of one rig.
+    """Frames that are problems of one rig."""
 
-    Attributes:
-        rig: Its rest pose holds what coordinates cannot say of the frames.
-        frames: Which frames they are.
-        coordinates: Of the poses ``(N, Q)``.
-        places: What carries each goal's chain: positions ``(N, E, 3)`` [m].
-        turns: And rotations ``(N, E, 4)``.
-    """
-
-    rig: Rig
-    frames: slice
-    coordinates: FloatArray
-    places: FloatArray
-    turns: FloatArray
+    rig: Rig  # its rest pose holds what coordinates cannot say of the frames
+    frames: slice  # which frames they are
+    coordinates: FloatArray  # of the poses ``(N, Q)``
+    places: FloatArray  # what carries each goal's chain: positions ``(N, E, 3)`` [m]
+    turns: FloatArray  # and rotations ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the targets of all frames as seen from the part's first pose."""
@@ -66,15 +58,10 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """The frames of a take as parts.
+    """The frames of a take as parts."""
 
-    Attributes:
-        all: One, or where none fits all frames, one each.
-        between: Names of the joints for which none does.
-    """
-
-    all: list[Part]
-    between: tuple[str, ...]
+    all: list[Part]  # one, or where none fits all frames, one each
+    between: tuple[str, ...]  # names of the joints for which none does
 
 
 def parts_of(

@@ -24,17 +24,11 @@ STRAIGHT, BENT = np.radians([5.0, 20.0])
 
 @dataclass(frozen=True, slots=True)
 class FreeEffector:
-    """Where an effector is without its goal.
+    """Where an effector is without its goal."""
 
-    Attributes:
-        rig: J joints.
-        goal: The effector, its point and axis.
-        world: Of the joints without the goal, F frames.
-    """
-
-    rig: Rig
-    goal: Goal
-    world: WorldTransforms
+    rig: Rig  # J joints
+    goal: Goal  # the effector, its point and axis
+    world: WorldTransforms  # of the joints without the goal, F frames
 
     def place(self) -> FloatArray:
         """Return where its point is ``(F, 3)`` [m]."""

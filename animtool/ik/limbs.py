@@ -58,25 +58,15 @@ STRAIGHT = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Limb:
-    """The way from a joint that stays in its place to a goal's point.
+    """The way from a joint that stays in its place to a goal's point."""
 
-    Attributes:
-        goal: Which of the problem's goals.
-        joints: Those whose translations are its bones.
-        origin: Of its root, in shares of the problem's length ``(3,)``.
-        reach: Its length when as straight as it can be, in such shares.
-        bones: By how much that grows while the bones grow by 1 of their length.
-        soft: Share of the reach over which its extension eases out.
-        stretch: Most that its bones grow by.
-    """
-
-    goal: int
-    joints: tuple[int, ...]
-    origin: FloatArray
-    reach: float
-    bones: float
-    soft: float
-    stretch: float
+    goal: int  # which of the problem's goals
+    joints: tuple[int, ...]  # those whose translations are its bones
+    origin: FloatArray  # of its root, in shares of the problem's length ``(3,)``
+    reach: float  # its length when as straight as it can be, in such shares
+    bones: float  # by how much that grows while the bones grow by 1 of their length
+    soft: float  # share of the reach over which its extension eases out
+    stretch: float  # most that its bones grow by
 
 
 def find_limbs(
@@ -217,17 +207,11 @@ def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """How far the limbs of B problems go.
+    """How far the limbs of B problems go."""
 
-    Attributes:
-        sought: Targets ``(B, E, 17)``, packed, as far as the limbs extend.
-        scales: What their bones are multiplied by ``(B, E)``.
-        eased: Where ease alone keeps one from its target ``(B, E)``.
-    """
-
-    sought: FloatArray
-    scales: FloatArray
-    eased: BoolArray
+    sought: FloatArray  # targets ``(B, E, 17)``, packed, as far as the limbs extend
+    scales: FloatArray  # what their bones are multiplied by ``(B, E)``
+    eased: BoolArray  # where ease alone keeps one from its target ``(B, E)``
 
     def __getitem__(self, rows: IntArray) -> Extension:
         """Return those of some of the problems."""

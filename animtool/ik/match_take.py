@@ -205,23 +205,14 @@ def _track(
 
 @dataclass(slots=True)
 class _Values:
-    """Makes the values of targets from their rows.
+    """Makes the values of targets from their rows."""
 
-    Attributes:
-        clock: F frames.
-        units: Of the file.
-        arrays: File of arrays; None makes keys.
-        first: Frame of the first row.
-        reduce: Tolerance of sparse keys [m]; None leaves none out.
-        names: Of the arrays so far.
-    """
-
-    clock: Clock
-    units: ClipUnits
-    arrays: str | None
-    first: Fraction
-    reduce: float | None
-    names: set[str] = field(default_factory=set)
+    clock: Clock  # F frames
+    units: ClipUnits  # of the file
+    arrays: str | None  # file of arrays; None makes keys
+    first: Fraction  # frame of the first row
+    reduce: float | None  # tolerance of sparse keys [m]; None leaves none out
+    names: set[str] = field(default_factory=set)  # of the arrays so far
 
     def value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
         """Return the value of rows ``(F, 3)`` or ``(F, 4)``, by rotations of a joint.

@@ -28,64 +28,38 @@ BEYOND = 1e150
 
 @dataclass(frozen=True, slots=True)
 class Misses:
-    """How far one part of a goal is missed, over the frames that ask for it.
+    """How far one part of a goal is missed, over the frames that ask for it."""
 
-    Attributes:
-        part: ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad].
-        frames: How many ask for it.
-        mean: Over those.
-        p95: What 95 % of them do not exceed.
-        max: Of the worst.
-        frame: Time code of the worst.
-    """
-
-    part: str
-    frames: int
-    mean: float
-    p95: float
-    max: float
-    frame: float
+    part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
+    frames: int  # how many ask for it
+    mean: float  # over those
+    p95: float  # what 95 % of them do not exceed
+    max: float  # of the worst
+    frame: float  # time code of the worst
 
 
 @dataclass(frozen=True, slots=True)
 class MissedSpan:
-    """Frames in a row in which a goal is not reached.
+    """Frames in a row in which a goal is not reached."""
 
-    Attributes:
-        first: Time code of the first.
-        last: Time code of the last.
-        distance: From the target to the nearest point that was reached, of the worst
-            frame [m].
-        angle: Of the worst frame [rad].
-        frame: Time code of the worst.
-        status: How the solve of the worst ended.
-    """
-
-    first: float
-    last: float
+    first: float  # time code of the first
+    last: float  # time code of the last
+    # From the target to the nearest point that was reached, of the worst frame [m].
     distance: float
-    angle: float
-    frame: float
-    status: IkStatus
+    angle: float  # of the worst frame [rad]
+    frame: float  # time code of the worst
+    status: IkStatus  # how the solve of the worst ended
 
 
 @dataclass(frozen=True, slots=True)
 class GoalReport:
-    """What became of one goal.
+    """What became of one goal."""
 
-    Attributes:
-        name: The effector.
-        joint: The joint that it is.
-        place: Line and column in the targets file.
-        misses: One for each part that is asked.
-        spans: Where it is missed by more than the tolerances.
-    """
-
-    name: str
-    joint: str
-    place: tuple[int, int]
-    misses: tuple[Misses, ...]
-    spans: tuple[MissedSpan, ...]
+    name: str  # the effector
+    joint: str  # the joint that it is
+    place: tuple[int, int]  # line and column in the targets file
+    misses: tuple[Misses, ...]  # one for each part that is asked
+    spans: tuple[MissedSpan, ...]  # where it is missed by more than the tolerances
 
 
 def goal_reports(

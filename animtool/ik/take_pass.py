@@ -23,34 +23,26 @@ from animtool.units import parse_length
 
 @dataclass(frozen=True, slots=True)
 class IkPassOptions:
-    """What the take is brought to, and how.
+    """What the take is brought to, and how."""
 
-    Attributes:
-        targets: The targets file.
-        rig: File of a rig whose types and limits of joints, and chains, are used for
-            the joints of the same names; None is the take's own.
-        joints: Names or patterns of those that may move; none is every one that moves
-            a goal.
-        method: Which solver.
-        tolerance: A position is reached within this length, such as ``0.001mm``.
-        angle_tolerance: An orientation, aim or pole is reached within this [deg].
-        restarts: Most new starts of a frame that does not reach its goals.
-        seed: Of the new starts.
-        seconds: Most time for one frame [s]; 0 is no bound.
-        rest_weight: How strongly the pose of the take is kept.
-        smooth: Time over which motion that the goals leave free is evened out [s].
-    """
-
-    targets: Path | None = None
+    targets: Path | None = None  # the targets file
+    # File of a rig whose types and limits of joints, and chains, are used for the
+    # joints of the same names; None is the take's own.
     rig: Path | None = None
+    # Names or patterns of those that may move; none is every one that moves a goal.
     joints: tuple[str, ...] = ()
-    method: IkMethod = IkMethod.AUTO
+    method: IkMethod = IkMethod.AUTO  # which solver
+    # A position is reached within this length, such as ``0.001mm``.
     tolerance: str = "0.001mm"
+    # An orientation, aim or pole is reached within this [deg].
     angle_tolerance: float = 1e-4
+    # Most new starts of a frame that does not reach its goals.
     restarts: int = TakeOptions().restarts
-    seed: int = TakeOptions().seed
-    seconds: float = TakeOptions().seconds
+    seed: int = TakeOptions().seed  # of the new starts
+    seconds: float = TakeOptions().seconds  # most time for one frame [s]; 0 is no bound
+    # How strongly the pose of the take is kept.
     rest_weight: float = TakeOptions().rest_weight
+    # Time over which motion that the goals leave free is evened out [s].
     smooth: float = TakeOptions().smooth
 
 

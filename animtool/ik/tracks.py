@@ -38,30 +38,20 @@ USUAL_RATE = Fraction(24)
 
 @dataclass(frozen=True)
 class GoalTrack:
-    """A goal, and where it is over frames.
+    """A goal, and where it is over frames."""
 
-    Attributes:
-        name: The effector, as the file has it.
-        goal: What is asked at most.
-        chain: The chain of the rig whose tip it is; None of a plain joint.
-        values: By part; None for what is not asked, or only held.
-        weights: By part; 1 for those that are left out.
-        spans: Held frames, ascending.
-        ease: [frame] before and behind each span, held or asked.
-        held: The parts that the spans hold.
-        place: Line and column in the file; its first where none has it.
-        during: Frames in which anything is asked, ascending; none is all.
-    """
-
-    name: str
-    goal: Goal
-    chain: IkChain | None
+    name: str  # the effector, as the file has it
+    goal: Goal  # what is asked at most
+    chain: IkChain | None  # the chain of the rig whose tip it is; None of a plain joint
+    # By part; None for what is not asked, or only held.
     values: Mapping[str, Value | None]
-    weights: Mapping[str, Value]
-    spans: tuple[Span, ...]
-    ease: float
-    held: frozenset[str]
+    weights: Mapping[str, Value]  # by part; 1 for those that are left out
+    spans: tuple[Span, ...]  # held frames, ascending
+    ease: float  # [frame] before and behind each span, held or asked
+    held: frozenset[str]  # the parts that the spans hold
+    # Line and column in the file; its first where none has it.
     place: tuple[int, int] = (1, 1)
+    # Frames in which anything is asked, ascending; none is all.
     during: tuple[Span, ...] = ()
 
 

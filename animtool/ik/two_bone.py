@@ -24,16 +24,11 @@ NO_LENGTH = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class LimbSolution:
-    """Poses of a limb, lengths in shares of the problem's.
+    """Poses of a limb, lengths in shares of the problem's."""
 
-    Attributes:
-        coordinates: Of the chain ``(B, C)``.
-        misses: Of position, orientation, aim and pole ``(B, 1, 4)``.
-        valid: Rows that keep the limits ``(B,)``; the others need another solver.
-    """
-
-    coordinates: FloatArray
-    misses: FloatArray
+    coordinates: FloatArray  # of the chain ``(B, C)``
+    misses: FloatArray  # of position, orientation, aim and pole ``(B, 1, 4)``
+    # Rows that keep the limits ``(B,)``; the others need another solver.
     valid: BoolArray
 
 

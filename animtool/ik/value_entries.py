@@ -39,25 +39,15 @@ _OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
 
 @dataclass(frozen=True, slots=True)
 class ValueReader:
-    """Makes values of what stands in a document; what is wrong is noted there.
+    """Makes values of what stands in a document; what is wrong is noted there."""
 
-    Attributes:
-        document: The file.
-        rig: In whose world prims are; None reads none.
-        units: Of the file.
-        roots: Folders that references may lead into.
-        archives: Opens arrays, for as long as values are read.
-        first: Frame of the first row of arrays; None where no range says.
-        count: How many rows they must have; None where no range says.
-    """
-
-    document: Document
-    rig: Rig | None
-    units: ClipUnits
-    roots: Sequence[Path]
-    archives: Archives
-    first: Fraction | None
-    count: int | None
+    document: Document  # the file
+    rig: Rig | None  # in whose world prims are; None reads none
+    units: ClipUnits  # of the file
+    roots: Sequence[Path]  # folders that references may lead into
+    archives: Archives  # opens arrays, for as long as values are read
+    first: Fraction | None  # frame of the first row of arrays; None where no range says
+    count: int | None  # how many rows they must have; None where no range says
 
     def curve(self, at: Location, model: CurveModel, key: str) -> Keyed | None:
         """Return a curve of keys; ``weight`` is a key too."""

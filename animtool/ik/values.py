@@ -93,15 +93,10 @@ ON_ROW = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """When values are wanted.
+    """When values are wanted."""
 
-    Attributes:
-        times: [frame] ``(F,)``.
-        fps: Frames a second.
-    """
-
-    times: FloatArray
-    fps: Fraction
+    times: FloatArray  # [frame] ``(F,)``
+    fps: Fraction  # frames a second
 
     @property
     def seconds(self) -> FloatArray:
@@ -142,19 +137,12 @@ class Keyed:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """An array with a row for each frame.
+    """An array with a row for each frame."""
 
-    Attributes:
-        name: As the file spells it.
-        values: ``(R, 3)`` or ``(R, 4)``.
-        first: Frame of the first row; None where nothing says: 1.
-        place: Line and column of the name in the file.
-    """
-
-    name: str
-    values: FloatArray = field(repr=False)
-    first: Fraction | None
-    place: tuple[int, int] = (1, 1)
+    name: str  # as the file spells it
+    values: FloatArray = field(repr=False)  # ``(R, 3)`` or ``(R, 4)``
+    first: Fraction | None  # frame of the first row; None where nothing says: 1
+    place: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
     def at(self, frames: Frames) -> FloatArray:
         """Return the rows at times, and between two rows what lies between them.
@@ -207,15 +195,10 @@ def between(values: FloatArray, places: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class PrimPlace:
-    """A point that a prim carries.
+    """A point that a prim carries."""
 
-    Attributes:
-        motion: Of the prim.
-        offset: The point in its frame [m].
-    """
-
-    motion: PrimMotion
-    offset: tuple[float, ...]
+    motion: PrimMotion  # of the prim
+    offset: tuple[float, ...]  # the point in its frame [m]
 
     def at(self, frames: Frames) -> FloatArray:
         """Return where the point is."""
@@ -225,15 +208,10 @@ class PrimPlace:
 
 @dataclass(frozen=True, slots=True)
 class PrimTurn:
-    """A rotation that a prim carries.
+    """A rotation that a prim carries."""
 
-    Attributes:
-        motion: Of the prim.
-        turn: From its frame, quaternion.
-    """
-
-    motion: PrimMotion
-    turn: tuple[float, ...]
+    motion: PrimMotion  # of the prim
+    turn: tuple[float, ...]  # from its frame, quaternion
 
     def at(self, frames: Frames) -> FloatArray:
         """Return how it is turned."""

@@ -22,15 +22,11 @@ USUAL_EASE = float(GoalModel.model_fields["ease"].default)
 
 @dataclass(frozen=True, slots=True)
 class TargetsText:
-    """A targets file, and the arrays that it refers to.
+    """A targets file, and the arrays that it refers to."""
 
-    Attributes:
-        text: Of the file.
-        arrays: By their references, ``file.npz#name``, in the units of the file and
-            quaternions w x y z.
-    """
-
-    text: str
+    text: str  # of the file
+    # By their references, ``file.npz#name``, in the units of the file and quaternions w
+    # x y z.
     arrays: dict[str, FloatArray] = field(repr=False)
 
 

@@ -23,18 +23,14 @@ class Extrapolation(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Folded:
-    """Times brought into the range of the keys, and what that left over.
+    """Times brought into the range of the keys, and what that left over."""
 
-    Attributes:
-        times: Within the range ``(F,)``.
-        beyond: Time before (negative) or behind the range, where the curve goes on
-            linearly; else 0 ``(F,)``.
-        cycles: Whole cycles before (negative) or behind the range, where each adds
-            the curve's rise; else 0 ``(F,)``.
-    """
-
-    times: FloatArray
+    times: FloatArray  # within the range ``(F,)``
+    # Time before (negative) or behind the range, where the curve goes on linearly; else
+    # 0 ``(F,)``.
     beyond: FloatArray
+    # Whole cycles before (negative) or behind the range, where each adds the curve's
+    # rise; else 0 ``(F,)``.
     cycles: FloatArray
 
 
@@ -92,27 +88,19 @@ class Curves:
     A CUBIC segment is the cubic of these over time that runs evenly from key to key
     (its handles lie at thirds, whatever ``dt`` says); a BEZIER segment is the curve
     of the control points in time and value, solved for the time.
-
-    Attributes:
-        first: Index of each curve's first key, and K at the end ``(C + 1,)``.
-        times: Of the keys, strictly ascending within a curve ``(K,)``.
-        values: ``(K,)``.
-        kinds: `SegmentKind` of the segment after each key ``(K,)``; that of a
-            curve's last key says nothing.
-        ins: Handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``.
-        outs: Handle behind each key, as offset (dt ≥ 0, dv) ``(K, 2)``.
-        pre: How each curve goes on before its first key, C long.
-        post: How each curve goes on behind its last, C long.
     """
 
-    first: IntArray
-    times: FloatArray
-    values: FloatArray
+    first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
+    times: FloatArray  # of the keys, strictly ascending within a curve ``(K,)``
+    values: FloatArray  # ``(K,)``
+    # `SegmentKind` of the segment after each key ``(K,)``; that of a curve's last key
+    # says nothing.
     kinds: IntArray
-    ins: FloatArray
-    outs: FloatArray
+    ins: FloatArray  # handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``
+    outs: FloatArray  # handle behind each key, as offset (dt ≥ 0, dv) ``(K, 2)``
+    # How each curve goes on before its first key, C long.
     pre: tuple[Extrapolation, ...]
-    post: tuple[Extrapolation, ...]
+    post: tuple[Extrapolation, ...]  # how each curve goes on behind its last, C long
 
     def retimed(self, start: float, ratio: float, first: float) -> Curves:
         """Return the curves with time t at ``first + (t - start) · ratio``, ratio > 0.

@@ -17,17 +17,13 @@ class FittedKeys:
 
     A segment's handles lie at thirds of it in time, so that time is linear in the
     curve's parameter: as a Bézier curve and as a cubic over time it is the same.
-
-    Attributes:
-        frames: Of the keys, ascending ``(K,)`` [frame].
-        values: The samples there ``(K, D)``.
-        ins: Handle before each key, as offset in value ``(K, D)``; 0 at the first.
-        outs: Handle behind each key, as offset in value ``(K, D)``; 0 at the last.
     """
 
-    frames: IntArray
-    values: FloatArray
+    frames: IntArray  # of the keys, ascending ``(K,)`` [frame]
+    values: FloatArray  # the samples there ``(K, D)``
+    # Handle before each key, as offset in value ``(K, D)``; 0 at the first.
     ins: FloatArray
+    # Handle behind each key, as offset in value ``(K, D)``; 0 at the last.
     outs: FloatArray
 
     @property

@@ -37,37 +37,23 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The settings of a method, in their order.
+    """The settings of a method, in their order."""
 
-    Attributes:
-        name: For the legend.
-        points: Those that work.
-    """
-
-    name: str
-    points: tuple[Point, ...]
+    name: str  # for the legend
+    points: tuple[Point, ...]  # those that work
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """What is drawn into one frame.
+    """What is drawn into one frame."""
 
-    Attributes:
-        title: Above it.
-        error: What errors are, for the axis.
-        curves: A line each.
-        floor: How far what errors are measured from may be off itself [m]; 0 draws
-            nothing.
-        remark: Below the title; may be empty.
-        time: What times are, for the axis.
-    """
-
-    title: str
-    error: str
-    curves: tuple[Curve, ...]
+    title: str  # above it
+    error: str  # what errors are, for the axis
+    curves: tuple[Curve, ...]  # A line each
+    # How far what errors are measured from may be off itself [m]; 0 draws nothing.
     floor: float = 0.0
-    remark: str = ""
-    time: str = "seconds"
+    remark: str = ""  # below the title; may be empty
+    time: str = "seconds"  # what times are, for the axis
 
 
 def check_drawable(path: Path) -> None:

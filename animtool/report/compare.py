@@ -24,17 +24,11 @@ from animtool.units import unit_name
 
 @dataclass(frozen=True, slots=True)
 class ShapeDifference:
-    """The largest difference of weights.
+    """The largest difference of weights."""
 
-    Attributes:
-        value: How large [1].
-        shape: Of which shape, as the first take has it.
-        code: Time code in the first take.
-    """
-
-    value: float = 0.0
-    shape: str = ""
-    code: float = 0.0
+    value: float = 0.0  # how large [1]
+    shape: str = ""  # of which shape, as the first take has it
+    code: float = 0.0  # time code in the first take
 
 
 def compare_weights(
@@ -110,48 +104,29 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The largest difference of one kind.
+    """The largest difference of one kind."""
 
-    Attributes:
-        value: How large [m] or [deg].
-        joint: Where.
-        code: Time code in the first take.
-    """
-
-    value: float
-    joint: str
-    code: float
+    value: float  # how large [m] or [deg]
+    joint: str  # where
+    code: float  # time code in the first take
 
 
 @dataclass(frozen=True, slots=True)
 class TakeDifference:
-    """How two takes differ over the joints, shapes and frames that both have.
+    """How two takes differ over the joints, shapes and frames that both have."""
 
-    Attributes:
-        world: World position [m].
-        translation: Local translation [m].
-        rotation: Local rotation [deg].
-        scale: Local scale [1].
-        weight: Weight of a blend shape [1].
-        frames: Frames compared.
-        joints: Joints compared.
-        shapes: Shapes compared.
-        mismatches: What one has and the other has not, in words.
-        notes: What differs and is no difference of the takes, in words.
-        notices: What is odd about the files.
-    """
-
-    world: Difference
-    translation: Difference
-    rotation: Difference
-    scale: Difference
-    weight: ShapeDifference
-    frames: int
-    joints: int
-    shapes: int
-    mismatches: list[str]
+    world: Difference  # world position [m]
+    translation: Difference  # local translation [m]
+    rotation: Difference  # local rotation [deg]
+    scale: Difference  # local scale [1]
+    weight: ShapeDifference  # weight of a blend shape [1]
+    frames: int  # frames compared
+    joints: int  # joints compared
+    shapes: int  # shapes compared
+    mismatches: list[str]  # what one has and the other has not, in words
+    # What differs and is no difference of the takes, in words.
     notes: list[str] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)  # what is odd about the files
 
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE

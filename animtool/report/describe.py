@@ -23,55 +23,32 @@ FRAMES_AT_ONCE = 1024
 
 @dataclass(frozen=True, slots=True)
 class TakeDescription:
-    """A take in numbers.
+    """A take in numbers."""
 
-    Attributes:
-        path: The file.
-        format: BVH or USD.
-        joints: Number of joints.
-        roots: Names of those without a parent.
-        frames: Number of frames.
-        fps: Frames a second, exact.
-        step: Time codes from one frame to the next.
-        start: Time code of the first frame.
-        end: Time code of the last frame.
-        duration: From the first to the last [s].
-        channels: Numbers a frame in a BVH; None for USD.
-        animated: Joints that move, by kind of channel.
-        shapes: Number of blend shapes.
-        moving_shapes: Names of those whose weights move.
-        bounds: Lowest and highest joint position over all frames, in ``units``.
-        units: Unit of the file.
-        up: Up axis of the file.
-        takes: Names of the takes that a clip library has; empty for other files.
-        take: The one described.
-        points: Prims beside it whose points have samples, of a USD file.
-        notices: What is odd.
-        shot: The shot that a USD layer states, as reports of bakes have it; None for
-            none.
-    """
-
-    path: str
-    format: str
-    joints: int
-    roots: list[str]
-    frames: int
-    fps: Fraction
-    step: Fraction
-    start: Fraction
-    end: Fraction
-    duration: Fraction
-    channels: int | None
-    animated: dict[str, int]
-    shapes: int
-    moving_shapes: list[str]
+    path: str  # the file
+    format: str  # BVH or USD
+    joints: int  # number of joints
+    roots: list[str]  # names of those without a parent
+    frames: int  # number of frames
+    fps: Fraction  # frames a second, exact
+    step: Fraction  # time codes from one frame to the next
+    start: Fraction  # time code of the first frame
+    end: Fraction  # time code of the last frame
+    duration: Fraction  # from the first to the last [s]
+    channels: int | None  # numbers a frame in a BVH; None for USD
+    animated: dict[str, int]  # joints that move, by kind of channel
+    shapes: int  # number of blend shapes
+    moving_shapes: list[str]  # names of those whose weights move
+    # Lowest and highest joint position over all frames, in ``units``.
     bounds: tuple[list[float], list[float]]
-    units: str
-    up: str
+    units: str  # unit of the file
+    up: str  # up axis of the file
+    # Names of the takes that a clip library has; empty for other files.
     takes: list[str]
-    take: str
-    points: list[PointPrim]
-    notices: list[Fault]
+    take: str  # the one described
+    points: list[PointPrim]  # prims beside it whose points have samples, of a USD file
+    notices: list[Fault]  # what is odd
+    # The shot that a USD layer states, as reports of bakes have it; None for none.
     shot: dict[str, object] | None = None
 
     def as_dict(self) -> dict[str, object]:

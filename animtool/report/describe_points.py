@@ -13,37 +13,21 @@ from animtool.usd.simulated_read import ChunkSet, PointPrim, read_points
 
 @dataclass(frozen=True, slots=True)
 class PointsDescription:
-    """A USD file of points in numbers.
+    """A USD file of points in numbers."""
 
-    Attributes:
-        path: The file.
-        format: USD.
-        frames: Most samples of any of its prims; 0 where nothing moves.
-        fps: Time codes a second, exact.
-        start: Time code of the first frame.
-        end: Time code of the last frame.
-        duration: From the first to the last [s].
-        types: How many prims there are, by type.
-        prims: What there is of each.
-        chunks: Files that hold its samples in turn.
-        units: Unit of the file.
-        up: Up axis of the file.
-        notices: What is odd.
-    """
-
-    path: str
-    format: str
-    frames: int
-    fps: Fraction
-    start: Fraction
-    end: Fraction
-    duration: Fraction
-    types: dict[str, int]
-    prims: list[PointPrim]
-    chunks: list[ChunkSet]
-    units: str
-    up: str
-    notices: list[Fault]
+    path: str  # the file
+    format: str  # USD
+    frames: int  # most samples of any of its prims; 0 where nothing moves
+    fps: Fraction  # time codes a second, exact
+    start: Fraction  # time code of the first frame
+    end: Fraction  # time code of the last frame
+    duration: Fraction  # from the first to the last [s]
+    types: dict[str, int]  # how many prims there are, by type
+    prims: list[PointPrim]  # what there is of each
+    chunks: list[ChunkSet]  # files that hold its samples in turn
+    units: str  # unit of the file
+    up: str  # up axis of the file
+    notices: list[Fault]  # what is odd
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values for a JSON report; rates also as exact text."""

@@ -19,66 +19,37 @@ from animtool.units import unit_name
 
 @dataclass(frozen=True, slots=True)
 class MeshDescription:
-    """A mesh in numbers.
+    """A mesh in numbers."""
 
-    Attributes:
-        name: As the rig names it.
-        points: Number of points.
-        faces: Number of faces.
-        method: How it follows joints; None where it follows none.
-        joints: Joints that it follows.
-        influences: Most joints that one point follows.
-        shapes: Blend shapes that it has.
-    """
-
-    name: str
-    points: int
-    faces: int
-    method: str | None
-    joints: int
-    influences: int
-    shapes: int
+    name: str  # as the rig names it
+    points: int  # number of points
+    faces: int  # number of faces
+    method: str | None  # how it follows joints; None where it follows none
+    joints: int  # joints that it follows
+    influences: int  # most joints that one point follows
+    shapes: int  # blend shapes that it has
 
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """A rig in numbers.
+    """A rig in numbers."""
 
-    Attributes:
-        path: The file.
-        name: What the rig is called.
-        joints: Number of joints, by type.
-        limited: Joints with limits.
-        size: Diagonal of the joints' bounds at rest, in ``units``.
-        meshes: One a mesh.
-        shapes: Number of blend shapes.
-        combined: Those that combine others.
-        arkit: How many of ARKit's 52 shapes there are.
-        controls: Number of controls.
-        ik: Number of chains that reach for goals.
-        attach: Number of attachments.
-        colliders: Number of colliders.
-        units: Unit of the file.
-        up: Up axis.
-        notices: What is odd.
-    """
-
-    path: str
-    name: str
-    joints: dict[str, int]
-    limited: int
-    size: float
-    meshes: list[MeshDescription]
-    shapes: int
-    combined: int
-    arkit: int
-    controls: int
-    ik: int
-    attach: int
-    colliders: int
-    units: str
-    up: str
-    notices: list[Fault]
+    path: str  # the file
+    name: str  # what the rig is called
+    joints: dict[str, int]  # number of joints, by type
+    limited: int  # joints with limits
+    size: float  # diagonal of the joints' bounds at rest, in ``units``
+    meshes: list[MeshDescription]  # one a mesh
+    shapes: int  # number of blend shapes
+    combined: int  # those that combine others
+    arkit: int  # how many of ARKit's 52 shapes there are
+    controls: int  # number of controls
+    ik: int  # number of chains that reach for goals
+    attach: int  # number of attachments
+    colliders: int  # number of colliders
+    units: str  # unit of the file
+    up: str  # up axis
+    notices: list[Fault]  # what is odd
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values for a JSON report."""
@@ -133,38 +104,23 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
 
 @dataclass(frozen=True, slots=True)
 class GoalDescription:
-    """A goal in words.
+    """A goal in words."""
 
-    Attributes:
-        effector: As the file names it.
-        asks: Which parts it gives a value.
-        held: Its held spans, first and last frame.
-    """
-
-    effector: str
-    asks: tuple[str, ...]
-    held: tuple[tuple[float, float], ...]
+    effector: str  # as the file names it
+    asks: tuple[str, ...]  # which parts it gives a value
+    held: tuple[tuple[float, float], ...]  # its held spans, first and last frame
 
 
 @dataclass(frozen=True, slots=True)
 class TargetsDescription:
-    """A targets file, its effectors not compared with a rig.
+    """A targets file, its effectors not compared with a rig."""
 
-    Attributes:
-        path: The file.
-        fps: Frames a second; empty where it does not say.
-        first: First frame, of its range or of all that it mentions.
-        last: Last frame.
-        goals: Its goals.
-        notices: What is odd about it.
-    """
-
-    path: Path
-    fps: str
-    first: float
-    last: float
-    goals: tuple[GoalDescription, ...]
-    notices: tuple[Fault, ...]
+    path: Path  # the file
+    fps: str  # frames a second; empty where it does not say
+    first: float  # first frame, of its range or of all that it mentions
+    last: float  # last frame
+    goals: tuple[GoalDescription, ...]  # its goals
+    notices: tuple[Fault, ...]  # what is odd about it
 
     def as_dict(self) -> dict[str, object]:
         """Return it as plain values for a JSON report."""

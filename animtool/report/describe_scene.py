@@ -13,124 +13,73 @@ from animtool.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:
-    """A thing beside the character.
+    """A thing beside the character."""
 
-    Attributes:
-        file: That it is read from.
-        prim: Its prim there.
-        path: Where it is written.
-    """
-
-    file: str
-    prim: str
-    path: str
+    file: str  # that it is read from
+    prim: str  # its prim there
+    path: str  # where it is written
 
 
 @dataclass(frozen=True, slots=True)
 class PassDescription:
-    """A pass.
+    """A pass."""
 
-    Attributes:
-        name: As the table of passes has it.
-        line: Of the scene.
-    """
-
-    name: str
-    line: int
+    name: str  # as the table of passes has it
+    line: int  # of the scene
 
 
 @dataclass(frozen=True, slots=True)
 class SystemDescription:
-    """A system in numbers, before it is simulated.
+    """A system in numbers, before it is simulated."""
 
-    Attributes:
-        name: Of its prim.
-        kind: What is simulated.
-        counts: What it is made of: of springs `particles`, `springs` and `curves` or
-            `faces`; of particles `emitters`, `forces` and the `most` at once.
-        method: Its solver, or its integrator; `auto` chooses when it is simulated.
-        step: The longest that it takes [s]; None leaves it to the method.
-        colliders: Of its own, meshes of files among them; those of characters are not
-            counted.
-        joined: Systems that it is one with.
-        meets: Systems that it runs into.
-        files: What is read for it beside the scene.
-        character: Whether it runs into, or hangs on, the scene's own character.
-        line: Of the scene.
-    """
-
-    name: str
-    kind: str
+    name: str  # of its prim
+    kind: str  # what is simulated
+    # What it is made of: of springs `particles`, `springs` and `curves` or `faces`; of
+    # particles `emitters`, `forces` and the `most` at once.
     counts: dict[str, int]
-    method: str
-    step: float | None
+    method: str  # its solver, or its integrator; `auto` chooses when it is simulated
+    step: float | None  # the longest that it takes [s]; None leaves it to the method
+    # Of its own, meshes of files among them; those of characters are not counted.
     colliders: int
-    joined: list[str]
-    meets: list[str]
-    files: list[str]
-    character: bool
-    line: int
+    joined: list[str]  # systems that it is one with
+    meets: list[str]  # systems that it runs into
+    files: list[str]  # what is read for it beside the scene
+    character: bool  # whether it runs into, or hangs on, the scene's own character
+    line: int  # of the scene
 
 
 @dataclass(frozen=True, slots=True)
 class OutputDescription:
-    """An output that a bake would write.
+    """An output that a bake would write."""
 
-    Attributes:
-        file: The file.
-        kind: What it holds: `usd`, `clip` or `bvh`.
-        form: Of USD: `stage`, `split`, `layer` or `library`; empty for others.
-        files: What would be written; of chunks, what joins them and those that are
-            there.
-        there: Those of them that are there already.
-        points: Whether meshes are written deformed.
-        chunk: Samples a file; None is one file.
-        systems: Names of what is simulated that go into it.
-        line: Of the scene.
-    """
-
-    file: str
-    kind: str
-    form: str
+    file: str  # the file
+    kind: str  # what it holds: `usd`, `clip` or `bvh`
+    form: str  # of USD: `stage`, `split`, `layer` or `library`; empty for others
+    # What would be written; of chunks, what joins them and those that are there.
     files: list[str]
-    there: list[str]
-    points: bool
-    chunk: int | None
-    systems: list[str]
-    line: int
+    there: list[str]  # those of them that are there already
+    points: bool  # whether meshes are written deformed
+    chunk: int | None  # samples a file; None is one file
+    systems: list[str]  # names of what is simulated that go into it
+    line: int  # of the scene
 
 
 @dataclass(frozen=True, slots=True)
 class SceneDescription:
-    """A scene as its file says it; nothing that it names is read.
+    """A scene as its file says it; nothing that it names is read."""
 
-    Attributes:
-        path: The file.
-        sources: What is read.
-        rig: The rig that it names; None is that of the source.
-        props: What is carried beside the character.
-        passes: What is done to it.
-        systems: What is simulated.
-        outputs: What would be baked.
-        fps: Frames a second; None is that of the source or the rig layer.
-        rate: The same, exact, as text; empty where there is none.
-        first: First frame to write; None is that of the source.
-        last: Last frame to write; likewise.
-        variables: Names of variables that it uses or gives.
-    """
-
-    path: str
-    sources: list[str]
-    rig: str | None
-    props: list[PropDescription]
-    passes: list[PassDescription]
-    systems: list[SystemDescription]
-    outputs: list[OutputDescription]
-    fps: float | None
-    rate: str
-    first: int | None
-    last: int | None
-    variables: list[str]
+    path: str  # the file
+    sources: list[str]  # what is read
+    rig: str | None  # the rig that it names; None is that of the source
+    props: list[PropDescription]  # what is carried beside the character
+    passes: list[PassDescription]  # what is done to it
+    systems: list[SystemDescription]  # what is simulated
+    outputs: list[OutputDescription]  # what would be baked
+    fps: float | None  # frames a second; None is that of the source or the rig layer
+    rate: str  # the same, exact, as text; empty where there is none
+    first: int | None  # first frame to write; None is that of the source
+    last: int | None  # last frame to write; likewise
+    variables: list[str]  # names of variables that it uses or gives
 
     @property
     def notices(self) -> list[Fault]:

@@ -17,17 +17,12 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:
-    """A mesh or strands of a rig, and which shape weights of the rig are its own.
+    """A mesh or strands of a rig, and which shape weights of the rig are its own."""
 
-    Attributes:
-        name: As the rig names it.
-        mesh: What deforms, in [m].
-        columns: ``(S,)`` for each of its shapes, the rig's shape whose weight it
-            has; -1 for one without, which stays off.
-    """
-
-    name: str
-    mesh: DeformedMesh
+    name: str  # as the rig names it
+    mesh: DeformedMesh  # what deforms, in [m]
+    # ``(S,)`` for each of its shapes, the rig's shape whose weight it has; -1 for one
+    # without, which stays off.
     columns: IntArray
 
     def weights(self, of_rig: FloatArray | None) -> FloatArray | None:

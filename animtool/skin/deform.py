@@ -25,23 +25,18 @@ MIN_FRAMES = 4
 class DeformedMesh:
     """A mesh and what deforms it.
 
-    Attributes:
-        points: ``(V, 3)`` at rest, in its own space.
-        shapes: Prepared on the same points (and normals); None for none.
-        skin: Prepared for as many vertices; None for none.
-        normals: ``(N, 3)`` at rest; None where it has none.
-        normal_vertices: The vertex of each normal ``(N,)``, for normals of face
-            corners; None is one a vertex. Shapes change normals of vertices only.
-
     Raises:
         FormatError: Shapes, skin or normals of another number of vertices (SKIN001),
             or points that are not finite (SKIN003).
     """
 
-    points: FloatArray
+    points: FloatArray  # ``(V, 3)`` at rest, in its own space
+    # Prepared on the same points (and normals); None for none.
     shapes: PreparedShapes | None = None
-    skin: PreparedSkin | None = None
-    normals: FloatArray | None = None
+    skin: PreparedSkin | None = None  # prepared for as many vertices; None for none
+    normals: FloatArray | None = None  # ``(N, 3)`` at rest; None where it has none
+    # The vertex of each normal ``(N,)``, for normals of face corners; None is one a
+    # vertex. Shapes change normals of vertices only.
     normal_vertices: IntArray | None = None
 
     def __post_init__(self) -> None:
@@ -80,18 +75,14 @@ class DeformedMesh:
 
 @dataclass(frozen=True, slots=True)
 class Deformed:
-    """A mesh in F frames.
+    """A mesh in F frames."""
 
-    Attributes:
-        points: ``(F, V, 3)``; the skeleton's space under a skin, else the mesh's own.
-        extents: Least and largest coordinates ``(F, 2, 3)``.
-        normals: Unit, ``(F, N, 3)``; None where they were not asked for.
-        velocities: ``(F, V, 3)`` [unit of the points / s]; None likewise.
-    """
-
+    # ``(F, V, 3)``; the skeleton's space under a skin, else the mesh's own.
     points: FloatArray
-    extents: FloatArray
+    extents: FloatArray  # least and largest coordinates ``(F, 2, 3)``
+    # Unit, ``(F, N, 3)``; None where they were not asked for.
     normals: FloatArray | None = None
+    # ``(F, V, 3)`` [unit of the points / s]; None likewise.
     velocities: FloatArray | None = None
 
     def select(self, frames: slice) -> Deformed:
@@ -156,17 +147,11 @@ def _deform(
 
 @dataclass(frozen=True, slots=True)
 class _Space:
-    """Memory that one block of frames after the other is worked out in.
+    """Memory that one block of frames after the other is worked out in."""
 
-    Attributes:
-        shaped: Points or normals that the skin is yet to move ``(F, V, 3)``.
-        points: ``(F, V, 3)``.
-        normals: ``(F, N, 3)``.
-    """
-
-    shaped: FloatArray
-    points: FloatArray
-    normals: FloatArray
+    shaped: FloatArray  # points or normals that the skin is yet to move ``(F, V, 3)``
+    points: FloatArray  # ``(F, V, 3)``
+    normals: FloatArray  # ``(F, N, 3)``
 
     @classmethod
     def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _Space:

@@ -16,17 +16,12 @@ SUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """The joints of every vertex, those of vertex v from ``first[v]``.
+    """The joints of every vertex, those of vertex v from ``first[v]``."""
 
-    Attributes:
-        first: ``(V + 1,)``, ascending from 0.
-        joints: ``(K,)`` int32, the strongest of a vertex first, none twice.
-        weights: ``(K,)`` [1], not zero, each vertex's sum is 1.
-    """
-
-    first: IntArray
+    first: IntArray  # ``(V + 1,)``, ascending from 0
+    # ``(K,)`` int32, the strongest of a vertex first, none twice.
     joints: npt.NDArray[np.int32]
-    weights: FloatArray
+    weights: FloatArray  # ``(K,)`` [1], not zero, each vertex's sum is 1
 
     @property
     def vertices(self) -> int:
@@ -49,23 +44,14 @@ class Influences:
 
 @dataclass(frozen=True, slots=True)
 class InfluenceReport:
-    """What was done to influences as they were read.
+    """What was done to influences as they were read."""
 
-    Attributes:
-        normalized: Vertices whose weights did not add up to 1, by more than 1e-6.
-        pruned: Vertices that lost weights to keep within the number asked for.
-        zeros: Influences without weight that were left out.
-        merged: Influences that named a joint of their vertex again.
-        sum_error: Largest difference of a vertex's sum from 1, as it was read.
-        sum_vertex: The vertex it is at.
-    """
-
-    normalized: int
-    pruned: int
-    zeros: int
-    merged: int
-    sum_error: float
-    sum_vertex: int
+    normalized: int  # vertices whose weights did not add up to 1, by more than 1e-6
+    pruned: int  # vertices that lost weights to keep within the number asked for
+    zeros: int  # influences without weight that were left out
+    merged: int  # influences that named a joint of their vertex again
+    sum_error: float  # largest difference of a vertex's sum from 1, as it was read
+    sum_vertex: int  # the vertex it is at
 
 
 def read_influences(

@@ -37,75 +37,49 @@ COPY_FRAMES = 7
 
 @dataclass(frozen=True, slots=True)
 class InbetweenDeltas:
-    """The offsets of a shape at a weight of its own.
+    """The offsets of a shape at a weight of its own."""
 
-    Attributes:
-        at: Weight [1], any but 0 and 1.
-        offsets: ``(D, 3)`` at the vertices of the shape.
-        normal_offsets: ``(D, 3)``; None leaves normals.
-    """
-
-    at: float
-    offsets: ArrayLike
-    normal_offsets: ArrayLike | None = None
+    at: float  # weight [1], any but 0 and 1
+    offsets: ArrayLike  # ``(D, 3)`` at the vertices of the shape
+    normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None leaves normals
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeDeltas:
-    """A blend shape as files have it.
+    """A blend shape as files have it."""
 
-    Attributes:
-        name: For messages.
-        offsets: ``(D, 3)`` added at weight 1, in the space and unit of the points.
-        indices: ``(D,)`` vertices they are added to; None is every vertex.
-        normal_offsets: ``(D, 3)`` added to normals; None leaves them.
-        inbetweens: Offsets at other weights, in any order.
-    """
-
-    name: str
+    name: str  # for messages
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points.
     offsets: ArrayLike
+    # ``(D,)`` vertices they are added to; None is every vertex.
     indices: ArrayLike | None = None
+    # ``(D, 3)`` added to normals; None leaves them.
     normal_offsets: ArrayLike | None = None
+    # Offsets at other weights, in any order.
     inbetweens: tuple[InbetweenDeltas, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Rest values and offsets of C columns, each dense or sparse.
+    """Rest values and offsets of C columns, each dense or sparse."""
 
-    Attributes:
-        rest: ``(1, V, 3)``.
-        dense: Which columns are dense ``(C,)``.
-        table: ``(1 + dense, 3·V)``: the rest values, then the dense columns.
-        first: ``(V + 1,)`` where the sparse offsets of each vertex begin.
-        columns: ``(K,)`` int32, the column of each sparse offset.
-        offsets: ``(K, 3)``.
-    """
-
-    rest: FloatArray
-    dense: BoolArray
-    table: FloatArray
-    first: IntArray
-    columns: npt.NDArray[np.int32]
-    offsets: FloatArray
+    rest: FloatArray  # ``(1, V, 3)``
+    dense: BoolArray  # which columns are dense ``(C,)``
+    table: FloatArray  # ``(1 + dense, 3·V)``: the rest values, then the dense columns
+    first: IntArray  # ``(V + 1,)`` where the sparse offsets of each vertex begin
+    columns: npt.NDArray[np.int32]  # ``(K,)`` int32, the column of each sparse offset
+    offsets: FloatArray  # ``(K, 3)``
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedShapes:
-    """The shapes of a mesh, ready to be evaluated.
+    """The shapes of a mesh, ready to be evaluated."""
 
-    Attributes:
-        names: Of the S shapes, in the order of the weights.
-        knots: For each shape, the weights at which it is given, 0 and 1 included,
-            ascending.
-        points: Columns of the points: for each shape its knots but 0.
-        normals: Columns of the normals; None where no normals were given.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the S shapes, in the order of the weights
+    # For each shape, the weights at which it is given, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
-    points: _Columns
-    normals: _Columns | None
+    points: _Columns  # columns of the points: for each shape its knots but 0
+    normals: _Columns | None  # columns of the normals; None where no normals were given
 
     @property
     def vertices(self) -> int:

@@ -52,46 +52,31 @@ class SkinMethod(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """How a mesh is bound to joints, as files have it.
+    """How a mesh is bound to joints, as files have it."""
 
-    Attributes:
-        indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices alike.
-        weights: The same shape [1].
-        bind: World transforms of the skeleton's J joints at bind time ``(J, 4, 4)``.
-        joints: ``(U,)``, the skeleton's joint that each number means; None where
-            numbers count the skeleton's own.
-        geom_bind: World transform of the points at bind time ``(4, 4)``; None is
-            identity.
-        method: Linear blend or dual quaternions.
-    """
-
+    # ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices alike.
     indices: ArrayLike
-    weights: ArrayLike
+    weights: ArrayLike  # the same shape [1]
+    # World transforms of the skeleton's J joints at bind time ``(J, 4, 4)``.
     bind: ArrayLike
+    # ``(U,)``, the skeleton's joint that each number means; None where numbers count
+    # the skeleton's own.
     joints: ArrayLike | None = None
+    # World transform of the points at bind time ``(4, 4)``; None is identity.
     geom_bind: ArrayLike | None = None
-    method: SkinMethod = SkinMethod.LINEAR
+    method: SkinMethod = SkinMethod.LINEAR  # linear blend or dual quaternions
 
 
 @dataclass(frozen=True, slots=True)
 class PreparedSkin:
-    """A binding ready to be evaluated.
+    """A binding ready to be evaluated."""
 
-    Attributes:
-        method: Linear blend or dual quaternions.
-        influences: Of every vertex; numbers count ``joints``.
-        report: What was done to the influences.
-        joints: ``(U,)``, the skeleton's joints that the mesh follows.
-        joint_from_world: Inverse bind transforms of these ``(U, 4, 4)``.
-        world_from_points: The points at bind time ``(4, 4)``.
-    """
-
-    method: SkinMethod
-    influences: Influences
-    report: InfluenceReport
-    joints: IntArray
-    joint_from_world: FloatArray
-    world_from_points: FloatArray
+    method: SkinMethod  # linear blend or dual quaternions
+    influences: Influences  # of every vertex; numbers count ``joints``
+    report: InfluenceReport  # what was done to the influences
+    joints: IntArray  # ``(U,)``, the skeleton's joints that the mesh follows
+    joint_from_world: FloatArray  # inverse bind transforms of these ``(U, 4, 4)``
+    world_from_points: FloatArray  # the points at bind time ``(4, 4)``
 
     @property
     def vertices(self) -> int:

@@ -19,15 +19,10 @@ _NAMES = ("name", "target", "joint", "effector")
 
 @dataclass(slots=True)
 class Ignores:
-    """The entries of ``ignore`` in a file, and how often each hid something.
+    """The entries of ``ignore`` in a file, and how often each hid something."""
 
-    Attributes:
-        document: The file.
-        used: How many findings each entry hid.
-    """
-
-    document: Document
-    used: list[int]
+    document: Document  # the file
+    used: list[int]  # how many findings each entry hid
 
     @classmethod
     def of(cls, document: Document) -> Ignores:

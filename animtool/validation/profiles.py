@@ -24,15 +24,10 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """What codes count for.
+    """What codes count for."""
 
-    Attributes:
-        about: What it is for, a line.
-        levels: Severities that replace those of the rules.
-    """
-
-    about: str
-    levels: Levels
+    about: str  # what it is for, a line
+    levels: Levels  # severities that replace those of the rules
 
 
 PROFILES: dict[str, Profile] = {

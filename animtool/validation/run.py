@@ -35,20 +35,14 @@ CHUNK = 10
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        files: That were looked at, in order.
-        findings: By file, line and column.
-        broken: Plug-in rules that could not be loaded.
-        fixable: Findings that `--fix` can mend, where that was looked for.
-        mended: Findings that were mended before, and what was done.
-    """
-
-    files: tuple[Path, ...]
-    findings: tuple[Fault, ...]
-    broken: tuple[Fault, ...] = ()
+    files: tuple[Path, ...]  # that were looked at, in order
+    findings: tuple[Fault, ...]  # by file, line and column
+    broken: tuple[Fault, ...] = ()  # plug-in rules that could not be loaded
+    # Findings that `--fix` can mend, where that was looked for.
     fixable: frozenset[Fault] = frozenset()
+    # Findings that were mended before, and what was done.
     mended: tuple[tuple[Fault, str], ...] = ()
 
     def count(self, severity: Severity) -> int:

@@ -39,21 +39,13 @@ class BvhJoint:
 
 @dataclass(slots=True)
 class BvhHeader:
-    """Everything before the rows of numbers.
+    """Everything before the rows of numbers."""
 
-    Attributes:
-        joints: In file order, parents first.
-        declared_frames: What ``Frames:`` says.
-        frames_line: 1-based line of ``Frames:``.
-        frame_time: What ``Frame Time:`` says, as printed.
-        rate: The frame rate chosen for it.
-    """
-
-    joints: list[BvhJoint]
-    declared_frames: int = 0
-    frames_line: int = 0
-    frame_time: str = ""
-    rate: RateChoice | None = None
+    joints: list[BvhJoint]  # in file order, parents first
+    declared_frames: int = 0  # what ``Frames:`` says
+    frames_line: int = 0  # 1-based line of ``Frames:``
+    frame_time: str = ""  # what ``Frame Time:`` says, as printed
+    rate: RateChoice | None = None  # the frame rate chosen for it
 
 
 @dataclass(slots=True)

@@ -30,26 +30,16 @@ MAX_NAMED = 20
 
 @dataclass(slots=True)
 class RowSource:
-    """Where the rows come from.
+    """Where the rows come from."""
 
-    Attributes:
-        path: The file.
-        state: What it was when its header was read.
-        start: Byte at which they start.
-        line: Lines before the rows.
-        channels: What each column is called, ``joint.Xposition``.
-        declared: Frames that the header promises.
-        declared_line: Where it does.
-        progress: Called with the share of the file read, if given.
-    """
-
-    path: Path
-    state: FileState
-    start: int
-    line: int
-    channels: list[str]
-    declared: int
-    declared_line: int
+    path: Path  # the file
+    state: FileState  # what it was when its header was read
+    start: int  # byte at which they start
+    line: int  # lines before the rows
+    channels: list[str]  # what each column is called, ``joint.Xposition``
+    declared: int  # frames that the header promises
+    declared_line: int  # where it does
+    # Called with the share of the file read, if given.
     progress: Callable[[float], None] | None = None
 
 

@@ -33,15 +33,10 @@ ROWS_AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True)
 class BvhText:
-    """The parts of a BVH file.
+    """The parts of a BVH file."""
 
-    Attributes:
-        parts: Bytes to write one after another; made as they are taken.
-        notices: What the format cannot hold.
-    """
-
-    parts: Iterator[bytes]
-    notices: list[Fault]
+    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
+    notices: list[Fault]  # what the format cannot hold
 
 
 def write_bvh(take: Take) -> BvhText:

@@ -66,17 +66,12 @@ TIMED: tuple[Check, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What was found in a USD layer.
+    """What was found in a USD layer."""
 
-    Attributes:
-        faults: All that is wrong with it and what it brings in.
-        takes: Its animations, for rules on motion.
-        alone: Whether the rig is elsewhere: it is a layer for a stage.
-    """
-
-    faults: list[Fault]
+    faults: list[Fault]  # all that is wrong with it and what it brings in
+    # Its animations, for rules on motion.
     takes: list[AnimationTake] = field(default_factory=list)
-    alone: bool = False
+    alone: bool = False  # whether the rig is elsewhere: it is a layer for a stage
 
 
 def inspect_layer(path: Path | str) -> Inspection:

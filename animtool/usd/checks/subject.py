@@ -19,17 +19,11 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """All values of an array attribute.
+    """All values of an array attribute."""
 
-    Attributes:
-        times: Time codes ``(F,)``; NaN alone for a default.
-        arrays: One a time; None where it is blocked.
-        counts: Their lengths ``(F,)``, -1 where there is none.
-    """
-
-    times: FloatArray
-    arrays: list[Any]
-    counts: IntArray
+    times: FloatArray  # time codes ``(F,)``; NaN alone for a default
+    arrays: list[Any]  # one a time; None where it is blocked
+    counts: IntArray  # their lengths ``(F,)``, -1 where there is none
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
         """Return the samples of one length: which, and values ``(N, count, width)``."""
@@ -67,14 +61,10 @@ def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
 
 @dataclass
 class Subject:
-    """A stage under inspection.
+    """A stage under inspection."""
 
-    Attributes:
-        stage: The stage.
-        finite: Paths of attributes whose samples were all found to be finite.
-    """
-
-    stage: Any
+    stage: Any  # the stage
+    # Paths of attributes whose samples were all found to be finite.
     finite: set[Any] = field(default_factory=set)
     _sampled: dict[Any, Sampled] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)

@@ -12,17 +12,11 @@ from animtool.errors import Fault, Severity
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """What one code stands for.
+    """What one code stands for."""
 
-    Attributes:
-        severity: How bad it is.
-        title: What is wrong, in few words.
-        hint: What to do about it.
-    """
-
-    severity: Severity
-    title: str
-    hint: str
+    severity: Severity  # how bad it is
+    title: str  # what is wrong, in few words
+    hint: str  # what to do about it
 
 
 def _error(title: str, hint: str) -> Code:

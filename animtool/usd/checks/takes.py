@@ -35,42 +35,29 @@ from animtool.usd.rig_prims import (
 
 @dataclass(frozen=True, slots=True)
 class AnimationTake:
-    """A SkelAnimation with the skeleton that it moves.
+    """A SkelAnimation with the skeleton that it moves."""
 
-    Attributes:
-        path: The SkelAnimation.
-        take: F frames, one a sample.
-        codes: Their time codes as the file has them ``(F,)``; None for no samples.
-        frame_range: The range that the take or its stage states, where it is about
-            this take.
-        has_rest: Whether the Skeleton is on the stage.
-        influencing: Names of joints that move points; None without a skinned mesh.
-        shown_rate: framesPerSecond, where it is stated.
-        bind: Joint positions of the bind pose, world ``(J, 3)`` [m].
-    """
-
-    path: str
-    take: Take
+    path: str  # the SkelAnimation
+    take: Take  # F frames, one a sample
+    # Their time codes as the file has them ``(F,)``; None for no samples.
     codes: FloatArray | None
+    # The range that the take or its stage states, where it is about this take.
     frame_range: tuple[float, float] | None
-    has_rest: bool
+    has_rest: bool  # whether the Skeleton is on the stage
+    # Names of joints that move points; None without a skinned mesh.
     influencing: frozenset[str] | None
-    bind: FloatArray | None
-    shown_rate: float | None
+    bind: FloatArray | None  # joint positions of the bind pose, world ``(J, 3)`` [m]
+    shown_rate: float | None  # framesPerSecond, where it is stated
 
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What the animations of a stage are compared with, read once for all of them.
+    """What the animations of a stage are compared with, read once for all of them."""
 
-    Attributes:
-        spans: First and last time code of the samples of each prim, by its path.
-        whole: Those of the stage; None without samples.
-        skins: Bindings with joint indices, and these, by the path of their Skeleton.
-    """
-
+    # First and last time code of the samples of each prim, by its path.
     spans: dict[Any, tuple[float, float]]
-    whole: tuple[float, float] | None
+    whole: tuple[float, float] | None  # those of the stage; None without samples
+    # Bindings with joint indices, and these, by the path of their Skeleton.
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod

@@ -38,17 +38,12 @@ class NotFixableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What an edit changed.
+    """What an edit changed."""
 
-    Attributes:
-        text: The action and its counts, for the report.
-        largest: Largest change of a number, None where that says nothing.
-        unit: Of that number.
-    """
-
-    text: str
+    text: str  # the action and its counts, for the report
+    # Largest change of a number, None where that says nothing.
     largest: float | None = None
-    unit: str = ""
+    unit: str = ""  # of that number
 
     def __str__(self) -> str:
         if self.largest is None:
@@ -62,15 +57,10 @@ Edit: TypeAlias = Callable[[], Change]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A stage, and its root layer, which alone is edited.
+    """A stage, and its root layer, which alone is edited."""
 
-    Attributes:
-        stage: A `Usd.Stage`.
-        layer: Its root `Sdf.Layer`.
-    """
-
-    stage: Any
-    layer: Any
+    stage: Any  # A `Usd.Stage`
+    layer: Any  # its root `Sdf.Layer`
 
     def prim(self, fault: Fault) -> Any:
         """Return the prim of a finding.

@@ -50,14 +50,8 @@ class Draft(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The result of one step.
+    """The result of one step."""
 
-    Attributes:
-        draft: The content after it.
-        done: Findings that were fixed, and how.
-        refused: Findings that were not, and why.
-    """
-
-    draft: Draft
-    done: Sequence[tuple[Fault, str]] = ()
-    refused: Sequence[tuple[Fault, str]] = ()
+    draft: Draft  # the content after it
+    done: Sequence[tuple[Fault, str]] = ()  # findings that were fixed, and how
+    refused: Sequence[tuple[Fault, str]] = ()  # findings that were not, and why

@@ -21,17 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LayerDraft:
-    """The content of a USD layer; what it brings in stays as it is.
+    """The content of a USD layer; what it brings in stays as it is."""
 
-    Attributes:
-        path: The file.
-        content: The layer's content; None is that of the file.
-        edits: What it differs by, a line each.
-    """
-
-    path: Path
-    content: Any = None
-    edits: tuple[str, ...] = ()
+    path: Path  # the file
+    content: Any = None  # the layer's content; None is that of the file
+    edits: tuple[str, ...] = ()  # what it differs by, a line each
 
     @cached_property
     def opened(self) -> Opened:

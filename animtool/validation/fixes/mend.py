@@ -31,16 +31,11 @@ class NotMendedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Mend:
-    """What mends a finding.
+    """What mends a finding."""
 
-    Attributes:
-        said: What is done, for the report.
-        edits: Of the file's text.
-        arrays: Of new npz files, by file and name.
-    """
-
-    said: str
-    edits: tuple[Edit, ...]
+    said: str  # what is done, for the report
+    edits: tuple[Edit, ...]  # of the file's text
+    # Of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
 
 

@@ -17,18 +17,13 @@ from animtool.validation.run import Report
 
 @dataclass(slots=True)
 class FileMend:
-    """A file, and what mending it makes of it.
+    """A file, and what mending it makes of it."""
 
-    Attributes:
-        path: The file.
-        after: Its content when mended.
-        mended: Findings, each as it stood when its turn came, and what was done.
-        left: Findings of a code that has a fix, and why they stay.
-    """
-
-    path: Path
-    after: Draft
+    path: Path  # the file
+    after: Draft  # its content when mended
+    # Findings, each as it stood when its turn came, and what was done.
     mended: list[tuple[Fault, str]] = field(default_factory=list)
+    # Findings of a code that has a fix, and why they stay.
     left: list[tuple[Fault, str]] = field(default_factory=list)
 
     def difference(self) -> str:

@@ -22,17 +22,11 @@ from animtool.validation.run import Report, validate_files
 
 @dataclass(frozen=True, slots=True)
 class Fixes:
-    """What was mended.
+    """What was mended."""
 
-    Attributes:
-        files: Those with findings of a code that has a fix.
-        report: What is found after it.
-        notes: Remarks on files as a whole.
-    """
-
-    files: tuple[FileMend, ...]
-    report: Report
-    notes: tuple[str, ...] = ()
+    files: tuple[FileMend, ...]  # those with findings of a code that has a fix
+    report: Report  # what is found after it
+    notes: tuple[str, ...] = ()  # remarks on files as a whole
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:

@@ -110,21 +110,14 @@ def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class TextDraft:
-    """The text of a rig, clip, scene or targets file.
+    """The text of a rig, clip, scene or targets file."""
 
-    Attributes:
-        path: The file.
-        text: Its content.
-        before: The file's own text.
-        arrays: Of new npz files that the text names, by file and name.
-        awaited: Codes of findings that these files fix.
-    """
-
-    path: Path
-    text: str
-    before: str
+    path: Path  # the file
+    text: str  # its content
+    before: str  # the file's own text
+    # Of new npz files that the text names, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
-    awaited: frozenset[str] = frozenset()
+    awaited: frozenset[str] = frozenset()  # codes of findings that these files fix
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:

@@ -25,15 +25,10 @@ BEFORE = 32
 
 @dataclass(slots=True)
 class Sources:
-    """Lines of files; the last file read is kept.
+    """Lines of files; the last file read is kept."""
 
-    Attributes:
-        path: The file that is kept.
-        lines: Of it.
-    """
-
-    path: str | None = None
-    lines: list[str] = field(default_factory=list)
+    path: str | None = None  # the file that is kept
+    lines: list[str] = field(default_factory=list)  # of it
 
     def line(self, path: str, number: int) -> str | None:
         """Return a 1-based line of a file; None where it cannot be read."""

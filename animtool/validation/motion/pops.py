@@ -137,19 +137,12 @@ REFERENCE_TURN = math.radians(30.0)
 
 @dataclass(frozen=True, slots=True)
 class _Pops:
-    """Steps at which joints jump.
+    """Steps at which joints jump."""
 
-    Attributes:
-        joints: Of the columns ``(N,)``.
-        flags: Where ``(S, N)``.
-        amounts: How far each step is from the motion around ``(S, N)``.
-        unit: ``rad`` or ``m``.
-    """
-
-    joints: IntArray
-    flags: BoolArray
-    amounts: FloatArray
-    unit: str
+    joints: IntArray  # of the columns ``(N,)``
+    flags: BoolArray  # where ``(S, N)``
+    amounts: FloatArray  # how far each step is from the motion around ``(S, N)``
+    unit: str  # ``rad`` or ``m``
 
     def worst(self) -> tuple[int, int]:
         """Return step and column of the largest jump."""

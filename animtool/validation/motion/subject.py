@@ -25,32 +25,27 @@ SMALLEST_SIZE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class MotionSubject:
-    """One take of a file, whatever the file is.
+    """One take of a file, whatever the file is."""
 
-    Attributes:
-        take: F frames, J joints.
-        fault_at: Makes a fault with its location in the file.
-        codes: Time code of each sample as the file has it ``(F,)``; None where the
-            take's clock is exact.
-        frame_range: First and last time code that the file states for the motion.
-        meant: Steps from a frame to the next that are cuts on purpose ``(F - 1,)``.
-        has_rest: Whether the rig's rest pose is known; a USD layer alone has none.
-        has_units: Whether the file states its unit and up axis; a BVH does not.
-        influencing: Joints that move points of a mesh, themselves or through a
-            joint below; None where no skinned mesh is known.
-        shown_rate: Frames a second that the file states beside its time codes.
-        bind: Positions of the joints in the bind pose, world ``(J, 3)`` [m].
-    """
-
-    take: Take
-    fault_at: FaultAt
+    take: Take  # F frames, J joints
+    fault_at: FaultAt  # makes a fault with its location in the file
+    # Time code of each sample as the file has it ``(F,)``; None where the take's clock
+    # is exact.
     codes: FloatArray | None = None
+    # First and last time code that the file states for the motion.
     frame_range: tuple[float, float] | None = None
+    # Steps from a frame to the next that are cuts on purpose ``(F - 1,)``.
     meant: BoolArray | None = None
+    # Whether the rig's rest pose is known; a USD layer alone has none.
     has_rest: bool = True
+    # Whether the file states its unit and up axis; a BVH does not.
     has_units: bool = True
+    # Joints that move points of a mesh, themselves or through a joint below; None where
+    # no skinned mesh is known.
     influencing: frozenset[str] | None = None
+    # Positions of the joints in the bind pose, world ``(J, 3)`` [m].
     bind: FloatArray | None = None
+    # Frames a second that the file states beside its time codes.
     shown_rate: float | None = None
 
     def fault(

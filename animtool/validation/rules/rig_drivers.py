@@ -33,17 +33,11 @@ _NONE: FloatArray = np.zeros(1)
 
 @dataclass(frozen=True, slots=True)
 class _Sweep:
-    """Every control led over its range, one after the other.
+    """Every control led over its range, one after the other."""
 
-    Attributes:
-        moved: Which control moves in each frame ``(F,)``.
-        keyed: Values of all of them ``(F,)``.
-        driven: What they come to.
-    """
-
-    moved: list[Control]
-    keyed: dict[str, FloatArray]
-    driven: DrivenValues
+    moved: list[Control]  # which control moves in each frame ``(F,)``
+    keyed: dict[str, FloatArray]  # values of all of them ``(F,)``
+    driven: DrivenValues  # what they come to
 
     def spread(self, values: FloatArray) -> FloatArray:
         """Return a value for each frame ``(F,)``."""

@@ -34,21 +34,13 @@ FAR, LIKELY = 8.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """Targets of a scene, over the frames of its take.
+    """Targets of a scene, over the frames of its take."""
 
-    Attributes:
-        document: Their file.
-        take: F frames.
-        tracks: E goals.
-        world: Where the joints are without them.
-        targets: Where the goals are.
-    """
-
-    document: Document
-    take: Take
-    tracks: TargetTracks
-    world: WorldTransforms
-    targets: Targets
+    document: Document  # their file
+    take: Take  # F frames
+    tracks: TargetTracks  # E goals
+    world: WorldTransforms  # where the joints are without them
+    targets: Targets  # where the goals are
 
     def points(self, e: int) -> tuple[FloatArray, BoolArray]:
         """Return where a goal's point is to be ``(F, 3)``, and when it is asked."""

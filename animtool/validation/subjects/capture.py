@@ -22,15 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TakeSubject:
-    """A take, and the file that it was read from.
+    """A take, and the file that it was read from."""
 
-    Attributes:
-        path: The file.
-        take: All of it.
-    """
-
-    path: Path
-    take: Take
+    path: Path  # the file
+    take: Take  # all of it
 
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str

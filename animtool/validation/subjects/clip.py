@@ -30,17 +30,11 @@ from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 @dataclass(frozen=True, eq=False)
 class ClipSubject(DocumentSubject):
-    """A clip, its rig, and the file that says it.
+    """A clip, its rig, and the file that says it."""
 
-    Attributes:
-        clip: What it makes.
-        rig: What it moves.
-        take: The clip at its frames.
-    """
-
-    clip: Clip
-    rig: Rig
-    take: Take
+    clip: Clip  # what it makes
+    rig: Rig  # what it moves
+    take: Take  # the clip at its frames
 
     @cached_property
     def frames(self) -> list[float]:

@@ -19,13 +19,9 @@ from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 @dataclass(frozen=True, eq=False)
 class RigSubject(DocumentSubject):
-    """A rig, and the file that says it.
+    """A rig, and the file that says it."""
 
-    Attributes:
-        rig: What it makes.
-    """
-
-    rig: Rig
+    rig: Rig  # what it makes
 
     def written(self, key: str) -> list[Any]:
         """Return a list of the file; empty where it has none."""

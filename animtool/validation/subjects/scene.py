@@ -28,25 +28,17 @@ SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene, and what comes of its source and passes.
+    """A scene, and what comes of its source and passes."""
 
-    Attributes:
-        scene: What the file makes.
-        take: Its source with all passes done.
-        start: Time code of its first frame; None where nothing states one.
-        curves: Whether it has curves of controls.
-        idle: Which passes change nothing.
-        solved: The takes that passes of the kind `ik` are given, by index.
-        read: The files that were read for it.
-    """
-
-    scene: Scene
-    take: Take
+    scene: Scene  # what the file makes
+    take: Take  # its source with all passes done
+    # Time code of its first frame; None where nothing states one.
     start: Fraction | None
-    curves: bool
-    idle: tuple[int, ...]
+    curves: bool  # whether it has curves of controls
+    idle: tuple[int, ...]  # which passes change nothing
+    # The takes that passes of the kind `ik` are given, by index.
     solved: dict[int, Take]
-    read: frozenset[Path]
+    read: frozenset[Path]  # the files that were read for it
 
     @cached_property
     def asked(self) -> list[tuple[Take, TargetTracks]]:

@@ -15,34 +15,25 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Opened:
-    """A file that was read, as far as that went.
+    """A file that was read, as far as that went."""
 
-    Attributes:
-        kind: What it is.
-        faults: What its reader refused and noticed.
-        subject: What the rules of its kind look at; None where the reader refused it.
-        document: Its text; None of files that people do not write.
-        takes: What moves in it, one entry a character or take, for motion rules.
-        profile: Name of the severity profile that its content asks for, if any.
-    """
-
-    kind: Kind
+    kind: Kind  # what it is
+    # What its reader refused and noticed.
     faults: list[Fault] = field(default_factory=list)
+    # What the rules of its kind look at; None where the reader refused it.
     subject: Any = None
-    document: Document | None = None
+    document: Document | None = None  # its text; None of files that people do not write
+    # What moves in it, one entry a character or take, for motion rules.
     takes: tuple[MotionSubject, ...] = ()
+    # Name of the severity profile that its content asks for, if any.
     profile: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class DocumentSubject:
-    """What a file says, and where.
+    """What a file says, and where."""
 
-    Attributes:
-        document: The file.
-    """
-
-    document: Document
+    document: Document  # the file
 
     def fault(
         self, code: str, location: Location, message: str, hint: str | None = None

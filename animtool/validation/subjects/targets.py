@@ -14,13 +14,9 @@ from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 @dataclass(frozen=True, eq=False)
 class TargetsSubject(DocumentSubject):
-    """What is asked of a rig, and the file that says it.
+    """What is asked of a rig, and the file that says it."""
 
-    Attributes:
-        targets: What it makes, of a rig that is not known.
-    """
-
-    targets: TargetTracks
+    targets: TargetTracks  # what it makes, of a rig that is not known
 
     def outside(
         self, goal: int, key: Location, message: str, first: float, last: float
