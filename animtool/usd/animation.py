@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.finite import Labels, narrowed
-from animtool.usd.layers import attribute, prim
+from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.names import RigPaths
 from animtool.usd.samples import Samples
 
@@ -245,7 +245,7 @@ class AnimationWriter:
         if self._root_path:
             self._author_root(placing)
         elif replaces_motion:
-            self._author_order(placing)
+            author_order(self.layer.GetPrimAtPath(self.paths.root), *placing)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
         """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
@@ -298,18 +298,12 @@ class AnimationWriter:
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
         move = Samples(spec, names[0], types.Double3, _vector)
         turn = Samples(spec, names[1], types.Quatd, _quaternion, quaternions=True)
-        self._author_order(placing + names)
+        author_order(spec, *placing, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)
             turn.add(codes, path.rotations)
         move.finish(np.zeros(3))
         turn.finish(so3.IDENTITY)
-
-    def _author_order(self, names: list[str]) -> None:
-        spec = self.layer.GetPrimAtPath(self.paths.root)
-        order = Vt.TokenArray(names)
-        types = Sdf.ValueTypeNames
-        attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
 def _vector(row: FloatArray) -> Any:

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OutputError, Severity, listed
 from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
-from animtool.usd.layers import attribute, prim
+from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands
 from animtool.usd.point_based import PointSpace
 from animtool.usd.skinned import MAX_NAMED
@@ -64,9 +64,7 @@ class CacheTarget:
         # As UsdSkel.BakeSkinning does it: outside a SkelRoot nothing is skinned.
         root = prim(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
-            order = Vt.TokenArray(self.rig.operations)
-            kind = Sdf.ValueTypeNames.TokenArray
-            attribute(root, "xformOpOrder", kind, order, uniform=True)
+            author_order(root, *self.rig.operations)
         specs = {}
         for mesh in self.prims:
             spec = prim(layer, mesh.path, over=True)

@@ -257,6 +257,16 @@ def export_layer(
         raise output_error(path, "USD could not write it")
 
 
+def author_model(layer: Any, path: str) -> Any:
+    """Return the prim of a component; those above it are groups."""
+    model = prim(layer, path, "Xform")
+    for ancestor in model.path.GetAncestorsRange():
+        if not ancestor.IsAbsoluteRootPath():
+            kind = "component" if ancestor == model.path else "group"
+            prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    return model
+
+
 def author_order(spec: Any, *names: str) -> None:
     """Say in which order a prim's operations follow each other."""
     order = Vt.TokenArray(names)

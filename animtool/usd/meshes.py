@@ -14,7 +14,7 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.finite import Labels, check_value, narrowed
-from animtool.usd.layers import attribute, prim
+from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.names import RigPaths, distinct_names
 from animtool.usd.point_based import author_linear, author_width
 
@@ -181,8 +181,7 @@ def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
     """Place a mesh that follows no joint."""
     matrix = _matrix(transform, meters_per_unit)
     attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
-    order = Vt.TokenArray(["xformOp:transform"])
-    attribute(spec, "xformOpOrder", _TYPES.TokenArray, order, uniform=True)
+    author_order(spec, "xformOp:transform")
 
 
 def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:

@@ -23,6 +23,7 @@ from animtool.usd.layers import (
     StageMetadata,
     attribute,
     author_metadata,
+    author_model,
     export_layer,
     new_layer,
     prim,
@@ -167,11 +168,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
 
 
 def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
-    model = Sdf.Path(job.paths.model)
-    for ancestor in model.GetAncestorsRange():
-        if not ancestor.IsAbsoluteRootPath():
-            kind = "component" if ancestor == model else "group"
-            prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    author_model(layer, job.paths.model)
     prim(layer, job.paths.root, "Xform")
     unit = job.meters_per_unit
     author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)

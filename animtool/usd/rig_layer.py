@@ -19,7 +19,15 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.usd.layers import attribute, new_layer, prim, relationship, save_layer
+from animtool.usd.layers import (
+    attribute,
+    author_order,
+    new_layer,
+    prim,
+    quaternion,
+    relationship,
+    save_layer,
+)
 from animtool.usd.meshes import author_meshes
 from animtool.usd.names import RigPaths, joint_names, legal_name
 from animtool.usd.skeleton import author_rig
@@ -72,11 +80,9 @@ def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
     spec = prim(layer, path, "Xform")
     _apply(spec, ["PhysicsRigidBodyAPI"])
     attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    x, y, z, w = turn.tolist()
     attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
-    attribute(spec, "xformOp:orient", _TYPES.Quatd, Gf.Quatd(w, x, y, z))
-    order = Vt.TokenArray(["xformOp:translate", "xformOp:orient"])
-    attribute(spec, "xformOpOrder", _TYPES.TokenArray, order, uniform=True)
+    attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(turn))
+    author_order(spec, "xformOp:translate", "xformOp:orient")
 
 
 def _apply(spec: Any, schemas: list[str]) -> None:

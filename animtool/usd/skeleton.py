@@ -18,7 +18,7 @@ from animtool.rig.parts import ArraySource, Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
 from animtool.usd.finite import Labels, narrowed
-from animtool.usd.layers import attribute, prim, relationship
+from animtool.usd.layers import attribute, author_model, prim, relationship
 from animtool.usd.names import RigPaths, UsdNames
 
 _EXTRAS_VERSION = 1
@@ -28,11 +28,7 @@ def author_rig(
     layer: Any, rig: Rig, names: UsdNames, paths: RigPaths, meters_per_unit: float
 ) -> None:
     """Write the model, the SkelRoot and the Skeleton of a rig, with its strands."""
-    model = prim(layer, paths.model, "Xform")
-    model.SetInfo("kind", "component")
-    for ancestor in Sdf.Path(paths.model).GetAncestorsRange():
-        if ancestor != model.path and not ancestor.IsAbsoluteRootPath():
-            prim(layer, str(ancestor), "Xform").SetInfo("kind", "group")
+    author_model(layer, paths.model)
     prim(layer, paths.root, "SkelRoot")
     spec = prim(layer, paths.skeleton, "Skeleton")
     types = Sdf.ValueTypeNames
