@@ -221,6 +221,21 @@ class _Block:
 _waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
 
 
+def write_parts(output: Path, parts: Iterable[bytes]) -> None:
+    """Write a file whole, from bytes that are made as they are taken.
+
+    Raises:
+        OutputError: It cannot be written (OUT002).
+    """
+    with replacing(output) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                for part in parts:
+                    file.write(part)
+        except OSError as error:
+            raise output_error(output, error) from error
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that becomes ``path`` at the end.

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from animtool.errors import ExitCode, Fault, FormatError
@@ -250,6 +251,20 @@ def follow_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=end, daemon=True).start()
+
+
+@contextmanager
+def without_main() -> Iterator[None]:
+    """Let processes that are started now not run this one's script again.
+
+    What they do is in modules, and a script may start them without a guard.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def can_supervise() -> bool:

@@ -9,9 +9,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.spawn import get_preparation_data
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+from animtool.supervisor import without_main
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 
@@ -198,3 +202,19 @@ def test_a_child_that_fails_shows_where() -> None:
         _, err = process.communicate("")
     assert process.returncode == 1
     assert "ZeroDivisionError" in err
+
+
+def test_processes_do_not_run_the_script_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "script.py"
+    main = ModuleType("__main__")
+    main.__file__ = str(script)
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    assert get_preparation_data("it")["init_main_from_path"] == str(script)
+    with without_main():
+        assert not get_preparation_data("it").keys() & {
+            "init_main_from_path",
+            "init_main_from_name",
+        }
+    assert sys.modules["__main__"] is main

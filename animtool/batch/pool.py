@@ -34,7 +34,7 @@ from animtool.batch.work import (
 from animtool.errors import Fault, OutputError
 from animtool.leftovers import remove_leftovers
 from animtool.signals import without_interrupts
-from animtool.supervisor import CRASHES, crash_fault
+from animtool.supervisor import CRASHES, crash_fault, without_main
 
 # One thread each: as many processes run as there are processors.
 ENVIRONMENT = {
@@ -355,7 +355,7 @@ def _environment() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
-        with without_interrupts():
+        with without_interrupts(), without_main():
             yield
     finally:
         for name, value in before.items():

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from fractions import Fraction
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.clock import Clock
 from animtool.ik.problem import Problem
 from animtool.ik.tangent import frames_on_limits
+from animtool.maths import so3
+from animtool.motion import Channel, Motion
+from animtool.rates import rate_option
 from animtool.rig.joints import local_from_coordinates
+from animtool.take import Take
 
 
 class IkStatus(StrEnum):
@@ -116,6 +122,35 @@ class IkResult:
         for limb in self.problem.limbs:
             local[:, list(limb.joints)] *= self.stretches[:, limb.goal, None, None]
         return local
+
+    def take(
+        self,
+        fps: Fraction | float | str = 24,
+        start: Fraction | int = 1,
+    ) -> Take:
+        """Return the poses as a take of B frames, one after the other.
+
+        Args:
+            fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000,
+                1001)``.
+            start: Number of the first frame.
+
+        Raises:
+            OptionError: The rate is none (IK014), or there is no pose (TAKE001).
+        """
+        clock = Clock(
+            rate_option(fps, "IK014"),
+            Fraction(start),
+            Fraction(1),
+            len(self.coordinates),
+        )
+        rig = self.problem.rig
+        rotations = local_from_coordinates(rig, self.coordinates).rotations
+        motion = Motion(
+            Channel.from_dense(self.local_translations()),
+            Channel.from_dense(so3.align_signs(rotations)),
+        )
+        return Take(rig, clock, motion)
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""

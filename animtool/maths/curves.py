@@ -102,6 +102,10 @@ class Curves:
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]  # how each curve goes on behind its last, C long
 
+    def sample(self, times: ArrayLike) -> FloatArray:
+        """Return every curve's values ``(C, F)`` at times ``(F,)``; see `evaluate`."""
+        return evaluate(self, times)
+
     def retimed(self, start: float, ratio: float, first: float) -> Curves:
         """Return the curves with time t at ``first + (t - start) · ratio``, ratio > 0.
 
@@ -131,7 +135,7 @@ def cubic_curves(
 
     >>> zero = np.zeros((2, 1))
     >>> ease = cubic_curves(np.array([0.0, 2.0]), np.array([[0.0], [1.0]]), zero, zero)
-    >>> evaluate(ease, [1.0]).tolist()
+    >>> ease.sample([1.0]).tolist()
     [[0.5]]
     """
     keys, width = values.shape

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,8 +12,7 @@ from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
-from animtool.output import check_outputs, replacing, together
-from animtool.placing import output_error
+from animtool.output import check_outputs, together, write_parts
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -131,17 +130,17 @@ def _to_bvh(
 ) -> ConvertReport:
     check_outputs([output], [source], overwrite=overwrite)
     from animtool.edit.resample import resampled
-    from animtool.formats.bvh import write_bvh
+    from animtool.formats.bvh.write import bvh_text
 
     stream = opener(source, options, progress=progress)
     take = stream.collect()
     if take.clock.step > 1:
         take = resampled(take, take.clock.fps)
-    text = write_bvh(take)
+    text = bvh_text(take)
     noted = [notice for notice in take.notices if notice not in stream.notices]
     notices = stream.notices + noted + text.notices
     refuse_warnings(notices, strict=strict)
-    _write(output, text.parts)
+    write_parts(output, text.parts)
     count = take.clock.count
     # A BVH numbers no frames; whatever reads it begins with the first.
     span = Clock(take.clock.rate, Fraction(1), Fraction(1), count).span
@@ -184,16 +183,6 @@ def _is_clip(output: Path) -> bool:
 
 def _stem(output: Path) -> str:
     return output.name.removesuffix(output.suffix).removesuffix(".clip")
-
-
-def _write(output: Path, parts: Iterable[bytes]) -> None:
-    with replacing(output) as temporary:
-        try:
-            with temporary.open("wb") as file:
-                for part in parts:
-                    file.write(part)
-        except OSError as error:
-            raise output_error(output, error) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,8 +239,8 @@ def _to_clip(
     if arrays:
         write_arrays(arrays_path, arrays)
     if keys.rig_file is None:
-        _write(rig_path, [rig_text(rig).encode()])
-    _write(output, [text.encode()])
+        write_parts(rig_path, [rig_text(rig).encode()])
+    write_parts(output, [text.encode()])
     files = [arrays_path] if arrays else []
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(

@@ -16,7 +16,7 @@ from animtool.errors import (
     excerpt,
 )
 from animtool.signals import without_interrupts
-from animtool.supervisor import follow_parent, has_crashed
+from animtool.supervisor import follow_parent, has_crashed, without_main
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
@@ -140,7 +140,7 @@ def _shared(
     context = get_context("spawn")
     try:
         with ProcessPoolExecutor(processes, context, follow_parent) as pool:
-            with without_interrupts():
+            with without_interrupts(), without_main():
                 results = pool.map(_check, files, settings, chunksize=CHUNK)
             return list(results)
     except BrokenExecutor:

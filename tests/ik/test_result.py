@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from animtool.ik import Goal, Targets, build, solve
+from animtool.maths import so3
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -33,3 +37,16 @@ def test_an_ellipse_is_wider_one_way() -> None:
     far = [[[np.sin(1.2), 0.0, np.cos(1.2)]], [[0.0, np.sin(1.2), np.cos(1.2)]]]
     result = solve(problem, None, Targets(aims=far))
     np.testing.assert_allclose(result.aims[:, 0], [0.3, 1.0], atol=1e-6)
+
+
+def test_poses_are_a_take() -> None:
+    problem = build(
+        neck((3.0, 3.0), (-0.1, 0.1)), [Goal("neck", position=0.0, aim=1.0)]
+    )
+    angles = np.linspace(0.2, 0.6, 3)
+    points = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
+    take = solve(problem, None, Targets(aims=points[:, None])).take("29.97", start=1001)
+    assert (len(take), take.fps) == (3, Fraction(30000, 1001))
+    assert take.clock.times.tolist() == [1001.0, 1002.0, 1003.0]
+    aims = so3.rotate(take.world().rotations[:, 0], np.array([0.0, 0.0, 1.0]))
+    assert_allclose(aims, points, atol=1e-6)

@@ -95,7 +95,7 @@ def test_an_output_that_fails_leaves_none(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("animtool.formats.bvh.write_bvh", full)
+    monkeypatch.setattr("animtool.formats.bvh.write.bvh_text", full)
     before = made(shot)
     with pytest.raises(OSError, match="No space"):
         bake_scene(load_scene(shot))

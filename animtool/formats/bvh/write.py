@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.maths.euler import axes_of
+from animtool.output import check_outputs, write_parts
 from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
@@ -39,7 +41,29 @@ class BvhText:
     notices: list[Fault]  # what the format cannot hold
 
 
-def write_bvh(take: Take) -> BvhText:
+def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
+    """Write a take as a BVH file, in the unit of its rig; see `bvh_text`.
+
+    Args:
+        take: What to write.
+        path: ``.bvh``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold.
+
+    Raises:
+        OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
+        OutputError: The file cannot be written (OUT002).
+    """
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    text = bvh_text(take)
+    write_parts(path, text.parts)
+    return text.notices
+
+
+def bvh_text(take: Take) -> BvhText:
     """Return a take as BVH, in the unit of its rig.
 
     Joints keep the channels and names that they were read with where these can

@@ -20,8 +20,9 @@ from support.bvh import (
 )
 
 from animtool.errors import FormatError, Severity
-from animtool.formats.bvh import read_bvh, write_bvh
+from animtool.formats.bvh import read_bvh
 from animtool.formats.bvh import rows as rows_module
+from animtool.formats.bvh.write import bvh_text
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType
 from animtool.take import Take, TakeStream
@@ -259,7 +260,7 @@ def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ign
         ("Spine", ()),
     ]
     assert validate(path) == []
-    text = b"".join(write_bvh(take).parts).decode()
+    text = b"".join(bvh_text(take).parts).decode()
     assert text.startswith(header)
     other = tmp_path / "with.bvh"
     other.write_text(small_bvh(random_rows(3)))

@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose
 from support.bvh import HEADER, random_rows, small_bvh
 
 from animtool.clock import Clock
+from animtool.errors import AnimtoolError
 from animtool.formats.bvh import read_bvh, write_bvh
-from animtool.formats.bvh.write import frame_time
+from animtool.formats.bvh.write import bvh_text, frame_time
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_frame_time
@@ -21,7 +22,7 @@ from animtool.take import Take
 
 
 def written(take: Take, path: Path) -> Take:
-    path.write_bytes(b"".join(write_bvh(take).parts))
+    path.write_bytes(b"".join(bvh_text(take).parts))
     return read_bvh(path).collect()
 
 
@@ -30,7 +31,7 @@ def test_text_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "a.bvh"
     path.write_text(small_bvh(rows))
     take = read_bvh(path).collect()
-    text = b"".join(write_bvh(take).parts).decode()
+    text = b"".join(bvh_text(take).parts).decode()
     assert text.startswith(HEADER)
     again = np.array([line.split() for line in text.splitlines()[-10:]], float)
     # Angles may be other triples of the same rotation; positions are the numbers.
@@ -91,7 +92,7 @@ def test_scales_are_named() -> None:
     take = take_of(JOINTS)
     scales = Channel.from_dense(np.full((6, 3, 3), 2.0))
     take = replace(take, motion=replace(take.motion, scales=scales))
-    assert [n.code for n in write_bvh(take).notices] == ["BVH108"]
+    assert [n.code for n in bvh_text(take).notices] == ["BVH108"]
 
 
 def test_several_roots_and_deep_chains(tmp_path: Path) -> None:
@@ -129,9 +130,18 @@ def test_joints_that_do_not_stand_depth_first_keep_their_values(tmp_path: Path) 
     motion = Motion(Channel.from_dense(np.zeros((1, 5, 3))), Channel.from_dense(turns))
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     path = tmp_path / "arms.bvh"
-    path.write_bytes(b"".join(write_bvh(Take(rig, clock, motion)).parts))
+    path.write_bytes(b"".join(bvh_text(Take(rig, clock, motion)).parts))
     back = read_bvh(path).collect()
     assert back.rig.names == ["hips", "arm_l", "hand_l", "arm_r", "hand_r"]
     found = back.motion.rotations.dense()[0]
     own = [back.rig.index(name) for name, _ in names]
     assert so3.angle_between(found[own], turns[0]).max() < 1e-9
+
+
+def test_a_take_is_written_to_a_file(tmp_path: Path) -> None:
+    take, path = take_of(JOINTS), tmp_path / "a.bvh"
+    assert write_bvh(take, str(path)) == []
+    assert path.read_bytes() == b"".join(bvh_text(take).parts)
+    with pytest.raises(AnimtoolError, match="OUT001"):
+        write_bvh(take, path)
+    assert write_bvh(take, path, overwrite=True) == []

@@ -1,0 +1,53 @@
+"""What a user writes, which type checkers take as it is; mypy reads it with animtool.
+
+A comment that ignores a misspelt name is itself an error where the name is not noticed.
+"""
+
+from fractions import Fraction
+from pathlib import Path
+
+import animtool
+from animtool import Channel, Clock, Motion, edit, ik
+
+
+def bake(folder: Path) -> list[float]:
+    """Read, change and write a take."""
+    rig = animtool.Rig.load("rigs/biped/biped.rig.yaml")
+    clip = animtool.Clip.load("samples/stride/stride.clip.yaml", rig)
+    take = clip.sample(rig, fps="29.97", step=0.5)
+    rates: list[int | float | str | Fraction] = [
+        24,
+        23.976,
+        "24",
+        Fraction(24000, 1001),
+    ]
+    takes = [edit.resampled(take, rate) for rate in rates]
+    short = edit.trim(edit.mirror(takes[0]), first=5, last=12)
+    frames: int = len(short)
+    fps: Fraction = short.fps
+    clock = Clock(fps, Fraction(1), Fraction(1), frames)
+    motion = Motion(
+        Channel.from_dense(short.motion.translations.dense()),
+        Channel.from_dense(short.motion.rotations.dense()),
+    )
+    notices: list[animtool.Fault] = animtool.write_bvh(
+        animtool.Take(rig, clock, motion), folder / "walk.bvh", overwrite=True
+    )
+    result = animtool.usd.write(take, str(folder / "walk.usdc"), overwrite=True)
+    return [result.rounding.error, float(len(notices))]
+
+
+def reach(rig: animtool.Rig) -> animtool.Take:
+    """Solve for a pose."""
+    problem = ik.build(rig, [ik.Goal("wrist_l")])
+    solved = ik.solve(problem, None, ik.Targets(positions=[[[0.3, 1.2, 0.4]]]))
+    return solved.take(fps=24)
+
+
+def misspelt() -> None:
+    """Write names that there are none of."""
+    animtool.Rigg  # type: ignore[attr-defined]  # noqa: B018
+    animtool.edit.trimm  # type: ignore[attr-defined]  # noqa: B018
+    ik.sovle  # type: ignore[attr-defined]  # noqa: B018
+    animtool.sim.integrat  # type: ignore[attr-defined]  # noqa: B018
+    animtool.usd.wrte  # type: ignore[attr-defined]  # noqa: B018
