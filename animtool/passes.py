@@ -97,7 +97,7 @@ PASSES: dict[str, str] = {
     "mirror": "animtool.edit.mirroring:PASS",
     "resample": "animtool.edit.resample:PASS",
     "root_motion": "animtool.edit.root_motion:PASS",
-    "simulate": "animtool.sim.attach.take_pass:PASS",
+    "simulate": "animtool.systems.attach.take_pass:PASS",
     "time_scale": "animtool.edit.retiming:TIME_SCALE",
     "time_warp": "animtool.edit.retiming:TIME_WARP",
     "trim": "animtool.edit.retiming:TRIM",

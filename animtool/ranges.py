@@ -75,7 +75,7 @@ def _bound(text: str, *, finite: bool) -> str:
 def ranges_of(record: type[Any]) -> Mapping[str, Range]:
     """Return the ranges that a record declares, by the name of the field.
 
-    >>> from animtool.sim.springs import SpringOptions
+    >>> from animtool.systems.springs import SpringOptions
     >>> ranges_of(SpringOptions)["longest"].bound
     'above 1'
     """
@@ -99,7 +99,7 @@ def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
         record: A dataclass, or the model of a file.
         message: With ``{name}``, ``{bound}`` and ``{value}``.
 
-    >>> from animtool.sim.springs import SpringOptions
+    >>> from animtool.systems.springs import SpringOptions
     >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
     ['SIM004 step: step must be finite and above 0, not 0', 'SIM004 longest: longest \
 must be above 1, not 1']

@@ -16,11 +16,11 @@ from animtool.motion import Motion
 from animtool.rig.kinematics import forward
 from animtool.scene.entries import Place, ScenePass
 from animtool.scene.scene import Scene
-from animtool.sim.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
-from animtool.sim.attach.settings import SimulateOptions
-from animtool.sim.attach.take_pass import moves
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot
+from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.settings import SimulateOptions
+from animtool.systems.attach.take_pass import moves
 from animtool.take import Take, TakeStream
 
 METHOD = "xpbd"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.springs import Body, Family, Pins, SpringSystem, rope, sheet
+from animtool.systems.springs import Body, Family, Pins, SpringSystem, rope, sheet
 
 __all__ = ["Case", "read_springs"]
 

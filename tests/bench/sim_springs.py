@@ -21,7 +21,7 @@ from clock import Taken
 from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
 from measuring import HERE, begin, floors, parser, run, run_peer, taken_of
 
-from animtool.sim.springs import Family, Pins, SpringSystem, sheet
+from animtool.systems.springs import Family, Pins, SpringSystem, sheet
 
 FRAMES = 24
 EACH = "CPU of a spring and step [ns]"

@@ -21,9 +21,9 @@ from animtool import _kernels
 from animtool.rig.file import load_rig
 from animtool.rig.parts import HeldArray
 from animtool.rig.skeleton import Rig
-from animtool.sim.attach.settings import SimulateOptions
-from animtool.sim.attach.stepping import cells_of
-from animtool.sim.attach.take_pass import simulate
+from animtool.systems.attach.settings import SimulateOptions
+from animtool.systems.attach.stepping import cells_of
+from animtool.systems.attach.take_pass import simulate
 from animtool.take import Take, TakeStream
 
 STRANDS, POINTS = 1000, 32

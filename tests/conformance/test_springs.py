@@ -13,7 +13,7 @@ from support.data import data_files
 
 from animtool._types import FloatArray
 from animtool.sim import IntegrateOptions, Status, integrate
-from animtool.sim.springs import (
+from animtool.systems.springs import (
     Solver,
     SpringMotion,
     SpringOptions,

@@ -9,7 +9,7 @@ import pytest
 
 from animtool import _kernels
 from animtool.sim.colliders import Colliders
-from animtool.sim.springs import Body, Springs, SpringSystem
+from animtool.systems.springs import Body, Springs, SpringSystem
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 FACES = np.array([[0, 1, 2]], np.int32)

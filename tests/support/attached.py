@@ -12,8 +12,8 @@ from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.parts import Attachment, Collider, HeldArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.attach.settings import SimulateOptions
-from animtool.sim.attach.take_pass import simulate
+from animtool.systems.attach.settings import SimulateOptions
+from animtool.systems.attach.take_pass import simulate
 from animtool.take import Take, TakeStream
 
 __all__ = [

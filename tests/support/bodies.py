@@ -8,10 +8,10 @@ from animtool.motion import Motion
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.sim.attach.strands import depth
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform
+from animtool.systems.attach.strands import depth
 
 from .skins import Array, of_world
 

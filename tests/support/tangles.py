@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.sim.colliders import Capsule, Collider, Plane
-from animtool.sim.springs import (
+from animtool.systems.springs import (
     Air,
     Body,
     Family,

@@ -17,7 +17,7 @@ from animtool.ranges import OF_ENTRY, range_faults
 from animtool.scene.springs.parts_schema import FamilyModel, LineFamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
-from animtool.sim.springs import Body, Family
+from animtool.systems.springs import Body, Family
 
 # Of many that are odd in the same way, those that are named.
 MAX_NAMED = 5

@@ -32,8 +32,8 @@ from animtool.scene.springs.shaped_bodies import (
     volume_body,
 )
 from animtool.scene.systems.entries import EntryReader
-from animtool.sim.springs import SelfContact, SpringOptions
-from animtool.sim.springs.options import check_keeping_apart, check_options
+from animtool.systems.springs import SelfContact, SpringOptions
+from animtool.systems.springs.options import check_keeping_apart, check_options
 
 _BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
     ClothModel: cloth_body,

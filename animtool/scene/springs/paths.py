@@ -12,8 +12,8 @@ from animtool.maths import so3
 from animtool.scene.springs.pins import Pin
 from animtool.scene.springs.setup import Wind
 from animtool.sim.colliders import Poses
-from animtool.sim.springs import Pins, Targets
-from animtool.sim.springs.paths import over_knots
+from animtool.systems.springs import Pins, Targets
+from animtool.systems.springs.paths import over_knots
 
 # What keeps a turn as small as it may be where points leave it open.
 LEAST_TURN = 1e-9

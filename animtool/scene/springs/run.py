@@ -15,13 +15,13 @@ from animtool.errors import Fault, OptionError, Severity, ToleranceError
 from animtool.maths.faces import triangulated
 from animtool.scene.progress import Progress
 from animtool.scene.springs.shapes import Faces
-from animtool.sim.springs import (
+from animtool.sim.trajectory import Checkpoint, Status
+from animtool.systems.springs import (
     SpringMotion,
     SpringOptions,
     SpringSystem,
     simulate_springs,
 )
-from animtool.sim.trajectory import Checkpoint, Status
 
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64

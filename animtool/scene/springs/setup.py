@@ -20,8 +20,8 @@ from animtool.scene.systems.character_collider import CharacterCollider
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Collider
-from animtool.sim.springs import Air, SelfContact, Solver, SpringOptions
-from animtool.sim.springs.options import check_keeping_apart
+from animtool.systems.springs import Air, SelfContact, Solver, SpringOptions
+from animtool.systems.springs.options import check_keeping_apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ from animtool.scene.springs.schema import (
 )
 from animtool.scene.springs.shapes import Curves, Faces
 from animtool.scene.systems.entries import EntryReader
-from animtool.sim.springs import (
+from animtool.systems.springs import (
     Body,
     block,
     join,

@@ -22,8 +22,8 @@ from animtool.scene.springs.shapes import Faces, TornMesh
 from animtool.scene.systems.character_collider import character_colliders
 from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Colliders
-from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
-from animtool.sim.springs.trial import SpringTrial
+from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
+from animtool.systems.springs.trial import SpringTrial
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].

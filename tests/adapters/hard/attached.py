@@ -21,7 +21,7 @@ from support.attached import (
 from animtool.motion import Channel
 from animtool.rig.parts import Capsule, Collider, HeldArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.sim.attach.strands import DEPENETRATION
+from animtool.systems.attach.strands import DEPENETRATION
 from animtool.take import Take
 
 __all__ = ["ATTACHED"]

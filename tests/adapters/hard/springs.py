@@ -21,7 +21,7 @@ from animtool.sim import (
 )
 from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
 from animtool.sim.integrators.integrator import Control
-from animtool.sim.springs import (
+from animtool.systems.springs import (
     Body,
     Family,
     Pins,

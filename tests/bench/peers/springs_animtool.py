@@ -3,7 +3,7 @@
 import numpy as np
 from springs_given import FILM, given, measure
 
-from animtool.sim.springs import (
+from animtool.systems.springs import (
     Body,
     Pins,
     SpringOptions,

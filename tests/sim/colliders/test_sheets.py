@@ -15,7 +15,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import OptionError
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Sheet, collide
 from animtool.sim.colliders.sheets import hull
-from animtool.sim.springs import Family, sheet
+from animtool.systems.springs import Family, sheet
 
 RADIUS = 0.01
 FLAT = sheet(

@@ -1,0 +1,195 @@
+"""One attachment on its way through a take."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import Rig
+from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.attach.bodies import Body
+from animtool.systems.attach.network import lost_links
+from animtool.systems.attach.poses import Pose, Way, way
+from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.stepping import (
+    Motions,
+    SheetStepper,
+    State,
+    Stepper,
+    Tally,
+    cells_of,
+    steps_wanted,
+)
+from animtool.systems.attach.strands import (
+    CapsuleContacts,
+    StrandStepper,
+    depth_at_bind,
+)
+from animtool.systems.springs.self_contact import tangle_notices
+from animtool.units import UpAxis
+
+
+def upwards(rig: Rig) -> FloatArray:
+    """Return the direction away from the ground ``(3,)``."""
+    return np.asarray(np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]])
+
+
+@dataclass
+class Ways:
+    """A character over one frame, worked out once for each number of steps.
+
+    Attributes:
+        rig: The character.
+        before: Its pose at the begin.
+        after: Its pose at the end.
+    """
+
+    rig: Rig
+    before: Pose
+    after: Pose
+    _made: dict[int, Way] = field(default_factory=dict)
+
+    def of(self, steps: int) -> Way:
+        """Return the character at the begin, and at the end of each step."""
+        if steps not in self._made:
+            self._made[steps] = way(self.rig, self.before, self.after, steps)
+        return self._made[steps]
+
+
+class Actor:
+    """Carries one attachment from frame to frame.
+
+    Attributes:
+        body: What it is.
+        settings: How it moves.
+        steps: A frame.
+        state: Where it is.
+        target: Where the animation has it ``(N, 3)`` [m].
+        tally: What happened.
+        jumps: How often it was carried over a jump.
+        lost: Springs whose ends are at one place in the first pose, and ought not to.
+        tangles: Warnings of cloth that begins in a tangle.
+        seconds: Time spent [s].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        body: Body,
+        settings: Settings,
+        span: float,
+        pose: Pose,
+    ) -> None:
+        """Begin in a pose, at rest, in the size that the character has there.
+
+        Args:
+            rig: The character.
+            body: What of it.
+            settings: How it moves.
+            span: Length of a frame [s].
+            pose: The first.
+        """
+        self.body, self.settings = body, settings
+        self._rig = rig
+        first = way(rig, pose, pose, 1)
+        scale = _size(first.world, body.carrier)
+        network = body.network if scale == 1 else body.network.scaled(scale)
+        wanted = math.ceil(steps_wanted(network, settings) * span - 1e-9)
+        self._cells, self._substeps = cells_of(max(1, wanted))
+        self.steps = self._cells * self._substeps
+        self.tally = Tally()
+        self.jumps = 0
+        self.seconds = 0.0
+        make = StrandStepper if network.strands else SheetStepper
+        self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
+        self._span = span
+        capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
+        bound = body.network.points
+        depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
+        self._contacts = CapsuleContacts(
+            capsules,
+            capsules.sizes(first.world),
+            depths,
+            settings.radius,
+            settings.friction,
+        )
+        self.target = body.targets(first)[0]
+        self.lost = lost_links(network, self.target)
+        self.tangles = (
+            tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
+            if settings.thickness
+            else []
+        )
+        self.state = State(self.target, np.zeros_like(self.target))
+
+    def rush(self, speed: FloatArray) -> None:
+        """Add a velocity ``(3,)`` [m/s] to the whole."""
+        state = self.state
+        self.state = replace(state, velocities=state.velocities + speed)
+
+    def cross(self, ways: Ways) -> None:
+        """Go on by a frame."""
+        began = time.perf_counter()
+        motion = ways.of(self._cells)
+        targets = self.body.targets(motion)
+        motions = Motions(targets, self._contacts.over(motion.world))
+        self.state = self._stepper.cross(
+            self.state, motions, self._span, self._substeps
+        )
+        self.target = targets[-1]
+        self.seconds += time.perf_counter() - began
+
+    def follow(self, ways: Ways) -> None:
+        """Go on by a frame as the animation does."""
+        self.target = self.body.targets(ways.of(1))[-1]
+        self.state = State(self.target, np.zeros_like(self.target))
+
+    def place(self, pose: Pose) -> None:
+        """Note where the animation has it in a pose; it stays where it is."""
+        self.target = self.body.targets(Ways(self._rig, pose, pose).of(1))[0]
+
+    def jump(self, ways: Ways) -> None:
+        """Go on by a frame that is a jump: all moves with what carries it."""
+        motion = ways.of(1)
+        self.target = self.body.targets(motion)[-1]
+        shift, turn = _move(motion.world, self.body.carrier)
+        state = rigidly_moved(self.state, shift, turn)
+        held = self.body.network.held
+        state.positions[held] = self.target[held]
+        self.state = state
+        self.jumps += 1
+
+    def speed(self, ways: Ways) -> float:
+        """Return how fast what carries it is over a frame [m/s]."""
+        places = ways.of(1).world.positions[:, self.body.carrier]
+        return float(np.linalg.norm(places[1] - places[0])) / self._span
+
+
+def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:
+    """Return a state moved as a whole: turned about the origin, and shifted."""
+    return replace(
+        state,
+        positions=so3.rotate(turn, state.positions) + shift,
+        velocities=so3.rotate(turn, state.velocities),
+    )
+
+
+def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Return shift and turn of a joint from the first to the last time."""
+    turns = so3.split_scale(world.linear[:, joint])[0]
+    turn = so3.multiply(turns[-1], so3.conjugate(turns[0]))
+    places = world.positions[:, joint]
+    return places[-1] - so3.rotate(turn, places[0]), turn
+
+
+def _size(world: WorldTransforms, joint: int) -> float:
+    """Return how large the animation makes what a joint carries [1]."""
+    size = float(np.cbrt(abs(np.linalg.det(world.linear[0, joint]))))
+    # Rotations have a determinant of 1 but for rounding.
+    return size if abs(size - 1) > 1e-9 else 1.0

@@ -1,0 +1,249 @@
+"""What a rig attaches, made ready to be moved."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, listed
+from animtool.maths.faces import edges, triangulated
+from animtool.rig.kinematics import bind_matrices, bind_world
+from animtool.rig.parts import AttachKind, Attachment
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, strands_of, surfaces_of
+from animtool.skin.character import (
+    CharacterMesh,
+    character_meshes,
+    character_strands,
+)
+from animtool.skin.deform import deform
+from animtool.systems.attach.network import (
+    Network,
+    diagonals_of_faces,
+    folds_of_faces,
+)
+from animtool.systems.attach.poses import Way
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body(ABC):
+    """An attachment as particles.
+
+    Attributes:
+        name: As the rig names it.
+        kind: Of `AttachKind`.
+        network: Its particles, in the size of the rig's bind pose.
+        carrier: Joint that carries the whole.
+    """
+
+    name: str
+    kind: str
+    network: Network
+    carrier: int
+
+    @abstractmethod
+    def targets(self, way: Way) -> FloatArray:
+        """Return where the animation has the particles ``(K, N, 3)`` [m], world."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainBody(Body):
+    """A chain of joints: its first origin is held, the end of each bone swings.
+
+    Attributes:
+        joints: From the root on ``(C,)``.
+        tip: End of the last bone, in the frame of its joint ``(3,)`` [m].
+        bare: Nothing follows the rotation of the last joint: it has no tip, and no
+            joint, skin, collider or strands below it.
+    """
+
+    joints: IntArray
+    tip: FloatArray
+    bare: bool = False
+
+    def targets(self, way: Way) -> FloatArray:
+        """Return the origins of the joints, and the end of the last bone."""
+        world, last = way.world, self.joints[-1]
+        end = (world.linear[:, last] * self.tip).sum(axis=-1)
+        end += world.positions[:, last]
+        return np.concatenate([world.positions[:, self.joints], end[:, None]], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceBody(Body):
+    """Cloth or strands: points that follow the skin until they are moved.
+
+    Attributes:
+        mesh: What moves them; it has the name that the points have in a motion.
+    """
+
+    mesh: CharacterMesh
+
+    def targets(self, way: Way) -> FloatArray:
+        """Return the points as shapes and skin have them."""
+        weights = None
+        if way.weights is not None:
+            weights = self.mesh.weights(way.weights)
+        return deform(self.mesh.mesh, weights, way.world).points
+
+
+def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
+    """Return the attachments of some names.
+
+    Raises:
+        OptionError: There is none of a name, or it is of a kind that nothing moves
+            (SIM030), with every such fault.
+    """
+    known = {entry.name: entry for entry in rig.attach}
+    kinds = [str(kind) for kind in AttachKind]
+    faults = []
+    for name in names:
+        hint = f"it has {', '.join(known)}" if known else "it has none"
+        if name not in known:
+            message = f"no attachment of {rig.name!r} is {name!r}"
+            faults.append(Fault("SIM030", message, hint=hint))
+        elif known[name].kind not in kinds:
+            message = f"{name!r} is of kind {known[name].kind!r}, which nothing moves"
+            faults.append(Fault("SIM030", message, hint=f"kinds: {', '.join(kinds)}"))
+    if faults:
+        raise OptionError(faults)
+    return [known[name] for name in names]
+
+
+def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[Body]:
+    """Return attachments of a rig as particles; no other is looked at.
+
+    Raises:
+        FormatError: Arrays cannot be read any more, or do not fit (RIG018, SKIN001 to
+            SKIN006).
+        OptionError: A name is none of theirs (SIM030), joints are no chain or cloth
+            has no faces (SIM033), with every such fault.
+    """
+    entries = check_names(rig, names)
+    made: list[Body] = []
+    faults: list[Fault] = []
+    for entry in entries:
+        try:
+            made.append(_MAKERS[AttachKind(entry.kind)](rig, entry))
+        except OptionError as error:
+            faults += error.faults
+    if faults:
+        raise OptionError(faults)
+    return made
+
+
+def _chain(rig: Rig, entry: Attachment) -> Body:
+    joints = [rig.index(name) for name in entry.joints]
+    for above, below in pairwise(joints):
+        if rig.joints[below].parent != above:
+            names = rig.joints[above].name, rig.joints[below].name
+            message = f"joints of {entry.name!r} are no chain: {names[1]!r} is no child"
+            raise OptionError(Fault("SIM033", f"{message} of {names[0]!r}"))
+    tip = _tip(rig, joints)
+    bind = bind_world(rig)
+    end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
+    points = np.concatenate([bind.positions[0, joints], end[None]])
+    ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
+    network = Network.of(points, np.array([0]), ends, strands=1)
+    parent = rig.joints[joints[0]].parent
+    carrier = parent if parent >= 0 else joints[0]
+    bare = _is_bare(rig, joints[-1])
+    return ChainBody(
+        entry.name, entry.kind, network, carrier, np.array(joints), tip, bare
+    )
+
+
+def _is_bare(rig: Rig, joint: int) -> bool:
+    """Return whether nothing shows how a joint is rotated."""
+    name = rig.joints[joint].name
+    skinned = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
+    carrying = {collider.joint for collider in rig.colliders}
+    carrying |= {strands.joint for strands in strands_of(rig)}
+    return not (
+        rig.joints[joint].tips
+        or any(below.parent == joint for below in rig.joints)
+        or name in skinned | carrying
+    )
+
+
+def _tip(rig: Rig, joints: list[int]) -> FloatArray:
+    """Return the end of a chain's last bone in the frame of its joint.
+
+    That is its tip, else its first child; else it goes on as the bone before it.
+    """
+    last = rig.joints[joints[-1]]
+    if last.tips:
+        return np.array(last.tips[0])
+    for joint in rig.joints:
+        if joint.parent == joints[-1]:
+            return np.array(joint.translation)
+    return np.array(last.translation)
+
+
+def _strands(rig: Rig, entry: Attachment) -> Body:
+    (strands,) = [one for one in strands_of(rig) if one.name == entry.name]
+    (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
+    count, length = strands.points.shape[:2]
+    index = np.arange(count * length).reshape(count, length)
+    network = Network.of(
+        strands.points.reshape(-1, 3),
+        index[:, 0],
+        # Root to tip over all strands: the order in which springs are looked at.
+        np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
+        folds=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
+        strands=count,
+    )
+    carrier = rig.index(strands.joint)
+    return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
+
+
+def _cloth(rig: Rig, entry: Attachment) -> Body:
+    (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
+    shapes = [shape.name for shape in rig.shapes]
+    (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
+    faces = surface.counts, surface.indices
+    ends = edges(*faces)
+    if not len(ends):
+        message = f"the mesh of {entry.name!r} has no faces"
+        raise OptionError(Fault("SIM033", message))
+    loose = np.setdiff1d(np.arange(len(surface.points)), ends)
+    if len(loose):
+        message = f"points of {entry.name!r} are in no face: {listed(loose.tolist())}"
+        raise OptionError(Fault("SIM033", message))
+    pins = np.zeros(0, np.int64)
+    if entry.pins is not None:
+        pins = entry.pins.load().astype(np.int64)
+    placed = surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
+    network = Network.of(
+        placed,
+        pins,
+        ends,
+        shears=diagonals_of_faces(*faces),
+        folds=folds_of_faces(*faces),
+        triangles=triangulated(*faces),
+    )
+    carrier = _carrier(rig, surface, network)
+    return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
+
+
+def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
+    """Return the joint that has most of the weight of what is held."""
+    skin = surface.skin
+    if skin is None:
+        return rig.roots[0]
+    rows = network.held if len(network.held) else np.arange(network.count)
+    sums = np.bincount(
+        skin.indices[rows].ravel(), skin.weights[rows].ravel(), len(skin.joints)
+    )
+    return rig.index(skin.joints[int(sums.argmax())])
+
+
+_MAKERS = {
+    AttachKind.SPRING_CHAIN: _chain,
+    AttachKind.STRANDS: _strands,
+    AttachKind.CLOTH: _cloth,
+}

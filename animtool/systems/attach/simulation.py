@@ -1,0 +1,339 @@
+"""Attachments through a take, frame by frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import time_codes
+from animtool.keyed import weights_at
+from animtool.maths import so3
+from animtool.motion import Channel, Motion
+from animtool.rig.skeleton import Rig
+from animtool.systems.attach.actor import Actor, Ways, rigidly_moved, upwards
+from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody
+from animtool.systems.attach.poses import (
+    Pose,
+    Travel,
+    extrapolated,
+    onward,
+    pose_at,
+    seam_weights,
+    travel_between,
+)
+from animtool.systems.attach.saved import Saved
+from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
+from animtool.systems.attach.stepping import State
+from animtool.systems.attach.strands import chain_rotations
+from animtool.units import parse_length
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """How a cycle came round.
+
+    Attributes:
+        repeats: How often it was run.
+        residual: How far its end was from its begin at the last [m].
+        tolerance: What was asked for [m].
+    """
+
+    repeats: int
+    residual: float
+    tolerance: float
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Frames of one attachment: where it is, and where the animation has it."""
+
+    moved: list[FloatArray]
+    targets: list[FloatArray]
+
+
+class Simulation:
+    """Carries attachments through a take.
+
+    Attributes:
+        rig: The character.
+        bodies: What moves.
+        options: How.
+        actors: Of the bodies, once a frame was seen.
+        saved: States at the frames that are asked for.
+        codes: Time codes that were gone through.
+        resumed: States that it goes on from; None where it begins anew.
+        closing: Of a cycle, how it came round.
+        swung: Largest angle that it turned the last joint of each chain by, by the
+            name of the attachment [rad].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        bodies: Sequence[Body],
+        options: SimulateOptions,
+        rate: Fraction,
+        start: Fraction,
+        step: Fraction,
+        resumed: Saved | None = None,
+        early: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        """Make ready; nothing is read yet.
+
+        Args:
+            rig: The character.
+            bodies: What moves.
+            options: How.
+            rate: Frames a second.
+            start: Time code of the first frame.
+            step: Time codes from one frame to the next.
+            resumed: States to go on from, at a frame of the take.
+            early: Frames before the take's own that hold its first; no cycle has them.
+            progress: Told the share done of each block, 0 to 1.
+        """
+        self.rig, self.bodies, self.options = rig, bodies, options
+        self.actors: list[Actor] = []
+        self.saved: list[Saved] = []
+        self.codes: list[float] = []
+        self.resumed = resumed
+        self.closing: Closing | None = None
+        self.swung: dict[str, float] = {}
+        self._rate, self._start, self._step = rate, start, step
+        self._early = early
+        self._progress = progress
+        self._crossed, self._to_cross = 0, 1
+        self._before: Pose | None = None
+        self._done = 0
+        self._signs: dict[int, FloatArray] = {}
+
+    def blocks(self, given: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield motions with what is attached moved."""
+        if self.options.loop:
+            whole, early = Motion.concatenate(list(given)), self._early
+            made = self._cycle(whole.select(slice(early, None)))
+            yield made.select(np.maximum(np.arange(-early, made.frames), 0))
+            return
+        for block in _begun(given):
+            yield self._block(block)
+
+    def _block(self, block: Motion) -> Motion:
+        codes = self._codes(self._done, block.frames)
+        rows = [_Rows([], []) for _ in self.bodies]
+        self._crossed, self._to_cross = 0, block.frames
+        for i in range(block.frames):
+            pose = pose_at(block, i)
+            if self._before is None:
+                self._begin(pose, pose_at(block, min(1, block.frames - 1)))
+            else:
+                self._advance(pose, float(codes[i]))
+            self._before = pose
+            self._note(float(codes[i]))
+            for row, actor in zip(rows, self.actors, strict=True):
+                row.moved.append(actor.state.positions)
+                row.targets.append(actor.target)
+        self._done += block.frames
+        self.codes += codes.tolist()
+        return self._moved(block, codes, rows)
+
+    def _codes(self, first: int, count: int) -> FloatArray:
+        return time_codes(self._start + first * self._step, self._step, count)
+
+    def _begin(self, pose: Pose, following: Pose) -> None:
+        """Bring everything to the first frame."""
+        options, rate = self.options, float(self._rate)
+        leading = math.ceil(options.preroll * rate)
+        travels = Lead(options.lead) is Lead.EXTRAPOLATE
+        begin = pose
+        if travels:
+            begin = extrapolated(self.rig, pose, following, leading)
+        self.actors = [
+            Actor(self.rig, body, settings_for(options, body.kind), 1 / rate, begin)
+            for body in self.bodies
+        ]
+        if self.resumed is not None:
+            return
+        still = Ways(self.rig, begin, begin)
+        settling = math.ceil(options.settle * rate)
+        self._to_cross += settling + leading
+        for _ in range(settling):
+            self._cross(still)
+        root = self.rig.roots[0]
+        step = following.translations[root] - pose.translations[root]
+        for i in range(leading):
+            earlier, later = pose, pose
+            if travels:
+                earlier, later = (
+                    extrapolated(self.rig, pose, following, leading - i - k)
+                    for k in (0, 1)
+                )
+            if travels and not i:
+                for actor in self.actors:
+                    actor.rush(step * rate)
+            self._cross(Ways(self.rig, earlier, later))
+
+    def _advance(self, pose: Pose, code: float) -> None:
+        """Go on to the next frame."""
+        assert self._before is not None
+        ways = Ways(self.rig, self._before, pose)
+        if self.resumed is not None and code <= self.resumed.frame:
+            for actor in self.actors:
+                actor.follow(ways)
+            return
+        self._cross(ways, jumps=code in self.options.teleports)
+
+    def _cross(self, ways: Ways, *, jumps: bool = False) -> None:
+        most = self.options.teleport_speed
+        for actor in self.actors:
+            if jumps or (most and actor.speed(ways) > most):
+                actor.jump(ways)
+            else:
+                actor.cross(ways)
+            if self._progress is not None:
+                self._crossed += 1
+                whole = self._to_cross * len(self.actors)
+                self._progress(min(self._crossed / whole, 1.0))
+
+    def _note(self, code: float) -> None:
+        """Take the states of the frame that is resumed from; keep those asked for."""
+        if self.resumed is not None and code == self.resumed.frame:
+            for actor in self.actors:
+                actor.state = self.resumed.states[actor.body.name]
+        if code in self.options.save_at:
+            states = {actor.body.name: actor.state for actor in self.actors}
+            steps = {actor.body.name: actor.steps for actor in self.actors}
+            self.saved.append(Saved(code, steps, states))
+
+    def _cycle(self, motion: Motion) -> Motion:
+        """Return a cycle whose attachments end as they began."""
+        count = motion.frames
+        poses = [pose_at(motion, i) for i in range(count)]
+        if count == 1:
+            travel = Travel(np.zeros(3), so3.IDENTITY)
+        else:
+            four = (poses[0], poses[1], poses[-2], poses[-1])
+            travel = travel_between(self.rig, upwards(self.rig), four)
+        poses.append(onward(self.rig, poses[0], travel))
+        self._crossed, self._to_cross = 0, count * self.options.loop_repeats
+        self._begin(poses[0], poses[1])
+        tolerance = parse_length(self.options.loop_tolerance)
+        for repeat in range(1, self.options.loop_repeats + 1):
+            firsts = [actor.state for actor in self.actors]
+            rows = self._round(poses)
+            back = [_back(actor.state, travel) for actor in self.actors]
+            left = [
+                first.positions - end.positions
+                for first, end in zip(firsts, back, strict=True)
+            ]
+            residual = max(float(np.abs(one).max(initial=0.0)) for one in left)
+            self.closing = Closing(repeat, residual, tolerance)
+            if residual <= tolerance:
+                break
+            for actor, end in zip(self.actors, back, strict=True):
+                actor.state = end
+        share = seam_weights(count)
+        for row, one in zip(rows, left, strict=True):
+            off = so3.rotate(travel.turn, one)
+            row.moved = [
+                moved + weight * off
+                for moved, weight in zip(row.moved, share.tolist(), strict=True)
+            ]
+        return self._moved(motion, self._codes(self._early, count), rows)
+
+    def _round(self, poses: list[Pose]) -> list[_Rows]:
+        """Go once through a cycle; return its frames but the last."""
+        rows = [_Rows([], []) for _ in self.bodies]
+        codes = self._codes(self._early, len(poses)).tolist()
+        self.codes = codes[:-1]
+        for actor in self.actors:
+            actor.place(poses[0])
+        for i, (before, after) in enumerate(pairwise(poses)):
+            for row, actor in zip(rows, self.actors, strict=True):
+                row.moved.append(actor.state.positions)
+                row.targets.append(actor.target)
+            jumps = codes[i + 1] in self.options.teleports
+            self._cross(Ways(self.rig, before, after), jumps=jumps)
+        return rows
+
+    def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:
+        """Return a motion with what was moved in the place of what was animated."""
+        options = self.options
+        share = weights_at(options.weight, codes, options.interpolation)
+        if self.resumed is not None:
+            share = np.where(codes < self.resumed.frame, 0.0, share)
+        rotations = block.rotations.dense()
+        for body, row in zip(self.bodies, rows, strict=True):
+            moved, targets = np.stack(row.moved), np.stack(row.targets)
+            if isinstance(body, ChainBody):
+                turned = self._turned(rotations, body, moved, targets, share)
+                put = block.rotations.put(body.joints, turned)
+                block = replace(block, rotations=put)
+            elif isinstance(body, SurfaceBody):
+                block = _pointed(block, body.mesh.name, moved, targets, share)
+        return block
+
+    def _turned(
+        self,
+        rotations: FloatArray,
+        body: ChainBody,
+        moved: FloatArray,
+        targets: FloatArray,
+        share: FloatArray,
+    ) -> FloatArray:
+        """Return rotations of a chain that point where it was moved ``(F, C, 4)``."""
+        own = rotations[:, body.joints]
+        turned = chain_rotations(self.rig, body.joints, rotations, targets, moved)
+        mixed = so3.slerp(own, turned, share[:, None])
+        whole = np.where((share == 1)[:, None, None], turned, mixed)
+        first = int(body.joints[0])
+        before = self._signs.get(first, own[0])
+        aligned = so3.align_signs(whole, before)
+        self._signs[first] = aligned[-1]
+        last = so3.angle_between(own[:, -1], aligned[:, -1]) * (share != 0)
+        most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
+        self.swung[body.name] = most
+        # As it was, to the bit, where nothing is taken of the simulation.
+        return np.where((share == 0)[:, None, None], own, aligned)
+
+
+def _begun(given: Iterator[Motion]) -> Iterator[Motion]:
+    """Yield blocks, the first of them of two frames at least, if there are as many."""
+    early: list[Motion] = []
+    for block in given:
+        early.append(block)
+        if sum(one.frames for one in early) < 2:
+            continue
+        yield Motion.concatenate(early) if len(early) > 1 else early[0]
+        yield from given
+        return
+    if early:
+        yield Motion.concatenate(early)
+
+
+def _back(state: State, travel: Travel) -> State:
+    """Return a state at the end of a cycle as one at its begin."""
+    turn = so3.conjugate(travel.turn)
+    return rigidly_moved(state, -so3.rotate(turn, travel.shift), turn)
+
+
+def _pointed(
+    block: Motion,
+    name: str,
+    moved: FloatArray,
+    targets: FloatArray,
+    share: FloatArray,
+) -> Motion:
+    """Return a motion that says where points are."""
+    values = moved
+    if (share != 1).any():
+        weight = share[:, None, None]
+        values = np.where(weight == 1, moved, targets + weight * (moved - targets))
+        values = np.where(weight == 0, targets, values)
+    channel = Channel(values[0].copy(), np.arange(values.shape[1]), values)
+    return replace(block, points={**block.points, name: channel})

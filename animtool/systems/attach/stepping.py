@@ -1,0 +1,308 @@
+"""One attachment over one frame, in small steps of position based dynamics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, ToleranceError
+from animtool.systems.attach.network import Network, reach
+from animtool.systems.attach.settings import Settings
+from animtool.systems.springs import SelfContact
+from animtool.systems.springs.self_contact import Through
+
+# Accelerations that steps are chosen for [m/s²]: twice that of gravity.
+DESIGN_ACCELERATION = 20.0
+# How fast springs of strands turn that steps are chosen for [rad/s].
+DESIGN_TURN = 30.0
+# Of cloth, springs across bear more of it than those of a line: as measured [1].
+ACROSS = 10.0
+# Of cloth, and of strands [1/s].
+MIN_STEPS = 240.0
+MIN_STRAND_STEPS = 360.0
+MAX_STEPS = 20_000.0
+# Springs that do not give [rad/s].
+STIFF = 1e6
+# Cloth [kg/m²], and the least mass of a particle among the others' [1].
+CLOTH_WEIGHT = 0.3
+LEAST_SHARE = 1e-3
+# Half the density of air [kg/m³].
+AIR = 0.6
+# Even parts of a frame, between which what is animated goes straight.
+MIN_CELLS, MAX_CELLS = 5, 8
+
+
+def nowhere() -> IntArray:
+    """Return no passages of cloth through itself ``(0, 3)``."""
+    return np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Where N particles are, and how fast.
+
+    Attributes:
+        positions: ``(N, 3)`` [m], world.
+        velocities: ``(N, 3)`` [m/s].
+        passages: Where cloth went through itself ``(C, 3)``: particle, triangle, side.
+    """
+
+    positions: FloatArray
+    velocities: FloatArray
+    passages: IntArray = field(default_factory=nowhere)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """What the animation does over a frame, at K times, both ends among them.
+
+    Attributes:
+        targets: Particles as they are animated ``(K, N, 3)`` [m].
+        colliders: What kernels take of colliders, over the K - 1 cells between these
+            times; None where there are none.
+    """
+
+    targets: FloatArray
+    colliders: tuple[Any, ...] | None
+
+    @property
+    def cells(self) -> int:
+        """How many even cells of time the frame has."""
+        return len(self.targets) - 1
+
+
+@dataclass(slots=True)
+class Tally:
+    """What happened over the steps.
+
+    Attributes:
+        stretch: Most that a spring was longer than at rest, over that [1].
+        contacts: Most particles that touched colliders at once.
+        unresolved: Most that were left inside one.
+        through: What had gone through the cloth.
+    """
+
+    stretch: float = 0.0
+    contacts: int = 0
+    unresolved: int = 0
+    through: Through = field(default_factory=Through)
+
+    def add(
+        self,
+        stretch: float,
+        contacts: int,
+        unresolved: int,
+        through: Through | None = None,
+    ) -> None:
+        """Note a frame."""
+        self.stretch = max(self.stretch, stretch)
+        self.contacts = max(self.contacts, contacts)
+        self.unresolved = max(self.unresolved, unresolved)
+        if through is not None:
+            self.through = self.through.with_more(through)
+
+
+def steps_wanted(network: Network, settings: Settings) -> float:
+    """Return how many steps a second keep springs within their stretch [1/s].
+
+    Springs of strands are solved together: what is left is that a spring which turns
+    by an angle in a step becomes longer by half its square. Others are gone through
+    once a step. In equilibrium the one at the held end of a line of n carries all of
+    them; a step moves it by its share of what a step of acceleration a moves, so that
+    its stretch is n a h² over its length at rest.
+    """
+    if settings.rate is not None:
+        return settings.rate
+    if network.strands:
+        wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
+        return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
+    lengths = network.stiff.rests[network.stiff.rests > 0]
+    if not len(lengths):
+        return MIN_STEPS
+    load = reach(network) * DESIGN_ACCELERATION * ACROSS
+    wanted = math.sqrt(load / (settings.stretch * float(np.median(lengths))))
+    return min(max(wanted, MIN_STEPS), MAX_STEPS)
+
+
+def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
+    """Return the end of a frame ``(2, N, 3)`` as a state.
+
+    Raises:
+        ToleranceError: It is not finite (SIM102).
+    """
+    if not np.isfinite(made).all():
+        message = "the simulation blew up: its state is not finite"
+        hint = "lower its frequency, bend, shear, gravity, wind or drag"
+        raise ToleranceError(Fault("SIM102", message, hint=hint))
+    return State(made[0], made[1], nowhere() if passages is None else passages)
+
+
+class Stepper(Protocol):
+    """Carries particles over frames."""
+
+    def cross(
+        self, state: State, motions: Motions, span: float, substeps: int
+    ) -> State:
+        """Return the state a frame later.
+
+        Args:
+            state: At its begin.
+            motions: What the animation does meanwhile.
+            span: Length of the frame [s].
+            substeps: In each cell.
+        """
+
+
+def cells_of(steps: int) -> tuple[int, int]:
+    """Return even cells of a frame, and steps in each, for as many steps or more.
+
+    >>> cells_of(3), cells_of(10), cells_of(46)
+    ((3, 1), (5, 2), (8, 6))
+    """
+    if steps <= MAX_CELLS:
+        return steps, 1
+    some = range(MAX_CELLS, MIN_CELLS - 1, -1)
+    every = [(cells, math.ceil(steps / cells)) for cells in some]
+    return min(every, key=math.prod)
+
+
+class SheetStepper:
+    """Carries any network: springs one after the other, each once a step.
+
+    Attributes:
+        network: What particles are joined by, in the size of the character.
+        tally: What happened so far.
+    """
+
+    def __init__(
+        self, network: Network, settings: Settings, down: FloatArray, tally: Tally
+    ) -> None:
+        """Make what kernels take.
+
+        Args:
+            network: What particles are joined by.
+            settings: How they move.
+            down: Direction of gravity ``(3,)``.
+            tally: Where to count.
+        """
+        self.network, self.tally, self._settings = network, tally, settings
+        masses = masses_of(network)
+        self._inverse = 1.0 / masses
+        self._inverse[network.held] = 0.0
+        self._ends, self._numbers = _springs(network, settings, masses, self._inverse)
+        drawn = network.free if settings.frequency else network.free[:0]
+        self._drawn = drawn
+        weight = masses[drawn]
+        pulls = [
+            weight * settings.frequency**2,
+            weight * (2 * settings.damping * settings.frequency),
+        ]
+        self._pulls = np.stack(pulls, axis=1)
+        # Cloth feels the air by its triangles, other things by their speed alone.
+        self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
+        slowing = 0.0 if cloth else settings.drag
+        field = settings.gravity * down + slowing * self._wind
+        pressures = (AIR * settings.drag, AIR * settings.drag / 2) if cloth else (0, 0)
+        self._field = np.array([*field, *pressures], np.float64)
+        self._drags = np.full(network.count, slowing)
+        self._torn = np.zeros(len(self._ends), np.uint8)
+        self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
+        self._layers: _kernels.SpringLayers | None = None
+
+    def cross(
+        self, state: State, motions: Motions, span: float, substeps: int
+    ) -> State:
+        """Return the state a frame later."""
+        cells = motions.cells
+        both = np.stack([state.positions, state.velocities])
+        network = self._led(motions, span)
+        if self._settings.thickness and self._layers is None:
+            self._layers = self._layered(network)
+        found = _kernels.project_springs(
+            network, both, self._torn, 0.0, 0, span / cells, cells,
+            substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
+            state.passages,
+        )  # fmt: skip
+        made, _, _, _, _, _, touched, inside, passages, through = found
+        state = stepped(made, passages)
+        self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
+        return state
+
+    def _layered(self, network: _kernels.SpringNetwork) -> _kernels.SpringLayers:
+        """Return how cloth keeps apart from itself, as kernels take it."""
+        contact = SelfContact(self._settings.thickness, self._settings.friction)
+        return _kernels.SpringLayers(
+            network,
+            self.network.points,
+            contact.thickness,
+            contact.friction,
+            contact.speed,
+        )
+
+    def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:
+        """Return the network on its way through a frame."""
+        held, drawn = (
+            np.ascontiguousarray(motions.targets[:, rows])
+            for rows in (self.network.held, self._drawn)
+        )
+        if self._ready is not None and self._ready[:2] == (motions.cells, span):
+            network = self._ready[2]
+            network.lead(held, drawn)
+            return network
+        network = _kernels.SpringNetwork(
+            self._inverse, self._drags, self._ends, self._numbers,
+            self.network.triangles, self._field,
+            np.linspace(0.0, span, motions.cells + 1), self.network.held, held,
+            self._drawn, self._pulls, drawn, self._wind[None, None],
+        )  # fmt: skip
+        self._ready = motions.cells, span, network
+        return network
+
+    def _stretch(self, x: FloatArray) -> float:
+        links = self.network.stiff
+        i, j = links.ends.T
+        counted = (self._inverse[i] + self._inverse[j] > 0) & (links.rests > 0)
+        lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
+        longer = lengths / links.rests[counted] - 1
+        return float(longer.max(initial=0.0))
+
+
+def masses_of(network: Network) -> FloatArray:
+    """Return masses of the particles ``(N,)`` [kg]: of cloth those of its area."""
+    corners = network.triangles
+    if not len(corners):
+        return np.ones(network.count)
+    a, b, c = (network.points[corners[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
+    masses = np.bincount(corners.ravel(), thirds, network.count)
+    # Faces without area leave some particles none.
+    least = LEAST_SHARE * float(masses.max(initial=0.0))
+    return np.maximum(masses, least if least > 0 else 1.0)
+
+
+def _springs(
+    network: Network, settings: Settings, masses: FloatArray, inverse: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return ends ``(S, 2)`` and numbers ``(S, 4)`` of springs, as kernels take."""
+    ends, numbers = [], []
+    for links, pull in (
+        (network.stiff, STIFF),
+        (network.shears, settings.shear),
+        (network.folds, settings.bend),
+    ):
+        i, j = links.ends.T
+        kept = (inverse[i] + inverse[j] > 0) & (pull > 0)
+        ends.append(links.ends[kept])
+        stiffness = pull**2 * (masses[i] + masses[j])[kept] / 2
+        row = np.zeros((len(stiffness), 4))
+        row[:, 0], row[:, 1], row[:, 3] = links.rests[kept], stiffness, np.inf
+        numbers.append(row)
+    every = np.concatenate(ends)
+    order = _kernels.spring_order(every, network.count)
+    return np.ascontiguousarray(every[order]), np.concatenate(numbers)[order]

@@ -1,0 +1,269 @@
+"""Strands and chains over one frame: lines of particles, and turns of joints."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms, bind_world
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.attach.network import Links, Network
+from animtool.systems.attach.settings import Settings
+from animtool.systems.attach.stepping import STIFF, Motions, State, Tally, stepped
+
+
+def threads_allowed() -> int:
+    """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
+
+    Processes of a batch have that set to 1, as many run as there are processors.
+    """
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return os.cpu_count() or 1
+
+
+class StrandStepper:
+    """Carries strands: springs along each of them are solved together.
+
+    Attributes:
+        tally: What happened so far.
+    """
+
+    def __init__(
+        self, network: Network, settings: Settings, down: FloatArray, tally: Tally
+    ) -> None:
+        """Make what kernels take.
+
+        Args:
+            network: Of strands.
+            settings: How they move.
+            down: Direction of gravity ``(3,)``.
+            tally: Where to count.
+        """
+        self.tally = tally
+        length = network.count // network.strands
+        field = settings.gravity * down + settings.drag * np.array(settings.wind)
+        draw = settings.frequency
+        pulls = [STIFF**2, settings.bend**2, draw**2, 2 * settings.damping * draw]
+        self._strands = _kernels.SpringStrands(
+            _rests(network.stiff, network.strands, length - 1),
+            _rests(network.folds, network.strands, max(length - 2, 0)),
+            np.append(field, settings.drag),
+            np.array([*pulls, settings.stretch]),
+        )
+
+    def cross(
+        self, state: State, motions: Motions, span: float, substeps: int
+    ) -> State:
+        """Return the state a frame later."""
+        both = np.stack([state.positions, state.velocities])
+        made, touched, inside, stretch = _kernels.follow_strands(
+            self._strands, motions.targets, both, span, substeps, motions.colliders,
+            threads_allowed(),
+        )  # fmt: skip
+        state = stepped(made)
+        self.tally.add(stretch, touched, inside)
+        return state
+
+
+def _rests(links: Links, strands: int, springs: int) -> FloatArray:
+    """Return lengths at rest by strand ``(S, springs)`` [m]; chains have no folds."""
+    if not len(links.rests):
+        return np.zeros((strands, springs))
+    return links.rests.reshape(strands, springs)
+
+
+# Bones shorter than this [m] point nowhere.
+SHORTEST = 1e-9
+
+
+def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the shortest rotations ``(F, 4)`` from directions to others ``(F, 3)``.
+
+    Identity where either has no length; half a turn about some axis across where they
+    are opposed.
+
+    >>> least_turns(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
+    [[0.0, 0.0, 0.0, 1.0]]
+    """
+    lengths = [np.linalg.norm(part, axis=-1, keepdims=True) for part in (before, after)]
+    solid = (lengths[0] > SHORTEST) & (lengths[1] > SHORTEST)
+    a = before / np.where(solid, lengths[0], 1.0)
+    b = after / np.where(solid, lengths[1], 1.0)
+    dots = (a * b).sum(axis=-1, keepdims=True)
+    across = np.cross(a, b)
+    turns = so3.normalize(np.concatenate([across, 1.0 + dots], axis=-1))
+    opposed = solid[:, 0] & (dots[:, 0] < -1 + 1e-12)
+    if opposed.any():
+        least = np.eye(3)[np.abs(a[opposed]).argmin(axis=-1)]
+        axes = np.cross(a[opposed], least)
+        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+        turns[opposed] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
+    return np.where(solid, turns, so3.IDENTITY)
+
+
+def chain_rotations(
+    rig: Rig,
+    joints: IntArray,
+    rotations: FloatArray,
+    animated: FloatArray,
+    moved: FloatArray,
+) -> FloatArray:
+    """Return local rotations that point the bones of a chain to where they were moved.
+
+    Each joint is carried along by those above it, and then turned by the least turn
+    that points its bone: it does not twist. Joints stay within their limits: a pin
+    keeps to its axis, and the bones below go on from where that leaves it. Under
+    scales that differ by axis, directions hold only roughly.
+
+    Args:
+        rig: J joints.
+        joints: Of the chain, from the root on ``(C,)``.
+        rotations: Local, of all joints as they are animated ``(F, J, 4)``.
+        animated: Where the animation has the ends of the bones ``(F, C + 1, 3)`` [m].
+        moved: Where they are to be, likewise.
+
+    Returns:
+        ``(F, C, 4)``.
+    """
+    world = _above(rig, int(joints[0]), rotations)
+    inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
+    made = np.zeros((len(rotations), len(joints), 4))
+    for k, joint in enumerate(joints.tolist()):
+        own = rotations[:, joint]
+        parent = so3.multiply(inherited, world)
+        bone = animated[:, k + 1] - animated[:, k]
+        turn = least_turns(so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k])
+        wanted = so3.multiply(turn, so3.multiply(parent, own))
+        local = so3.normalize(so3.multiply(so3.conjugate(parent), wanted))
+        made[:, k] = _allowed(rig.joints[joint], local, own)
+        world = so3.multiply(world, own)
+        # What the joints so far have turned the animation by, in the world.
+        inherited = so3.multiply(so3.multiply(parent, made[:, k]), so3.conjugate(world))
+    return made
+
+
+def _above(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
+    """Return the rotation of what carries a joint, in the world ``(F, 4)``."""
+    whole = np.tile(so3.IDENTITY, (len(rotations), 1))
+    parent = rig.joints[joint].parent
+    while parent >= 0:
+        whole = so3.multiply(rotations[:, parent], whole)
+        parent = rig.joints[parent].parent
+    return whole
+
+
+def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
+    """Return rotations that a joint can have ``(F, 4)``; its own where it has none."""
+    rest = np.array(joint.rotation)
+    motion = so3.multiply(so3.conjugate(rest), local)
+    if joint.type is JointType.PIN:
+        along = (motion[:, :3] * np.array(joint.axis)).sum(axis=-1)
+        angle = 2 * np.arctan2(along, motion[:, 3])
+        angle = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+        if isinstance(joint.limits, RangeLimit):
+            angle = joint.limits.clamped(angle)
+        return so3.multiply(rest, so3.from_axis_angle(joint.axis, angle))
+    if joint.type in {JointType.FIXED, JointType.PRISMATIC}:
+        return own
+    if isinstance(joint.limits, BallLimit):
+        return so3.multiply(rest, joint.limits.clamped(motion))
+    return local
+
+
+# A particle that begins inside a collider is moved out at this speed [m/s].
+DEPENETRATION = 1.0
+# What is deeper than this after every push [m] is left inside.
+UNRESOLVED = 1e-3
+
+
+def depth(
+    points: FloatArray, ends: FloatArray, radius: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how far points are outside a capsule, the way out, and where on its axis.
+
+    A point on the axis has no way out.
+
+    Args:
+        points: ``(N, 3)`` [m].
+        ends: Of the axis ``(2, 3)`` [m].
+        radius: [m]
+
+    Returns:
+        Distances ``(N,)`` [m], negative inside; directions ``(N, 3)``; shares of the
+        axis ``(N,)`` [1].
+    """
+    axis = ends[1] - ends[0]
+    square = float((axis * axis).sum())
+    away = points - ends[0]
+    share = np.zeros(len(points))
+    if square > 0:
+        share = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
+    apart = away - share[:, None] * axis
+    length = np.sqrt((apart * apart).sum(axis=1))[:, None]
+    out = np.divide(apart, length, out=np.zeros_like(apart), where=length > 0)
+    return length[:, 0] - radius, out, share
+
+
+def depth_at_bind(
+    capsules: Capsules, rig: Rig, points: FloatArray, margin: float
+) -> FloatArray:
+    """Return how deep points are in capsules at bind ``(C, N)`` [m], at most 0.
+
+    Capsules are thicker than the body here and there, and what lies on the body is in
+    them from the start: there they let it be.
+    """
+    placed = capsules.placed(bind_world(rig))[0]
+    found = np.zeros((len(capsules), len(points)))
+    for c, radius in enumerate((capsules.radii + margin).tolist()):
+        found[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
+    return found
+
+
+class CapsuleContacts:
+    """Capsules as kernels meet them, frame by frame."""
+
+    def __init__(
+        self,
+        capsules: Capsules,
+        radii: FloatArray,
+        depths: FloatArray,
+        radius: float,
+        friction: float,
+    ) -> None:
+        """Make what does not change from frame to frame.
+
+        Args:
+            capsules: C of them.
+            radii: Theirs, in the size of the character ``(C,)`` [m].
+            depths: How deep particles may be in them ``(C, N)`` [m], at most 0.
+            radius: Distance kept from them [m].
+            friction: Coulomb's coefficient [1].
+        """
+        self._capsules = capsules
+        like = Collider(
+            Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
+        )
+        kinds, sizes, *others = Colliders([like] * len(capsules)).arrays(0.0, 0.0)
+        sizes[:, 6] = radii
+        self._kinds, self._sizes, self._others = kinds, sizes, others
+        self._rest = radius, depths, UNRESOLVED, ()
+
+    def over(self, world: WorldTransforms) -> tuple[Any, ...] | None:
+        """Return what kernels take for the cells between K poses; None without any."""
+        if not len(self._capsules):
+            return None
+        rows, ends = self._capsules.turned(world)
+        sizes = self._sizes.copy()
+        sizes[:, :6] = ends.reshape(-1, 6)
+        poses = np.stack([rows[:-1], rows[1:]], axis=2)
+        return (self._kinds, sizes, *self._others), poses, *self._rest

@@ -1,0 +1,173 @@
+"""Bodies made of particles and springs, as arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """What springs of a kind have in common.
+
+    Attributes:
+        stiffness: Force over lengthening [N/m].
+        damping: Along the spring, force over speed [N s/m].
+        ratio: More of it, as a share of what a spring of this stiffness on the mean
+            mass of its ends is critical with [1]: c = 2 ratio √(k m).
+        tear: Lengthening over the length at rest beyond which a spring tears [1].
+        rest: Length at rest over the distance of the ends as built [1].
+        axial: Force over strain [N]: each spring's stiffness is this over its length at
+            rest, and `stiffness` is not used; None is by `stiffness`.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    ratio: float = 0.0
+    tear: float = math.inf
+    rest: float = 1.0
+    axial: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """S springs.
+
+    Attributes:
+        ends: Particles that they join ``(S, 2)``.
+        rest: Length at rest ``(S,)`` [m], 0 or more.
+        stiffness: ``(S,)`` [N/m].
+        damping: Along the spring ``(S,)`` [N s/m].
+        limit: Length beyond which a spring tears ``(S,)`` [m], infinite where it
+            does not.
+    """
+
+    ends: IntArray
+    rest: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    limit: FloatArray
+
+    @staticmethod
+    def none() -> Springs:
+        """Return no springs."""
+        empty = np.zeros(0)
+        return Springs(np.zeros((0, 2), np.int64), empty, empty, empty, empty)
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """N particles, the springs between them, and the surface that air acts on.
+
+    Attributes:
+        positions: ``(N, 3)`` [m].
+        masses: ``(N,)`` [kg].
+        springs: Between them.
+        triangles: Corners ``(T, 3)``.
+    """
+
+    positions: FloatArray
+    masses: FloatArray
+    springs: Springs
+    triangles: IntArray
+
+
+def springs_between(
+    ends: ArrayLike,
+    family: Family,
+    positions: FloatArray,
+    masses: FloatArray,
+    rest: ArrayLike | None = None,
+) -> Springs:
+    """Return springs of a family, at rest where the particles are.
+
+    Args:
+        ends: Particles to join ``(S, 2)``.
+        family: What they have in common.
+        positions: Of particles ``(N, 3)`` [m].
+        masses: ``(N,)`` [kg].
+        rest: Length at rest ``(S,)`` or one for all [m]; None is the distance, times
+            what the family has.
+
+    >>> line = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    >>> springs_between([[0, 1]], Family(10.0), line, np.ones(2)).rest.tolist()
+    [2.0]
+    >>> rod = Family(0.0, axial=30.0)
+    >>> springs_between([[0, 1]], rod, line, np.ones(2)).stiffness.tolist()
+    [15.0]
+    """
+    pairs = np.asarray(ends, np.int64).reshape(-1, 2)
+    gaps = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
+    lengths = gaps * family.rest if rest is None else np.asarray(rest, np.float64)
+    lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
+    stiffness = np.full(len(pairs), float(family.stiffness))
+    if family.axial is not None:
+        stiffness = np.divide(family.axial, lengths, out=stiffness, where=lengths > 0)
+    critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
+    with np.errstate(invalid="ignore"):
+        limit = lengths * (1 + family.tear)
+    limit[np.isnan(limit)] = np.inf
+    return Springs(
+        pairs, lengths, stiffness, family.damping + family.ratio * critical, limit
+    )
+
+
+def gathered(springs: Sequence[Springs]) -> Springs:
+    """Return springs of many families together."""
+    every = [Springs.none(), *springs]
+    return Springs(
+        np.concatenate([each.ends for each in every]),
+        np.concatenate([each.rest for each in every]),
+        np.concatenate([each.stiffness for each in every]),
+        np.concatenate([each.damping for each in every]),
+        np.concatenate([each.limit for each in every]),
+    )
+
+
+def built(
+    positions: ArrayLike,
+    masses: ArrayLike,
+    families: Sequence[tuple[ArrayLike, Family | None]],
+    triangles: ArrayLike = (),
+) -> Body:
+    """Return a body of families of springs, those that are None left out."""
+    places = as_floats(positions, ("N", 3), "positions")
+    weights = np.broadcast_to(np.asarray(masses, np.float64), len(places)).copy()
+    springs = [
+        springs_between(ends, family, places, weights)
+        for ends, family in families
+        if family is not None
+    ]
+    faces = np.asarray(triangles, np.int64).reshape(-1, 3)
+    return Body(places, weights, gathered(springs), faces)
+
+
+def join(bodies: Sequence[Body]) -> Body:
+    """Return bodies as one; particles are those of the first, the second, and so on.
+
+    >>> from animtool.systems.springs.shapes import rope
+    >>> one = rope([0, 0, 0], [1, 0, 0], 4, Family(10.0), mass=1.0)
+    >>> join([one, one]).springs.ends.tolist()[3]
+    [4, 5]
+    """
+    offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
+    springs = gathered([body.springs for body in bodies])
+    shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
+    faces = [body.triangles + at for body, at in zip(bodies, offsets, strict=False)]
+    return Body(
+        np.concatenate([np.zeros((0, 3)), *(body.positions for body in bodies)]),
+        np.concatenate([np.zeros(0), *(body.masses for body in bodies)]),
+        Springs(
+            springs.ends + shifts[:, None].astype(np.int64),
+            springs.rest,
+            springs.stiffness,
+            springs.damping,
+            springs.limit,
+        ),
+        np.concatenate([np.zeros((0, 3), np.int64), *faces]),
+    )

@@ -1,0 +1,186 @@
+"""How to simulate springs, and what comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError
+from animtool.ranges import above, range_faults
+from animtool.sim.trajectory import Trajectory
+from animtool.systems.springs.self_contact import Through
+
+# Steps that a cell of time is divided into, at most.
+MAX_SUBSTEPS = 4096
+
+
+class Solver(StrEnum):
+    """What takes springs through time.
+
+    Attributes:
+        AUTO: The one that is expected to take least time: steps, times their cost.
+        SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
+        XPBD: Extended position based dynamics in small steps: stable with any, and
+            less accurate.
+        BDF2: Backward differences of two steps, for accuracy where springs are stiff.
+        IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
+    """
+
+    AUTO = "auto"
+    SYMPLECTIC_EULER = "symplectic_euler"
+    XPBD = "xpbd"
+    BDF2 = "bdf2"
+    IMPLICIT_EULER = "implicit_euler"
+
+
+@dataclass(frozen=True, slots=True)
+class SpringOptions:
+    """How to simulate springs.
+
+    Attributes:
+        solver: Of `Solver`.
+        step: The longest step [s]. None leaves it to the solver: as many steps in
+            each 1/240 s as it needs.
+        stretch: Of xpbd, most that a spring may be longer than at rest, over its
+            length at rest [1], where this is not mostly its own give under what it
+            bears; steps are halved where it is more.
+        error: Most error of positions [m]: the motion is made again in half the step
+            until two agree. None does not ask.
+        growth: Energy gained, in those of the start and what may be supplied, from
+            which on a motion has blown up; of xpbd it is not asked for.
+        longest: Length of a spring, in lengths at rest, from which on it has.
+    """
+
+    solver: Solver | str = Solver.AUTO
+    step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+    stretch: Annotated[float, above(0, "SIM004")] = 0.01
+    error: Annotated[float | None, above(0, "SIM004", finite=True)] = None
+    growth: Annotated[float, above(0, "SIM004")] = 100.0
+    longest: Annotated[float, above(1, "SIM004")] = 10.0
+
+
+def check_options(options: SpringOptions) -> Solver:
+    """Return the solver that options name, and raise where they make no sense.
+
+    Raises:
+        OptionError: There is no such solver (SIM001), or a number is out of its range
+            (SIM004).
+    """
+    faults = []
+    names = [str(solver) for solver in Solver]
+    if options.solver not in names:
+        message = f"there is no solver {options.solver!r}"
+        hint = f"they are {', '.join(names)}"
+        faults.append(Fault("SIM001", message, where="solver", hint=hint))
+    faults += range_faults(options)
+    if faults:
+        raise OptionError(faults)
+    return Solver(options.solver)
+
+
+def check_substeps(solver: Solver, rate: float, most: float) -> None:
+    """Raise where a solver needs more steps a second than it may take.
+
+    Raises:
+        OptionError: It does (SIM004).
+    """
+    if rate <= most:
+        return
+    message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g} at most"
+    hint = "take xpbd or auto, less stiffness or damping, or more mass"
+    raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
+
+
+def check_keeping_apart(wanted: Solver) -> None:
+    """Raise where a solver does not keep a surface apart from itself.
+
+    Raises:
+        OptionError: It does not (SIM046).
+    """
+    if wanted in {Solver.AUTO, Solver.XPBD}:
+        return
+    message = f"{wanted} does not keep a surface apart from itself"
+    hint = "take xpbd or auto"
+    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Where a motion stands on its grid of time, so that it can be gone on with.
+
+    Attributes:
+        solver: What takes it on.
+        origin: Time of the grid's first cell [s].
+        cell: Length of each [s].
+        index: Of the cell to cross next.
+        substeps: Steps in a cell.
+        state: At its start ``(2, N, 3)``.
+        torn: Which springs are, in the order of kernels ``(S,)``.
+        before: State a step before, of bdf2.
+        calm: Cells of xpbd without need of as many steps.
+        least: Steps in a cell of xpbd, at least.
+        stretch: The largest so far of springs of xpbd that is not mostly their own
+            give [1].
+        steps: Taken so far.
+        evaluations: Of all springs so far.
+        lost: Whether a cell could not be crossed.
+        unresolved: Particles left inside colliders, at most.
+        passages: Where the surface is through itself ``(C, 3)``, as kernels have it.
+        through: What went through the surface, at most.
+    """
+
+    solver: Solver
+    origin: float
+    cell: float
+    index: int
+    substeps: int
+    state: FloatArray
+    torn: npt.NDArray[np.uint8]
+    before: FloatArray | None = None
+    calm: int = 0
+    least: int = 1
+    stretch: float = 0.0
+    steps: int = 0
+    evaluations: int = 0
+    lost: bool = False
+    unresolved: int = 0
+    passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    through: Through = field(default_factory=Through)
+
+    @property
+    def time(self) -> float:
+        """Where it stands [s]."""
+        return self.origin + self.index * self.cell
+
+
+@dataclass(frozen=True, slots=True)
+class SpringMotion(Trajectory):
+    """States of springs over time.
+
+    Attributes:
+        solver: What made it.
+        reason: Why this solver, in words.
+        step: The shortest step [s].
+        stretch: Of xpbd, the most that springs were longer than at rest, where this
+            was not mostly their own give, over their length at rest [1]; else 0.
+        torn: Which springs are, at the end ``(S,)``, in the order of the body's.
+        unresolved: Particles that colliders held from several sides, or that were on
+            their way out of one, at most at a time.
+        passed: Particles that had gone through the surface and were not yet brought
+            back, at most at a time.
+        cut: Pairs of edges that had gone through each other, at most at a time.
+    """
+
+    solver: Solver
+    reason: str
+    step: float
+    stretch: float
+    torn: npt.NDArray[np.bool_]
+    unresolved: int
+    passed: int = 0
+    cut: int = 0

@@ -1,0 +1,253 @@
+"""What acts on particles from outside: pins, targets, their teleports, the air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity
+from animtool.maths import so3
+from animtool.maths.faces import rigid_motion
+from animtool.systems.springs.body import Body
+from animtool.systems.springs.options import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class Pins:
+    """Particles that are held, and where.
+
+    Between two times they go straight; before the first and after the last they stay.
+
+    Attributes:
+        particles: Which ``(P,)``.
+        positions: At the times ``(K, P, 3)``, or ``(P, 3)`` where they stand still
+            [m]; None where they are at the start.
+        times: Ascending ``(K,)`` [s]; None where they stand still.
+    """
+
+    particles: ArrayLike
+    positions: ArrayLike | None = None
+    times: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Points that particles are drawn to by springs of no length.
+
+    Attributes:
+        particles: Which are drawn ``(A,)``; one may stand twice.
+        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` where they
+            stand still [m].
+        stiffness: Force over distance, of each or of all [N/m].
+        damping: Force over the speed between particle and point, of each or all
+            [N s/m].
+        times: Ascending ``(K,)`` [s]; None where the points stand still.
+    """
+
+    particles: ArrayLike
+    positions: ArrayLike
+    stiffness: ArrayLike
+    damping: ArrayLike = 0.0
+    times: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """Air that moves past the triangles of a body.
+
+    A triangle of area A, through whose normal n air flows at u against it, bears
+    ½ density A (drag |u·n| u + lift (u·n) (|u| n - (u·n) u/|u|)), its corners a third
+    each.
+
+    Attributes:
+        wind: Velocity of the air ``(3,)``, or at the times ``(K, 3)`` [m/s].
+        drag: Coefficient along the flow [1].
+        lift: Coefficient across it [1].
+        density: [kg/m³]
+        times: Ascending ``(K,)`` [s]; None where the wind is steady.
+    """
+
+    wind: ArrayLike = (0.0, 0.0, 0.0)
+    drag: float = 1.0
+    lift: float = 0.5
+    density: float = 1.2
+    times: ArrayLike | None = None
+
+
+def over_knots(
+    paths: Sequence[tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return paths over the times of all: ``(K,)`` and each ``(K or 1, P, 3)``.
+
+    Args:
+        paths: Times ``(K,)`` of each and positions ``(K, P, 3)``; one time is none.
+
+    >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
+    >>> times.tolist(), path.shape
+    ([0.0, 1.0], (2, 1, 3))
+    """
+    moving = [times for times, _ in paths if len(times) > 1]
+    knots = np.unique(np.concatenate(moving)) if moving else np.zeros(1)
+    found = []
+    for times, path in paths:
+        still = len(times) == 1
+        same = still or np.array_equal(times, knots)
+        found.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
+    return knots, found
+
+
+def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
+    after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
+    begin, end = times[after - 1], times[after]
+    share = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
+    moved: FloatArray = path[after - 1] + share * (path[after] - path[after - 1])
+    return np.where(share == 1, path[after], moved)
+
+
+# A step ends on a jump that is this much behind its end [s]: rounding of times.
+SLACK = 1e-9
+
+
+class Teleports:
+    """Where holders of particles are put elsewhere, and take along what they hold.
+
+    Holders are pins, then targets. Where one of a group of particles that springs join
+    is faster than the limit, all holders of the group are where they were until the
+    end of that way, and there at once: what they hold is moved with them as a whole,
+    and gets no velocity of it. Between two jumps is a stage.
+
+    Attributes:
+        times: Of the jumps, ascending ``(J,)`` [s].
+
+    Args:
+        body: Particles and springs.
+        held: Particle of each holder ``(H,)``.
+        paths: Times and positions of pins and of targets.
+        limit: Speed beyond which a holder was put elsewhere [m/s].
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        held: IntArray,
+        paths: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+        limit: float,
+    ) -> None:
+        self._held, self._limit = held, limit
+        self._pins = paths[0][1].shape[1]
+        self._knots, tracks = over_knots(paths)
+        count = len(self._knots)
+        rows = [np.broadcast_to(track, (count, *track.shape[1:])) for track in tracks]
+        self._places = np.concatenate(rows, axis=1)
+        ways = np.linalg.norm(np.diff(self._places, axis=0), axis=2)
+        fast = ways > limit * np.diff(self._knots)[:, None]
+        self._groups = np.zeros(len(body.positions), np.int64)
+        if fast.any():
+            self._groups = _groups(body)
+        self._jumping = _together(fast, self._groups[held])
+        self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
+        self.times: FloatArray = self._knots[self._begins + 1]
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.times)
+
+    def stage(self, t: float) -> int:
+        """Return how many jumps are over at a time [s]."""
+        return int(np.searchsorted(self.times, t + SLACK, "right"))
+
+    def cell(self, jump: int, grid: Grid) -> int:
+        """Return the cell of a grid that a jump is in; it is there from its start."""
+        place = (float(self.times[jump]) - SLACK - grid.origin) / grid.cell
+        return math.ceil(place) - 1
+
+    def stage_of(self, grid: Grid) -> int:
+        """Return the stage of the cell that a motion is to cross next."""
+        return sum(self.cell(jump, grid) <= grid.index for jump in range(len(self)))
+
+    def cells(self, grid: Grid) -> float:
+        """Return how many cells there are before the next jump."""
+        ahead = [self.cell(jump, grid) - grid.index for jump in range(len(self))]
+        return min((count for count in ahead if count > 0), default=math.inf)
+
+    def paths(self, stage: int) -> list[tuple[FloatArray, FloatArray]]:
+        """Return times and positions of pins and of targets in a stage."""
+        first = np.zeros(len(self._held), np.int64)
+        last = np.full(len(self._held), len(self._knots) - 1)
+        for begin in self._begins[:stage].tolist():
+            first[self._jumping[begin]] = begin + 1
+        for begin in self._begins[stage:][::-1].tolist():
+            last[self._jumping[begin]] = begin
+        rows = np.clip(np.arange(len(self._knots))[:, None], first, last)
+        places = self._places[rows, np.arange(len(self._held))]
+        return [
+            (self._knots, np.ascontiguousarray(part))
+            for part in np.split(places, [self._pins], axis=1)
+        ]
+
+    def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
+        """Return a state of one stage in a later one ``(2, N, 3)``."""
+        moved = state.copy() if end > begin else state
+        for row in self._begins[begin:end].tolist():
+            for group in np.unique(self._groups[self._held[self._jumping[row]]]):
+                self._carry(moved, row, int(group))
+        return moved
+
+    def _carry(self, state: FloatArray, row: int, group: int) -> None:
+        """Move a group of particles over a jump, in place."""
+        of = np.flatnonzero(self._groups[self._held] == group)
+        before, after = self._places[row : row + 2, of]
+        turn, shift = rigid_motion(before, after)
+        members = self._groups == group
+        state[0, members] = so3.rotate(turn, state[0, members]) + shift
+        state[1, members] = so3.rotate(turn, state[1, members])
+        pins = of < self._pins
+        state[0, self._held[of[pins]]] = after[pins]
+        state[1, self._held[of[pins]]] = 0.0
+
+    def notices(self) -> list[Fault]:
+        """Return a warning of each time that pins or targets are put elsewhere."""
+        return [
+            Fault(
+                "SIM122",
+                f"{_who(self._jumping[begin], self._pins)} faster than "
+                f"{self._limit:g} m/s until {when:g} s: what hangs on them is taken "
+                "along, and gets no velocity",
+                where="pins" if self._jumping[begin, : self._pins].any() else "targets",
+                hint="raise the speed limit if they are to pull it along",
+                severity=Severity.WARNING,
+            )
+            for begin, when in zip(
+                self._begins.tolist(), self.times.tolist(), strict=True
+            )
+        ]
+
+
+def _who(jumping: BoolArray, pins: int) -> str:
+    names = {"pins": jumping[:pins].any(), "targets": jumping[pins:].any()}
+    return " and ".join(name for name, found in names.items() if found) + " go"
+
+
+def _groups(body: Body) -> IntArray:
+    """Return which particles springs join, by a number of each group ``(N,)``."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count, ends = len(body.positions), body.springs.ends
+    ones = np.ones(len(ends), np.int8)
+    graph = coo_array((ones, (ends[:, 0], ends[:, 1])), shape=(count, count))
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return labels.astype(np.int64)
+
+
+def _together(fast: BoolArray, groups: IntArray) -> BoolArray:
+    """Return which holders jump ``(K - 1, H)``: all of a group with one that does."""
+    _, numbers = np.unique(groups, return_inverse=True)
+    jumps = np.zeros((len(fast), numbers.max(initial=-1) + 1), bool)
+    row, holder = np.nonzero(fast)
+    jumps[row, numbers[holder]] = True
+    return jumps[:, numbers]

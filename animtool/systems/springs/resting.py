@@ -1,0 +1,169 @@
+"""Where springs come to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.systems.springs.body import Body
+from animtool.systems.springs.choosing import SAFE, explicit_limit
+from animtool.systems.springs.system import SpringSystem
+
+# Of the weight, or pull, of a particle, what is left of the forces on it.
+SOLVED = 1e-9
+# Of an energy, what the sum of those of some ten thousand springs is rounded by.
+ROUNDED = 1e-12
+MAX_STEPS = 400
+# How long particles sink, in turns of a pendulum as long as the body [rad]; the damping
+# of springs meanwhile, over critical; springs times steps at most: about a second.
+SINKING, SWINGING, MAX_SINKING = 8.0, 0.1, 500_000_000
+MAX_SINKING_STEPS = 2_000_000
+# What is added to the stiffness in every direction goes up and down by these.
+FIRMER, SOFTER = 4.0, 16.0
+# The matrices are symmetric, and nearly always positive.
+SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Where springs come to rest.
+
+    Attributes:
+        positions: ``(N, 3)`` [m].
+        residual: Largest force left on a particle that is not held [N].
+        steps: Taken.
+        solved: Whether the residual is rounding.
+    """
+
+    positions: FloatArray
+    residual: float
+    steps: int
+    solved: bool
+
+
+def find_rest(
+    system: SpringSystem,
+    t: float = 0.0,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Rest:
+    """Return where the forces on particles cancel out, with pins as they are at a time.
+
+    Newton's method for the least energy, with as much added to the stiffness as it
+    takes for the energy to fall. Where it first leads up, particles sink in thick air
+    for a while, if that is cheap. Air is left out.
+
+    Limits of the method: springs that are pressed give way to one of many sides; which
+    one, rounding decides. The energy is then a least one among those near by.
+
+    Args:
+        system: Where it is built.
+        t: When pins are looked at [s].
+        progress: Told the share done, 0 to 1, by the orders of magnitude that the
+            forces have fallen.
+
+    >>> from animtool.systems.springs import Family, Pins, rope
+    >>> line = rope([0, 0, 0], [0, 0, -1], 2, Family(98.1), mass=1.0)
+    >>> rest = find_rest(SpringSystem(line, pins=Pins([0])))
+    >>> rest.positions[1, 2].round(6).tolist()
+    -1.1
+    """
+    start = system.settle(t, 1.0, system.state, system.state)[0]
+    calm = system.halted(t, replace(system.body, positions=start))
+    place, sunk = _Place(calm, start), False
+    firm, steps = place.typical, 0
+    while not place.solved and steps < MAX_STEPS:
+        steps += 1
+        moved = place.moved(firm)
+        if moved is not None and moved.energy <= place.energy + place.rounding:
+            place, firm = moved, firm / SOFTER
+        elif sunk:
+            firm *= FIRMER
+        else:
+            place, sunk = _sunk(calm, place), True
+        if progress is not None:
+            progress(place.settled)
+    return Rest(place.x, place.residual, steps, place.solved)
+
+
+def _sunk(system: SpringSystem, start: _Place) -> _Place:
+    """Return where particles sink to in thick air, the start where that is dear.
+
+    Sheets fold on their way, where Newton's method takes many and short steps.
+    """
+    body = replace(system.body, positions=start.x)
+    size = float(np.linalg.norm(np.ptp(body.positions, axis=0)))
+    pull = float(np.linalg.norm(system.gravity))
+    if not size * pull > 0 or not len(body.springs.rest):
+        return start
+    swing = float(np.sqrt(pull / size))
+    thick = system.halted(0.0, _damped(body), 2 * swing)
+    step = SAFE * explicit_limit(thick, 0.0, thick.state)
+    wanted = SINKING / (swing * step) if step > 0 else np.inf
+    if not wanted <= MAX_SINKING_STEPS:
+        return start
+    if np.ceil(wanted) * len(body.springs.rest) > MAX_SINKING:
+        return start
+    steps = int(np.ceil(wanted))
+    steps_at_once = thick.native("symplectic_euler")
+    assert steps_at_once is not None
+    x = steps_at_once(0.0, thick.state, step, steps)[0]
+    there = _Place(system, x) if np.isfinite(x).all() else start
+    return there if there.energy < start.energy else start
+
+
+def _damped(body: Body) -> Body:
+    """Return the same body whose springs swing little."""
+    springs = body.springs
+    masses = body.masses[springs.ends].mean(axis=1)
+    damping = 2 * SWINGING * np.sqrt(springs.stiffness * masses)
+    return replace(body, springs=replace(springs, damping=damping))
+
+
+class _Place:
+    """Positions, and the forces and energy there."""
+
+    def __init__(self, system: SpringSystem, x: FloatArray) -> None:
+        self._system, self.x = system, x
+        self._still = np.zeros_like(x)
+        self._free = np.flatnonzero(~system.fixed)
+        self._masses = np.where(system.fixed, 0.0, system.body.masses)
+        self.energy = system.energy(0.0, np.array((x, self._still))).potential
+        self._forces = system.acceleration(0.0, x, self._still) * self._masses[:, None]
+        self.residual = float(np.abs(self._forces).max(initial=0.0))
+        weights = self._masses * np.linalg.norm(system.gravity)
+        pull = float(weights.max(initial=0.0))
+        self.solved = self.residual <= SOLVED * pull
+        orders = np.log10(max(self.residual, 1e-300) / max(pull, 1e-300))
+        # From the weight of a particle down to what is taken for rounding [1].
+        self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
+        self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
+        stiffest = np.append(system.body.springs.stiffness, system.draws[:, 0])
+        self.typical = float(stiffest.max(initial=1.0))
+
+    def moved(self, firm: float) -> _Place | None:
+        """Return where one step of Newton's leads, None where it leads nowhere."""
+        from scipy.sparse import diags_array
+        from scipy.sparse.linalg import splu
+
+        rows = (3 * self._free[:, None] + np.arange(3)).ravel()
+        matrix: Any = self._system.stiffness(0.0, self.x)[rows][:, rows]
+        whole = (matrix + diags_array(np.full(len(rows), firm))).tocsc()
+        try:
+            step = splu(whole, **SYMMETRIC).solve(self._forces.ravel()[rows])
+        except RuntimeError:
+            return None
+        # Up the energy's slope is no way to rest.
+        if not np.isfinite(step).all() or step @ self._forces.ravel()[rows] <= 0:
+            return None
+        x = self.x.copy()
+        x.reshape(-1)[rows] += step
+        return _Place(self._system, x)

@@ -1,0 +1,157 @@
+"""How surfaces keep apart from themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.ranges import above, or_more, range_faults
+from animtool.systems.springs.body import Body
+
+
+@dataclass(frozen=True, slots=True)
+class SelfContact:
+    """How a surface keeps apart from itself: cloth in folds, rolls and layers.
+
+    At the end of each step, each particle is as far from each triangle as the cloth is
+    thick, and each edge three quarters of that from each other edge, on the side that
+    they were; Coulomb's friction takes from the way of one along the other. What one
+    gains in momentum the other loses. Pairs that are nearer at rest keep that distance;
+    along the surface they keep two thirds of it, so that the thickness is never more
+    than springs leave room for.
+
+    Limits of the method: what has gone through in spite of all, as where colliders
+    close in on it, is remembered and brought back, but cloth that begins in a tangle
+    stays in it (SIM166). Parts that go further over each other in one step than four
+    thicknesses may go through unseen (SIM165): with colliders or pins that fast, take
+    a shorter step.
+
+    Attributes:
+        thickness: Least distance [m].
+        friction: Coulomb's coefficient [1].
+        speed: With which what is nearer at the start comes apart [m/s]; it keeps none
+            of it.
+        rest: Where particles are at rest ``(N, 3)`` [m]; None is where the body begins.
+
+    References:
+        M. Müller, B. Heidelberger, M. Hennix, J. Ratcliff, Position Based Dynamics,
+        2007, sections 3.5 and 4.4. R. Bridson, R. Fedkiw, J. Anderson, Robust Treatment
+        of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
+    """
+
+    thickness: Annotated[float, above(0, "SIM045", finite=True)]
+    friction: Annotated[float, or_more(0, "SIM045", finite=True)] = 0.2
+    speed: Annotated[float, above(0, "SIM045", finite=True)] = 0.2
+    rest: ArrayLike | None = None
+
+
+def check_self_contact(contact: SelfContact, body: Body) -> None:
+    """Raise where a body cannot keep apart from itself in this way.
+
+    Raises:
+        OptionError: A number is out of its range, positions at rest do not fit, or the
+            body has no triangles (SIM045), with every such fault.
+    """
+    messages = [fault.message for fault in range_faults(contact)]
+    if not len(body.triangles):
+        messages.append("a body without triangles does not keep apart from itself")
+    if contact.rest is not None:
+        rest = np.asarray(contact.rest, np.float64)
+        if rest.shape != body.positions.shape:
+            wanted = body.positions.shape
+            messages.append(f"rest must have shape {wanted}, not {rest.shape}")
+        elif not np.isfinite(rest).all():
+            messages.append("rest must be finite")
+    if messages:
+        raise OptionError(
+            [Fault("SIM045", message, where="self_contact") for message in messages]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Through:
+    """What of a surface went through itself, at most at a time.
+
+    Attributes:
+        passed: Particles through triangles that were not yet brought back.
+        cut: Pairs of edges through each other.
+        rate: Steps a second in which what went too far in one would have been seen
+            [1/s]; 0 where nothing did.
+    """
+
+    passed: int = 0
+    cut: int = 0
+    rate: float = 0.0
+
+    def with_more(self, more: Through) -> Through:
+        """Return the most of both."""
+        return Through(
+            max(self.passed, more.passed),
+            max(self.cut, more.cut),
+            max(self.rate, more.rate),
+        )
+
+
+def tangle_notices(
+    positions: FloatArray, triangles: IntArray, what: str = "the surface"
+) -> list[Fault]:
+    """Return a warning where a surface begins in a tangle (SIM166).
+
+    Args:
+        positions: Of particles ``(N, 3)`` [m].
+        triangles: Of particles ``(T, 3)``.
+        what: Begins so.
+
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
+    >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
+    >>> (notice,) = tangle_notices(points, np.array([[0, 1, 2], [3, 4, 5]]))
+    >>> notice.message
+    'the surface begins in a tangle: its edges go through its triangles in 2 places'
+    """
+    pierced = _kernels.pierced_edges(
+        np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)
+    )
+    if not pierced:
+        return []
+    places = counted(pierced, "place")
+    message = (
+        f"{what} begins in a tangle: its edges go through its triangles in {places}"
+    )
+    hint = "what is through is not told from what is not: it may stay so"
+    return [_warning("SIM166", message, hint)]
+
+
+def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
+    """Return warnings of what went through a surface (SIM144, SIM165, SIM167).
+
+    Args:
+        through: The most of all steps.
+        what: Of which.
+    """
+    found = []
+    if through.passed:
+        message = f"{counted(through.passed, 'particle')} went through {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(_warning("SIM144", message, hint))
+    if through.cut:
+        times = counted(through.cut, "pair")
+        message = f"{times} of edges cut through each other in {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(_warning("SIM167", message, hint))
+    if through.rate:
+        message = f"parts of {what} went over each other by many thicknesses in a step"
+        hint = "take a shorter step"
+        if math.isfinite(through.rate):
+            hint = f"{math.ceil(through.rate)} steps a second miss nothing"
+        found.append(_warning("SIM165", message, hint))
+    return found
+
+
+def _warning(code: str, message: str, hint: str) -> Fault:
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)

@@ -1,0 +1,354 @@
+"""Ropes, strands, sheets, cloth and volumes made of particles and springs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.maths.faces import (
+    distinct_pairs,
+    edges,
+    of_one_edge,
+    triangulated,
+)
+from animtool.systems.springs.body import Body, Family, built
+
+
+@dataclass(frozen=True, slots=True)
+class Welded:
+    """A body some of whose particles became one.
+
+    Attributes:
+        body: The rest of them; its springs and triangles are those of before.
+        rows: The particle that each of before is now ``(N,)``.
+        gap: Largest distance between two that became one [m].
+    """
+
+    body: Body
+    rows: IntArray
+    gap: float
+
+
+def weld(body: Body, pairs: ArrayLike) -> Welded:
+    """Return a body in which particles are one: masses add up.
+
+    Args:
+        body: Particles and springs.
+        pairs: Particles that go, and those whose place they take ``(J, 2)``.
+
+    >>> from animtool.systems.springs import Family, join, rope
+    >>> one = rope([0, 0, 0], [1, 0, 0], 2, Family(10.0), mass=1.0)
+    >>> two = rope([1, 0, 0], [2, 0, 0], 2, Family(10.0), mass=1.0)
+    >>> made = weld(join([one, two]), [[2, 1]])
+    >>> made.rows.tolist(), made.body.masses.tolist(), made.body.springs.ends.tolist()
+    ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
+    """
+    joined = np.asarray(pairs, np.int64).reshape(-1, 2)
+    place = np.arange(len(body.positions))
+    for gone, kept in joined.tolist():
+        # All that are one with either stand where the one that stays does.
+        place[place == place[gone]] = place[kept]
+    stay, rows = np.unique(place, return_inverse=True)
+    rows = rows.reshape(-1)
+    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[place], axis=1)
+    masses = np.zeros(len(stay))
+    np.add.at(masses, rows, body.masses)
+    springs = replace(body.springs, ends=rows[body.springs.ends])
+    welded = Body(body.positions[stay], masses, springs, rows[body.triangles])
+    return Welded(welded, rows, float(gaps.max(initial=0.0)))
+
+
+def rope(
+    start: ArrayLike,
+    end: ArrayLike,
+    count: int,
+    along: Family | None,
+    *,
+    mass: float,
+    tip_mass: float | None = None,
+    bend: Family | None = None,
+) -> Body:
+    """Return a straight rope.
+
+    Args:
+        start: Where it begins ``(3,)`` [m].
+        end: Where it ends ``(3,)`` [m].
+        count: Of particles, two or more.
+        along: Springs from each particle to the next; None leaves them out.
+        mass: Of each particle [kg].
+        tip_mass: Of the last [kg]; None is `mass`.
+        bend: Springs that skip one, against bending.
+
+    >>> rope([0, 0, 0], [0, 0, -1], 3, Family(1e4), mass=0.1).positions[1].tolist()
+    [0.0, 0.0, -0.5]
+    """
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    first, last = (np.asarray(point, np.float64) for point in (start, end))
+    body = strand(first + share * (last - first), along, mass=mass, bend=bend)
+    if tip_mass is None:
+        return body
+    masses = body.masses.copy()
+    masses[-1] = tip_mass
+    families = [(_skipping(count, 1), along), (_skipping(count, 2), bend)]
+    return built(body.positions, masses, families)
+
+
+def strand(
+    points: ArrayLike,
+    along: Family | None,
+    *,
+    mass: ArrayLike,
+    bend: Family | None = None,
+) -> Body:
+    """Return a strand through points, at rest where they are.
+
+    Args:
+        points: ``(N, 3)`` [m].
+        along: Springs from each particle to the next; None leaves them out.
+        mass: Of each particle, or of all ``(N,)`` [kg].
+        bend: Springs that skip one, against bending.
+    """
+    places = as_floats(points, ("N", 3), "points")
+    count = len(places)
+    families = [(_skipping(count, 1), along), (_skipping(count, 2), bend)]
+    return built(places, mass, families)
+
+
+def _skipping(count: int, step: int) -> ArrayLike:
+    first = np.arange(max(count - step, 0))
+    return np.stack([first, first + step], axis=1)
+
+
+def sheet(
+    columns: int,
+    rows: int,
+    *,
+    mass: float,
+    structural: Family | None = None,
+    diagonal: Family | None = None,
+    diagonals: Family | None = None,
+    bend: Family | None = None,
+    corner: ArrayLike = (0.0, 0.0, 0.0),
+    across: ArrayLike = (1.0, 0.0, 0.0),
+    up: ArrayLike = (0.0, 1.0, 0.0),
+) -> Body:
+    """Return a flat sheet; particle ``row * columns + column``.
+
+    Each family of springs may be there or not. Structural springs alone resist neither
+    shearing nor bending; one diagonal a cell resists shearing, one way more than the
+    other; both, alike; springs that skip one particle resist bending.
+
+    Args:
+        columns: Particles across.
+        rows: Particles up.
+        mass: Of each [kg].
+        structural: Springs between neighbours.
+        diagonal: Springs along one diagonal of each cell, from its first corner.
+        diagonals: Springs along both.
+        bend: Springs that skip one.
+        corner: Where particle 0 is ``(3,)`` [m].
+        across: From it to the end of the row ``(3,)`` [m].
+        up: From it to the end of the column ``(3,)`` [m].
+
+    >>> body = sheet(3, 2, mass=0.1, structural=Family(1e3), bend=Family(10.0))
+    >>> body.springs.ends.tolist()
+    [[0, 1], [1, 2], [3, 4], [4, 5], [0, 3], [1, 4], [2, 5], [0, 2], [3, 5]]
+    """
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    along, upward = np.meshgrid(_shares(columns), _shares(rows), indexing="xy")
+    first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
+    places = first + along.reshape(-1, 1) * right + upward.reshape(-1, 1) * top
+    rising = _pairs(grid[:-1, :-1], grid[1:, 1:])
+    falling = _pairs(grid[:-1, 1:], grid[1:, :-1])
+    families = [
+        (_both_ways(grid, 1), structural),
+        (rising, diagonal),
+        (np.concatenate([rising, falling]), diagonals),
+        (_both_ways(grid, 2), bend),
+    ]
+    return built(places, mass, families, _triangles(grid))
+
+
+def _shares(count: int) -> FloatArray:
+    return np.arange(count) / max(count - 1, 1)
+
+
+def _pairs(first: IntArray, second: IntArray) -> IntArray:
+    return np.stack([first.ravel(), second.ravel()], axis=1)
+
+
+def _both_ways(grid: IntArray, step: int) -> IntArray:
+    right = _pairs(grid[:, :-step], grid[:, step:])
+    return np.concatenate([right, _pairs(grid[:-step], grid[step:])])
+
+
+def _triangles(grid: IntArray) -> IntArray:
+    a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
+    c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def surface(
+    points: ArrayLike,
+    counts: ArrayLike,
+    indices: ArrayLike,
+    *,
+    mass: ArrayLike,
+    structural: Family | None = None,
+    diagonals: Family | None = None,
+    bend: Family | None = None,
+) -> Body:
+    """Return the cloth of a polygon mesh, at rest where its points are.
+
+    Args:
+        points: ``(N, 3)`` [m].
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face.
+        mass: Of each particle, or of all ``(N,)`` [kg].
+        structural: Springs along the edges.
+        diagonals: Springs across faces of four corners or more, to corners that are
+            not neighbours.
+        bend: Springs over each edge of two triangles, between the corners off it; of
+            faces with more corners, triangles are those of their fans. An edge of more
+            than two joins all of them.
+
+    >>> body = surface(np.eye(4, 3), [3, 3], [0, 1, 2, 2, 1, 3], mass=1.0,
+    ...                structural=Family(10.0), bend=Family(1.0))
+    >>> body.springs.ends.tolist()
+    [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3], [0, 3]]
+    """
+    places = as_floats(points, ("N", 3), "points")
+    sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
+    triangles = triangulated(sizes, corners)
+    along = edges(sizes, corners)
+    crossing = _crossing(sizes, corners)
+    # A fan's inner edges are no edges of the mesh, and are not bent over.
+    hinges = _hinges(triangles, along)
+    families = [(along, structural), (crossing, diagonals), (hinges, bend)]
+    return built(places, mass, families, triangles)
+
+
+def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
+    found = [np.zeros((0, 2), np.int64)]
+    for step in range(2, int(counts.max(initial=0)) // 2 + 1):
+        wide = np.repeat(counts >= 2 * step, counts)
+        found.append(_steps(counts, indices, np.full_like(counts, step))[wide])
+    return distinct_pairs(np.concatenate(found))
+
+
+def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
+    """Return each corner with that some steps further round its face."""
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    around, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
+    ahead = starts + (around + np.repeat(steps, counts)) % np.maximum(sizes, 1)
+    return np.stack([indices, indices[ahead]], axis=1)
+
+
+def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
+    """Return the corners off each of some edges that triangles share ``(B, 2)``."""
+    own = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
+    one, other = of_one_edge(own)
+    wanted = _among(np.sort(own[one], axis=1), kept)
+    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[wanted])
+
+
+def _among(pairs: IntArray, kept: IntArray) -> BoolArray:
+    size = int(max(pairs.max(initial=0), kept.max(initial=0))) + 1
+    return np.isin(pairs @ [size, 1], kept @ [size, 1])
+
+
+def block(
+    counts: tuple[int, int, int],
+    size: ArrayLike,
+    *,
+    mass: float,
+    structural: Family | None = None,
+    face_diagonals: Family | None = None,
+    body_diagonals: Family | None = None,
+    corner: ArrayLike = (0.0, 0.0, 0.0),
+) -> Body:
+    """Return a solid block of particles on a grid; x runs fastest, then y, then z.
+
+    Args:
+        counts: Particles along x, y and z.
+        size: Along x, y and z ``(3,)`` [m].
+        mass: Of each particle [kg].
+        structural: Springs between neighbours along the axes.
+        face_diagonals: Springs across the sides of each cell.
+        body_diagonals: Springs through each cell.
+        corner: Where particle 0 is ``(3,)`` [m].
+
+    >>> cube = block((2, 2, 2), [1, 1, 1], mass=1.0, structural=Family(1.0),
+    ...              face_diagonals=Family(1.0), body_diagonals=Family(1.0))
+    >>> len(cube.springs.rest), len(cube.triangles)
+    (28, 12)
+    """
+    grid = np.arange(np.prod(counts)).reshape(counts[::-1])
+    z, y, x = np.indices(grid.shape)
+    steps = np.maximum(np.array(counts) - 1, 1)
+    shares = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
+    places = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
+    ways = [way for way in product((-1, 0, 1), repeat=3) if way > (0, 0, 0)]
+    by_axes = [
+        np.concatenate(
+            [_grid_pairs(grid, way) for way in ways if sum(map(abs, way)) == axes]
+        )
+        for axes in (1, 2, 3)
+    ]
+    families = list(
+        zip(by_axes, (structural, face_diagonals, body_diagonals), strict=True)
+    )
+    return built(places, mass, families, _skin(grid))
+
+
+def tetrahedra(
+    points: ArrayLike, cells: ArrayLike, edges: Family, *, mass: ArrayLike
+) -> Body:
+    """Return the body of tetrahedra, with springs along their edges.
+
+    Args:
+        points: ``(N, 3)`` [m].
+        cells: Corners of each ``(C, 4)``.
+        edges: Their springs.
+        mass: Of each particle, or of all ``(N,)`` [kg].
+
+    >>> body = tetrahedra(np.eye(4, 3), [[0, 1, 2, 3]], Family(1.0), mass=1.0)
+    >>> len(body.springs.rest), len(body.triangles)
+    (6, 4)
+    """
+    corners = np.asarray(cells, np.int64).reshape(-1, 4)
+    pairs = np.concatenate([corners[:, list(two)] for two in combinations(range(4), 2)])
+    sides = np.concatenate(
+        [corners[:, side] for side in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])]
+    )
+    _, first, often = np.unique(
+        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    # A side of two cells is inside.
+    outside = sides[np.sort(first[often == 1])]
+    unique = np.unique(np.sort(pairs, axis=1), axis=0)
+    return built(points, mass, [(unique, edges)], outside)
+
+
+def _grid_pairs(grid: IntArray, way: tuple[int, ...]) -> IntArray:
+    here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in way)
+    there = tuple(slice(max(step, 0), step if step < 0 else None) for step in way)
+    return np.stack([grid[here].ravel(), grid[there].ravel()], axis=1)
+
+
+def _skin(grid: IntArray) -> IntArray:
+    """Return the triangles around a grid, their fronts outside."""
+    found = []
+    for axis in range(3):
+        for end, flip in ((0, axis != 1), (-1, axis == 1)):
+            side = np.take(grid, end, axis=axis)
+            a, b = side[:-1, :-1].ravel(), side[:-1, 1:].ravel()
+            c, d = side[1:, 1:].ravel(), side[1:, :-1].ravel()
+            if flip:
+                b, d = d, b
+            found += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    return np.concatenate(found)

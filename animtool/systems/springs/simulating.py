@@ -1,0 +1,364 @@
+"""From springs and times to their states at these times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import ArrayLike, BoolArray, FloatArray
+from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.quantities import length_text, plain
+from animtool.sim.checks import Watch, check_times
+from animtool.sim.options import IntegrateOptions
+from animtool.sim.trajectory import Checkpoint, Stats, Status
+from animtool.systems.springs.choosing import Choice, choose, explicit_limit
+from animtool.systems.springs.options import (
+    MAX_SUBSTEPS,
+    Grid,
+    Solver,
+    SpringMotion,
+    SpringOptions,
+    check_options,
+)
+from animtool.systems.springs.self_contact import Through, through_notices
+from animtool.systems.springs.solvers import ADVANCE
+from animtool.systems.springs.system import SpringSystem
+
+# A time within this share of a cell is at its start.
+ON_GRID = 1e-9
+# Cells between two looks for signs of a blow-up.
+LOOK_EVERY = 120
+# Times the stretch of xpbd from which on it is said that springs give by themselves:
+# then at least three quarters of it are their own.
+GIVES = 2
+# Times that the step is halved to keep an error.
+MAX_HALVINGS = 8
+# Error of a step over that of a half one.
+GAIN = {
+    Solver.SYMPLECTIC_EULER: 2.0,
+    Solver.XPBD: 2.0,
+    Solver.BDF2: 4.0,
+    Solver.IMPLICIT_EULER: 2.0,
+}
+
+
+def simulate_springs(
+    system: SpringSystem,
+    times: ArrayLike,
+    options: SpringOptions | None = None,
+    checkpoint: Checkpoint | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> SpringMotion:
+    """Return the states of springs at times.
+
+    Steps stand on a grid of time of their own, so that the rate of the output does not
+    change the motion: a time on the grid has the state there, one between two steps is
+    on the cubic through both.
+
+    Args:
+        system: Particles and springs, and what acts on them.
+        times: Ascending ``(F,)`` [s]; the first is that of the start.
+        options: Solver, steps and what is allowed.
+        checkpoint: Where to begin in place of the system's start: where an earlier
+            motion ended. The motion in parts is then the whole motion, bit for bit.
+            Without its memory a motion begins anew from its state.
+        progress: Told the time that was reached now and then [s]; where an error is to
+            be kept, once for each motion that is compared.
+
+    Raises:
+        OptionError: There is no such solver (SIM001); times descend, are not finite or
+            none (SIM002); the start is not finite or of another shape (SIM003); an
+            option is out of its range (SIM004); a solver that is asked for does not
+            keep a surface apart from itself (SIM046).
+
+    >>> from animtool.systems.springs import Family, Pins, SpringSystem, rope
+    >>> line = rope([0, 0, 0], [1, 0, 0], 8, Family(1e4), mass=0.01)
+    >>> system = SpringSystem(line, pins=Pins([0]), drag=0.5)
+    >>> motion = simulate_springs(system, [0, 0.5, 1])
+    >>> motion.positions.shape, motion.stats.status
+    ((3, 8, 3), <Status.OK: 'ok'>)
+    """
+    options = options or SpringOptions()
+    solver = check_options(options)
+    moments = check_times(times, checkpoint)
+    grid = checkpoint.memory if checkpoint is not None else None
+    if isinstance(grid, Grid):
+        limit = explicit_limit(system, grid.time, grid.state)
+        choice = Choice(
+            grid.solver, grid.cell, grid.substeps, "it was carried on", limit
+        )
+        return _motion(system, options, moments, choice, _fresh(grid), progress)
+    t = float(moments[0])
+    state = np.ascontiguousarray(
+        system.state if checkpoint is None else checkpoint.state
+    )
+    _check_start(system, state)
+    choice = choose(system, options, solver, t, state)
+
+    def made(substeps: int) -> SpringMotion:
+        fine = replace(choice, substeps=substeps)
+        whole = np.zeros(len(system.body.springs.rest), np.uint8)
+        begun = Grid(
+            fine.solver, t, fine.cell, 0, substeps, state, whole, least=substeps
+        )
+        return _motion(system, options, moments, fine, begun, progress)
+
+    if options.error is None:
+        return made(choice.substeps)
+    return _near_enough(made, choice, options.error)
+
+
+def _fresh(grid: Grid) -> Grid:
+    """Return where a motion stands, with nothing counted."""
+    return replace(
+        grid, stretch=0.0, steps=0, evaluations=0, unresolved=0, through=Through()
+    )
+
+
+def _check_start(system: SpringSystem, state: FloatArray) -> None:
+    wanted = (2, len(system.body.positions), 3)
+    message = ""
+    if state.shape != wanted:
+        message = f"the start must have shape {wanted}, not {state.shape}"
+    elif not np.isfinite(state).all():
+        lost = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {lost} is not finite at the start"
+    if message:
+        raise OptionError(Fault("SIM003", message, where="state"))
+
+
+def _near_enough(
+    made: Callable[[int], SpringMotion], choice: Choice, error: float
+) -> SpringMotion:
+    """Return the motion in the longest steps whose error is said to be in bounds."""
+    coarse = made(choice.substeps)
+    share = 1 / (GAIN[choice.solver] - 1)
+    substeps, said = choice.substeps, np.inf
+    for _ in range(MAX_HALVINGS):
+        substeps *= 2
+        if substeps > MAX_SUBSTEPS:
+            break
+        fine = made(substeps)
+        if coarse.stats.status is Status.OK is fine.stats.status:
+            said = share * float(np.abs(fine.positions - coarse.positions).max())
+        coarse = replace(fine, stats=replace(fine.stats, error=said))
+        if said <= error:
+            return coarse
+    found = length_text(said) if math.isfinite(said) else "not known"
+    message = f"the error of positions is {found}, and the limit is "
+    message += length_text(error)
+    hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
+    notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
+    return replace(coarse, notices=(*coarse.notices, notice))
+
+
+def _motion(
+    system: SpringSystem,
+    options: SpringOptions,
+    moments: FloatArray,
+    choice: Choice,
+    grid: Grid,
+    progress: Callable[[float], None] | None,
+) -> SpringMotion:
+    run = _Run(system, options, grid, progress)
+    states = [run.states_at(float(moments[0]))]
+    energies = [run.energy_of(float(moments[0]), states[0])]
+    for t in moments[1:].tolist():
+        state = run.states_at(t)
+        if run.status is not Status.OK:
+            break
+        states.append(state)
+        energies.append(run.energy_of(t, state))
+    reached = moments[: len(states)]
+    step = run.grid.cell / run.most_substeps
+    stable = choice.limit if run.status is Status.UNSTABLE else None
+    stats = Stats(
+        run.status, float(reached[-1]) if not run.sign else run.grid.time, run.sign,
+        run.grid.steps, None, run.grid.evaluations, step,
+        run.grid.cell / grid.substeps, None, stable_step=stable,
+    )  # fmt: skip
+    return SpringMotion(
+        reached,
+        np.array(states),
+        np.array(energies),
+        stats,
+        tuple(_notices(system, options, choice, grid, run, stats)),
+        Checkpoint(float(reached[-1]), states[-1], run.kept),
+        second_order=True,
+        solver=choice.solver,
+        reason=choice.reason,
+        step=step,
+        stretch=run.grid.stretch,
+        torn=run.torn,
+        unresolved=run.grid.unresolved,
+        passed=run.grid.through.passed,
+        cut=run.grid.through.cut,
+    )
+
+
+class _Run:
+    """A motion under way."""
+
+    def __init__(
+        self,
+        system: SpringSystem,
+        options: SpringOptions,
+        grid: Grid,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self._system = system
+        self._progress = progress
+        self._options = options
+        self.grid = grid
+        # Where the last time that was reached can be gone on from.
+        self.kept = grid
+        self.most_substeps = grid.substeps
+        self.status = Status.OK
+        self.sign = ""
+        # Of a spring of xpbd, over that at rest.
+        self.longest = 1.0
+        # What xpbd leaves of a stretch is no energy that it goes on with.
+        growth = np.inf if grid.solver is Solver.XPBD else options.growth
+        bounds = IntegrateOptions(growth=growth, stretch=options.longest)
+        # Its springs that are not torn.
+        self.left, self._gone = system, 0
+        self._watch = Watch(system, bounds)
+        self._leave_out_torn()
+        self._watch.start(grid.time, grid.state)
+
+    def states_at(self, t: float) -> FloatArray:
+        """Return the state at a time, not before the one asked for last."""
+        place = (t - self.grid.origin) / self.grid.cell
+        near = round(place)
+        on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
+        target = near if on_grid else int(np.floor(place))
+        while self.grid.index < target and self.status is Status.OK:
+            self._advance(min(LOOK_EVERY, target - self.grid.index))
+            if self._progress is not None:
+                self._progress(self.grid.time)
+        if self.status is not Status.OK:
+            return self.grid.state
+        self.kept = self.grid
+        if on_grid:
+            return self.grid.state
+        begun = self._entered()
+        with np.errstate(all="ignore"):
+            ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
+            made = _between(begun, ahead, t)
+        if np.isfinite(made).all():
+            return made
+        self.status, self.sign = Status.UNSTABLE, "its state is not finite"
+        return self.grid.state
+
+    def energy_of(self, t: float, state: FloatArray) -> float:
+        """Return the energy of a state that was reached last [J]."""
+        known = self._watch.energy if state is self.grid.state else None
+        return (known or self.left.energy(t, state)).total
+
+    def _entered(self) -> Grid:
+        """Return where the next cell begins: pins that jump in it are there at once."""
+        grid, jumps = self.grid, self._system.jumps
+        here = jumps.stage_of(grid)
+        last = jumps.stage_of(replace(grid, index=grid.index - 1))
+        if here == last:
+            return grid
+        return replace(grid, state=jumps.across(grid.state, last, here), before=None)
+
+    @property
+    def torn(self) -> BoolArray:
+        """Which springs are torn ``(S,)``, in the order of the body's."""
+        torn = np.zeros(len(self.grid.torn), bool)
+        torn[self._system.order] = self.grid.torn.astype(bool)
+        return torn
+
+    def _leave_out_torn(self) -> None:
+        """Judge energy and stretch by the springs that there are."""
+        gone = int(self.grid.torn.sum())
+        if gone != self._gone:
+            self._gone = gone
+            self.left = self._system.without_springs(self.torn)
+            self._watch.look_at(self.left)
+
+    def _advance(self, cells: int) -> None:
+        begun = self._entered()
+        cells = int(min(cells, self._system.jumps.cells(begun)))
+        with np.errstate(all="ignore"):
+            self.grid = ADVANCE[begun.solver](self._system, self._options, begun, cells)
+            self.most_substeps = max(self.most_substeps, self.grid.substeps)
+            self._leave_out_torn()
+            self.sign = self._watch.sign(self.grid.time, self.grid.state)
+            if begun.solver is Solver.XPBD:
+                ratio = self.left.stretch(self.grid.time, self.grid.state)
+                self.longest = max(self.longest, ratio or 0.0)
+        if self.sign:
+            self.status = Status.UNSTABLE
+        elif self.grid.lost:
+            self.status = Status.NOT_SOLVED
+            self.sign = "Newton's method found no solution"
+
+
+def _between(grid: Grid, ahead: Grid, t: float) -> FloatArray:
+    """Return the state at a time in a cell, on the cubic through its ends."""
+    h = grid.cell
+    s = (t - grid.time) / h
+    (x0, v0), (x1, v1) = grid.state, ahead.state
+    slope = x1 - x0
+    x = x0 + s * (
+        h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))
+    )
+    return np.array((x, v0 + s * (v1 - v0)))
+
+
+def _notices(
+    system: SpringSystem,
+    options: SpringOptions,
+    choice: Choice,
+    begun: Grid,
+    run: _Run,
+    stats: Stats,
+) -> list[Fault]:
+    begins = begun.index == 0
+    found = system.notices() if begins else system.colliders.surfaces.notices()
+    limit = choice.limit
+    h = choice.cell / choice.substeps
+    if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
+        message = f"{choice.solver} is not stable with steps of {plain(h)} s"
+        found.append(_warning("SIM101", message, f"up to {plain(limit)} s are"))
+    if stats.status is Status.UNSTABLE:
+        message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
+        hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+        found.append(_warning("SIM102", message, hint))
+    elif stats.status is Status.NOT_SOLVED:
+        message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
+        found.append(_warning("SIM105", message, "take a shorter step"))
+    if not run.grid.stretch <= options.stretch:
+        message = (
+            f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
+            f"own give; {options.stretch:.1%} is allowed"
+        )
+        found.append(
+            _warning("SIM141", message, "take bdf2, or less stiffness or mass")
+        )
+    elif run.longest > 1 + GIVES * options.stretch:
+        message = (
+            f"springs are longer than at rest by {GIVES * options.stretch:.3g} of that "
+            "or more, mostly by their own give: more steps do not change that"
+        )
+        hint = "raise their stiffness, or lighten what hangs on them"
+        found.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
+    if run.grid.unresolved:
+        message = (
+            f"{counted(run.grid.unresolved, 'particle')} could not be brought out of "
+            "colliders at once"
+        )
+        hint = "they start inside, or colliders close in on them from several sides"
+        found.append(_warning("SIM143", message, hint))
+    return found + through_notices(run.grid.through)
+
+
+def _warning(code: str, message: str, hint: str) -> Fault:
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)

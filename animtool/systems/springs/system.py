@@ -1,0 +1,450 @@
+"""Particles and springs as a system that integrators take through time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import fields, replace
+from functools import cached_property
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.errors import Fault
+from animtool.sim.colliders import Collider, Colliders, Contacts, collide
+from animtool.sim.colliders.collider import SPEED_LIMIT
+from animtool.sim.system import Energy, Matrix, Native, SecondOrder
+from animtool.systems.springs.body import Body, Springs
+from animtool.systems.springs.checks import (
+    check_body,
+    check_limit,
+    check_path,
+    start_notices,
+)
+from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
+from animtool.systems.springs.self_contact import (
+    SelfContact,
+    check_self_contact,
+    tangle_notices,
+)
+from animtool.systems.springs.slopes import fastest
+
+# Of the speed of targets, where no step says over which time to take it [s].
+EPSILON_TIME = 1e-6
+# Steps that a kernel takes in one call, at most.
+AT_ONCE = 1 << 20
+# Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
+Path: TypeAlias = tuple[FloatArray, FloatArray]
+
+
+class _Stage(NamedTuple):
+    """What holds particles between two jumps."""
+
+    pins: Path
+    targets: Path
+    network: _kernels.SpringNetwork
+
+
+class SpringSystem(SecondOrder):
+    """A body of springs, held and drawn, in gravity and air.
+
+    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a; its
+    ends at one place it pulls nothing. Torn springs come of `simulate_springs` only:
+    other methods go on with all.
+
+    Attributes:
+        contacts: What particles met in the last step that `integrate` settled; None
+            where there was none.
+
+    Args:
+        body: Particles, springs and triangles.
+        pins: Particles that are held, and where.
+        targets: Points that particles are drawn to.
+        gravity: ``(3,)`` [m/s²].
+        drag: What slows all motion, over mass and speed [1/s].
+        resistance: The same over speed, of each particle ``(N,)`` or all [N s/m].
+        air: What acts on the triangles.
+        velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
+        colliders: What particles may run into.
+        radius: Distance that particles keep from colliders [m].
+        speed_limit: Pins and targets that go faster were put elsewhere: what they hold
+            is taken along as a whole, and gets no velocity of it [m/s].
+        self_contact: How the triangles keep apart from themselves; None does not ask.
+
+    Raises:
+        OptionError: What makes no sense (SIM004, SIM040 to SIM045), of colliders
+            SIM020.
+
+    >>> from animtool.systems.springs.shapes import rope
+    >>> from animtool.systems.springs.body import Family
+    >>> line = rope([0, 0, 0], [1, 0, 0], 3, Family(100.0), mass=0.5)
+    >>> system = SpringSystem(line, pins=Pins([0]))
+    >>> x, v = system.state
+    >>> system.acceleration(0.0, x + [0, 0, 0], v)[1:, 2].tolist()
+    [-9.81, -9.81]
+    """
+
+    velocity_dependent = True
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        pins: Pins | None = None,
+        targets: Targets | None = None,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        drag: float = 0.0,
+        resistance: ArrayLike = 0.0,
+        air: Air | None = None,
+        velocities: ArrayLike | None = None,
+        colliders: Sequence[Collider] = (),
+        radius: float = 0.0,
+        speed_limit: float = SPEED_LIMIT,
+        self_contact: SelfContact | None = None,
+    ) -> None:
+        held = Pins(()) if pins is None else pins
+        check_body(body, held, targets)
+        check_limit(speed_limit)
+        if self_contact is not None:
+            check_self_contact(self_contact, body)
+        count = len(body.positions)
+        self.body = body
+        self.gravity = as_floats(gravity, (3,), "gravity")
+        self.drag = float(drag)
+        self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
+        self.pressures, self._wind_path = _blowing(air)
+        self.pinned: IntArray = np.asarray(held.particles, np.int64).reshape(-1)
+        self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
+        pin_path = _pin_path(body, held, self.pinned)
+        self.drawn, self.draws, target_path = _drawn(targets)
+        holders = np.append(self.pinned, self.drawn)
+        self._ways = (pin_path, target_path)
+        self.jumps = Teleports(body, holders, self._ways, speed_limit)
+        self._staged: tuple[int, _Stage] | None = None
+        self.contacts: Contacts | None = None
+        self.colliders = (
+            colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+        )
+        self.radius, self.speed_limit = float(radius), float(speed_limit)
+        self._pins_move = len(pin_path[0]) > 1
+        self.self_contact = self_contact
+        given = None if self_contact is None else self_contact.rest
+        rest = body.positions if given is None else given
+        self._rest = np.ascontiguousarray(rest, np.float64)
+        self._meets = self.colliders.meet or self_contact is not None
+        self.settles = self._pins_move or self._meets or len(self.jumps) > 0
+        speeds = np.zeros((count, 3)) if velocities is None else velocities
+        self._state = np.stack(
+            [body.positions, as_floats(speeds, (count, 3), "velocities")]
+        )
+        self._state[1, self.pinned] = 0.0
+        self._whole = np.zeros(len(body.springs.rest), np.uint8)
+
+    def network(self, stage: int) -> _kernels.SpringNetwork:
+        """Return what kernels step, after some of the jumps of pins and targets."""
+        return self._stage(stage).network
+
+    def _stage(self, number: int) -> _Stage:
+        if self._staged is None or self._staged[0] != number:
+            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways
+            self._staged = number, _Stage(pins, targets, self._network(pins, targets))
+        return self._staged[1]
+
+    def _network(self, pins: Path, targets: Path) -> _kernels.SpringNetwork:
+        springs, order = self.body.springs, self.order
+        knots, paths = over_knots([pins, targets, self._wind_path])
+        return _kernels.SpringNetwork(
+            self.inverse_masses,
+            self.drags,
+            np.ascontiguousarray(springs.ends[order]),
+            np.stack(
+                [springs.rest, springs.stiffness, springs.damping, springs.limit], 1
+            )[order],
+            self.body.triangles,
+            np.array([*self.gravity, *self.pressures]),
+            knots,
+            self.pinned,
+            paths[0],
+            self.drawn,
+            self.draws,
+            paths[1],
+            paths[2],
+        )
+
+    @cached_property
+    def layers(self) -> _kernels.SpringLayers | None:
+        """What of the surface kernels keep apart."""
+        contact = self.self_contact
+        if contact is None:
+            return None
+        return _kernels.SpringLayers(
+            self.network(0),
+            self._rest,
+            contact.thickness,
+            contact.friction,
+            contact.speed,
+        )
+
+    @cached_property
+    def order(self) -> IntArray:
+        """The order in which springs are gone through ``(S,)``."""
+        count = len(self.body.positions)
+        return _kernels.spring_order(self.body.springs.ends, count)
+
+    @cached_property
+    def inverse_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
+        masses = np.where(self.fixed, 1.0, self.body.masses)
+        return np.where(self.fixed, 0.0, 1.0 / masses)
+
+    @cached_property
+    def drags(self) -> FloatArray:
+        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
+        return self.drag + self.resistance * self.inverse_masses
+
+    @property
+    def state(self) -> FloatArray:
+        """Where it starts ``(2, N, 3)``."""
+        return self._state
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
+        network = self.network(self.jumps.stage(t))
+        return _kernels.spring_accelerations(
+            network, t, EPSILON_TIME, np.array((x, v)), self._whole
+        )
+
+    def jacobians(
+        self, t: float, x: FloatArray, v: FloatArray
+    ) -> tuple[Matrix, Matrix] | None:
+        """Return the derivatives of accelerations by positions and velocities."""
+        from animtool.systems.springs.slopes import slopes
+
+        return slopes(self, t, x, v)
+
+    def stiffness(self, t: float, x: FloatArray) -> Matrix:
+        """Return the derivative of forces by positions, negative ``(3 N, 3 N)``.
+
+        Of springs and targets, sparse; rows of particles that are held are 0.
+        """
+        from scipy.sparse import diags_array
+
+        from animtool.systems.springs.slopes import place_slopes
+
+        masses = np.repeat(-self._free_masses, 3)
+        return diags_array(masses) @ place_slopes(self, t, x)
+
+    def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
+        """Return springs with pins and targets as they are at a time, without air.
+
+        Args:
+            t: The time [s].
+            body: Where particles are, and their springs.
+            drag: What slows all motion, over mass and speed [1/s].
+        """
+        stage = self._stage(self.jumps.stage(t))
+        aims = _position(stage.targets, t)
+        return SpringSystem(
+            body,
+            pins=Pins(self.pinned, _position(stage.pins, t)),
+            targets=Targets(self.drawn, aims, self.draws[:, 0], self.draws[:, 1]),
+            gravity=self.gravity,
+            drag=drag,
+        )
+
+    def without_springs(self, gone: BoolArray) -> SpringSystem:
+        """Return the same particles without some of their springs ``(S,)``."""
+        springs = self.body.springs
+        kept = {
+            each.name: getattr(springs, each.name)[~gone] for each in fields(springs)
+        }
+        left = copy(self)
+        left.body = replace(self.body, springs=Springs(**kept))
+        left._whole = np.zeros(len(left.body.springs.rest), np.uint8)
+        left._staged = None
+        left.__dict__.pop("order", None)
+        return left
+
+    def starting_at(self, positions: ArrayLike) -> SpringSystem:
+        """Return the same springs that begin elsewhere, at rest.
+
+        Args:
+            positions: ``(N, 3)`` [m].
+        """
+        places = as_floats(positions, self.body.positions.shape, "positions")
+        moved = copy(self)
+        moved.body = replace(self.body, positions=places)
+        moved._state = np.stack([places, np.zeros_like(places)])
+        return moved
+
+    def energy(self, t: float, state: FloatArray) -> Energy:
+        """Return the energy of springs, gravity and motion.
+
+        Moved pins and targets and wind may bring in about what all particles have at
+        their speed.
+        """
+        x, v = state
+        masses = self._free_masses
+        kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
+        stage = self._stage(self.jumps.stage(t))
+        potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
+        potential -= float(masses @ x @ self.gravity)
+        if len(self.drawn):
+            gaps = x[self.drawn] - _position(stage.targets, t)
+            potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
+        return Energy(kinetic, potential, self._supply)
+
+    @cached_property
+    def _free_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [kg], 0 of those that are held."""
+        masses: FloatArray = np.where(self.fixed, 0.0, self.body.masses)
+        return masses
+
+    @property
+    def _supply(self) -> float:
+        mass, given_speed, speed = self._driven
+        return mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
+
+    @cached_property
+    def _driven(self) -> tuple[float, float, float]:
+        """The mass that moves, what wind and ways bring it, and the speed of those."""
+        mass = float(self.body.masses[~self.fixed].sum())
+        wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
+        # What is put elsewhere brings no speed.
+        speed = min(max(_speed(path) for path in self._ways), self.speed_limit)
+        travel = max(_travel(path) for path in self._ways)
+        pull = float(np.linalg.norm(self.gravity))
+        return mass, wind**2 + pull * travel, speed
+
+    def wind(self, t: float) -> FloatArray:
+        """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
+        return _position(self._wind_path, t)
+
+    def _lengths(self, x: FloatArray) -> FloatArray:
+        ends = self.body.springs.ends
+        lengths: FloatArray = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        return lengths
+
+    def stretch(self, t: float, state: FloatArray) -> float | None:
+        """Return the largest length of a spring over its length at rest [1]."""
+        places = np.ascontiguousarray(state[0])
+        network = self.network(self.jumps.stage(t))
+        longest = _kernels.spring_energy(network, places)[1]
+        return longest if (self.body.springs.rest > 0).any() else None
+
+    def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
+        """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
+        return fastest(self)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return the state after a step: pins where they are to be, and contacts."""
+        if not self.settles:
+            return after
+        moved = after.copy()
+        if self.layers is not None:
+            network = self.network(self.jumps.stage(t))
+            moved = _kernels.part_springs(network, self.layers, before[0], moved, h)
+        if self.colliders.meet:
+            met = collide(
+                moved[0], moved[1], before, self.colliders, t - h, t, self.radius
+            )
+            moved = np.stack([met.points, met.velocities])
+            self.contacts = met.contacts
+        moved[:, self.pinned] = after[:, self.pinned]
+        if not self._pins_move and not len(self.jumps):
+            return moved
+        begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
+        moved = self.jumps.across(moved, begin, end)
+        was = self.jumps.across(before, begin, end)[0, self.pinned]
+        moved[0, self.pinned] = _position(self._stage(end).pins, t)
+        moved[1, self.pinned] = (moved[0, self.pinned] - was) / h
+        return moved
+
+    def native(self, method: str) -> Native | None:
+        """Return what takes many steps at once, of symplectic_euler."""
+        if method != "symplectic_euler" or self._meets or len(self.jumps):
+            return None
+
+        def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
+            made = np.ascontiguousarray(state)
+            for first in range(0, count, AT_ONCE):
+                made = _kernels.step_springs(
+                    self.network(0), made, self._whole, t, first, h,
+                    min(AT_ONCE, count - first), 1, None,
+                )[0]  # fmt: skip
+            return made
+
+        return steps
+
+    def notices(self) -> list[Fault]:
+        """Return warnings of the start, and of what is put elsewhere at once."""
+        found = start_notices(self.body) + self.colliders.notices()
+        if self.self_contact is not None:
+            found += tangle_notices(self.body.positions, self.body.triangles)
+        return found + self.jumps.notices()
+
+    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+        """Return which spring is stretched most."""
+        springs = self.body.springs
+        if not len(springs.rest):
+            return ""
+        longest = int(np.argmax(self._lengths(state[0]) - springs.rest))
+        first, second = springs.ends[longest].tolist()
+        return f"the spring of particles {first} and {second} is stretched most"
+
+
+def _pin_path(body: Body, pins: Pins, pinned: IntArray) -> Path:
+    places = body.positions[pinned] if pins.positions is None else pins.positions
+    return check_path("pins", places, pins.times, len(pinned))
+
+
+def _blowing(
+    air: Air | None,
+) -> tuple[tuple[float, float], tuple[FloatArray, FloatArray]]:
+    """Return drag and lift over area and the square of speed, and the wind."""
+    if air is None:
+        return (0.0, 0.0), (np.zeros(1), np.zeros((1, 1, 3)))
+    winds = np.asarray(air.wind, np.float64)
+    path = check_path("air", winds[..., None, :], air.times, 1)
+    pressure = 0.5 * air.density
+    return (pressure * air.drag, pressure * air.lift), path
+
+
+def _drawn(
+    targets: Targets | None,
+) -> tuple[IntArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Return who is drawn ``(A,)``, how ``(A, 2)`` and along which path."""
+    if targets is None:
+        targets = Targets((), np.zeros((0, 3)), 0.0)
+    drawn = np.asarray(targets.particles, np.int64).reshape(-1)
+    path = check_path("targets", targets.positions, targets.times, len(drawn))
+    numbers = [
+        np.broadcast_to(np.asarray(value, np.float64), drawn.shape)
+        for value in (targets.stiffness, targets.damping)
+    ]
+    return drawn, np.stack(numbers, axis=1), path
+
+
+def _position(path: tuple[FloatArray, FloatArray], t: float) -> FloatArray:
+    times, places = path
+    row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
+    place: FloatArray = places[row]
+    if times[0] < t < times[-1]:
+        share = (t - times[row]) / (times[row + 1] - times[row])
+        place = place + (places[row + 1] - place) * share
+    return place
+
+
+def _speed(path: tuple[FloatArray, FloatArray]) -> float:
+    times, places = path
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    return float((steps / np.diff(times)[:, None]).max(initial=0.0))
+
+
+def _travel(path: tuple[FloatArray, FloatArray]) -> float:
+    places = path[1]
+    return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))

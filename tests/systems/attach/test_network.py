@@ -1,0 +1,51 @@
+"""What cloth becomes of faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from animtool.maths.faces import edges
+from animtool.systems.attach.network import (
+    Network,
+    diagonals_of_faces,
+    folds_of_faces,
+    reach,
+)
+
+
+def grid(size: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return points, and counts and corners of faces."""
+    across, down = np.meshgrid(np.arange(size), np.arange(size))
+    points = np.stack([across, down, 0 * down], axis=-1).reshape(-1, 3).astype(float)
+    row, column = np.mgrid[: size - 1, : size - 1]
+    at = (row * size + column).ravel()
+    corners = np.stack([at, at + 1, at + size + 1, at + size], axis=1)
+    return points, (np.full(len(corners), 4), corners.ravel())
+
+
+def test_springs_of_a_grid() -> None:
+    size = 5
+    points, faces = grid(size)
+    sides = Network.of(points, np.array([0]), edges(*faces)).stiff
+    assert len(sides.rests) == 2 * size * (size - 1)
+    assert_allclose(sides.rests, 1.0)
+    assert len(diagonals_of_faces(*faces)) == 2 * (size - 1) ** 2
+    folds = Network.of(points, np.array([0]), folds_of_faces(*faces)).stiff
+    assert_allclose(folds.rests, 2.0)
+    assert len(folds.rests) == 2 * size * (size - 2)
+
+
+def test_the_farthest_particle() -> None:
+    points, faces = grid(4)
+    sides = edges(*faces)
+    assert reach(Network.of(points, np.array([0]), sides)) == 6
+    assert reach(Network.of(points, np.arange(4), sides)) == 3
+    assert reach(Network.of(points, np.array([], np.int64), sides)) == 6
+
+
+def test_another_size() -> None:
+    points, faces = grid(3)
+    network = Network.of(points, np.array([0]), edges(*faces)).scaled(2.5)
+    assert_allclose(network.stiff.rests, 2.5)
+    assert_allclose(network.points, 2.5 * points)

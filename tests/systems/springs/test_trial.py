@@ -1,0 +1,89 @@
+"""Springs by every solver, with errors that go as they should."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.measuring import TrialRow, measure
+from animtool.sim.trials.trial import Setting
+from animtool.systems.springs import Family, Pins, SpringOptions, SpringSystem, rope
+from animtool.systems.springs.trial import SpringTrial
+
+
+@pytest.fixture(autouse=True)
+def _once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # How long anything takes is of no interest here.
+    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+
+
+def hanging(stiffness: float = 200.0, drag: float = 0.0) -> SpringSystem:
+    body = rope([0, 0, 0], [0.3, 0, -1], 4, Family(stiffness), mass=0.5)
+    return SpringSystem(body, pins=Pins([0]), drag=drag)
+
+
+def trial(system: SpringSystem, options: SpringOptions | None = None) -> SpringTrial:
+    times = np.linspace(0, 0.25, 7)
+    return SpringTrial("lead", "rope", system, options or SpringOptions(), -0.1, times)
+
+
+def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
+    return [row for row in rows if row.setting.method == method]
+
+
+def test_errors_go_with_the_order_of_each_solver() -> None:
+    table = measure(trial(hanging()))
+    assert (table.name, table.kind, table.points) == ("lead", "rope", 4)
+    assert table.span == pytest.approx(0.35)
+    assert table.reference is not None
+    assert table.reference.order == pytest.approx(2, abs=0.2)
+    for solver, order in (("symplectic_euler", 1), ("bdf2", 2), ("implicit_euler", 1)):
+        sizes = [row.error.rms for row in rows_of(table.rows, solver) if row.error]
+        assert math.log2(sizes[-2] / sizes[-1]) == pytest.approx(order, abs=0.3)
+    (chosen,) = [row for row in table.rows if row.chosen]
+    assert chosen.setting.method == "symplectic_euler"
+    assert chosen.energy_drift is not None
+    assert chosen.energy_drift < 0.05
+    assert chosen.stretch is not None
+    assert chosen.stretch > 0
+
+
+def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated() -> None:
+    auto = trial(hanging())
+    asked = SpringOptions(auto.chosen.method, step=dict(auto.chosen.options)["step"])
+    same = trial(hanging(), asked)
+    assert same.chosen == auto.chosen
+    one, other = auto.run(auto.chosen), same.run(same.chosen)
+    np.testing.assert_allclose(one.shots[-1].points, other.shots[-1].points, atol=1e-12)
+    assert one.steps == other.steps
+
+
+def test_steps_beyond_the_limit_blow_up_and_say_so() -> None:
+    ours = trial(hanging(1e6), SpringOptions("xpbd"))
+    done = ours.run(Setting("symplectic_euler", (("step", 0.01),)))
+    assert done.status is Status.UNSTABLE
+    assert done.reason
+    assert done.stable_step is not None
+    assert 0 < done.stable_step < 0.01
+    assert ours.chosen.method == "xpbd"
+
+
+def test_energy_is_told_where_nothing_takes_it() -> None:
+    slowed = trial(hanging(drag=0.5))
+    assert slowed.run(slowed.chosen).energies is None
+    free = trial(hanging())
+    energies = free.run(free.chosen).energies
+    assert energies is not None
+    assert len(energies) == 7
+
+
+def test_where_no_implicit_step_is_solved_explicit_ones_serve() -> None:
+    ours = trial(hanging())
+    methods = [settings[0].method for settings in ours.references()]
+    assert methods == ["bdf2", "symplectic_euler"]
+    for settings in ours.references():
+        steps = [dict(setting.options)["step"] for setting in settings]
+        assert steps == pytest.approx([steps[0], steps[0] / 2, steps[0] / 4])
