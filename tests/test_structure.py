@@ -37,7 +37,7 @@ LAYERS = [
         "supervisor",
         "similar",
     },
-    {"plugins", "ranges", "shot"},
+    {"options", "plugins", "ranges", "shot"},
     {"readers"},
     {"maths"},
     {"documents"},

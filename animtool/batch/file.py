@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,11 +26,11 @@ from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
-from animtool.edit.frame_range import FrameRange
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
+from animtool.scene.output_fields import bake_keys
 from animtool.scene.sources import SourceOptions, is_timeline
-from animtool.units import LengthUnit, UpAxis, parse_length
+from animtool.units import LengthUnit, UpAxis
 
 AT = ("variants",)
 
@@ -181,20 +180,20 @@ class _BatchReader:
             self.document.add("DOC021", (), message, hint)
         variants = self._variants()
         self._names(() if variants is None else variants.names)
-        memory = self._parsed(("limits", "memory"), model.limits.memory, parse_bytes)
+        memory = self.parsed(("limits", "memory"), model.limits.memory, parse_bytes)
         return BatchSpec(
             tuple(model.inputs),
             path.parent,
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
-            None if model.scene is None else self._file(("scene",), model.scene),
+            None if model.scene is None else self.read_file(("scene",), model.scene),
             model.variables,
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
             None if model.jobs == "auto" else model.jobs,
             path,
-            None if model.cut is None else self._file(("cut",), model.cut),
+            None if model.cut is None else self.read_file(("cut",), model.cut),
             model.handles,
             variants,
             self.roots,
@@ -230,45 +229,24 @@ class _BatchReader:
             self.document.add("BAT004", ("output",), message, hint)
 
     def _options(self, model: OptionsModel) -> BakeOptions:
-        def at(key: str) -> Location:
-            return "options", key
-
-        layer = model.rig_layer
+        at: Location = ("options",)
         return BakeOptions(
             source=SourceOptions(
                 None if model.units is None else LengthUnit(model.units),
                 None if model.up is None else UpAxis(model.up),
-                self._parsed(at("source_fps"), model.source_fps, parse_rate),
-                rig=None if model.rig is None else self._file(at("rig"), model.rig),
+                self.parsed((*at, "source_fps"), model.source_fps, parse_rate),
+                rig=None
+                if model.rig is None
+                else self.read_file((*at, "rig"), model.rig),
                 clamp=model.clamp,
             ),
-            form=model.form,
-            rig_layer=None if layer is None else self._file(at("rig_layer"), layer),
-            force_fit=model.force_fit,
-            prim_path=model.prim_path,
-            bones=model.bones,
-            fps=self._parsed(at("fps"), model.fps, parse_rate),
-            frame_range=self._parsed(at("range"), model.range, _range),
-            start=None if model.start is None else Fraction(model.start),
-            to_units=None if model.to_units is None else LengthUnit(model.to_units),
-            to_up=None if model.to_up is None else UpAxis(model.to_up),
-            sparse=model.sparse,
-            reduce=self._parsed(at("reduce"), model.reduce, parse_length),
-            reduce_at=tuple(self._tolerances(at("reduce_at"), model.reduce_at)),
-            strict=model.strict,
+            **bake_keys(model, "batch", at, self),
         )
 
-    def _tolerances(
-        self, at: Location, given: dict[str, str]
-    ) -> Iterator[tuple[str, float]]:
-        for name, text in given.items():
-            length = self._parsed((*at, name), text, parse_length)
-            if length is not None:
-                yield name, length
-
-    def _parsed(
+    def parsed(
         self, at: Location, given: Any, parse: Callable[[Any], Made]
     ) -> Made | None:
+        """Return a value; None, and a fault, where it is none."""
         if given is None:
             return None
         try:
@@ -277,7 +255,7 @@ class _BatchReader:
             self.document.add("BAT002", at, str(error))
             return None
 
-    def _file(self, at: Location, name: str) -> Path:
+    def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
         found = self._input(at, name)
         return Path(name) if found is None else found
@@ -286,10 +264,3 @@ class _BatchReader:
         """Return a file to read; None, and a fault, where it is refused or missing."""
         codes = "BAT003", "BAT003"
         return referred_input(self.document, at, name, self.roots, codes)
-
-
-def _range(given: list[int]) -> FrameRange:
-    first, last = given
-    if first > last:
-        raise ValueError(f"the range from {first} to {last} is reversed")
-    return FrameRange(first, last)

@@ -7,20 +7,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Gt, Le
 from pydantic import Field
 
 from animtool.batch.spec import MAX_SECONDS
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Frame, IgnoreModel, Name, Real, Whole, WholeFrame
-from animtool.scene.output_fields import (
-    Bones,
-    ForceFit,
-    FormName,
-    ReduceAt,
-    RigLayer,
-    Sparse,
-)
+from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame
+from animtool.scene.output_fields import with_keys
 
 
 class LimitsModel(FileModel):
@@ -39,6 +32,12 @@ class LimitsModel(FileModel):
     )
 
 
+@with_keys(
+    "batch",
+    *("rig", "units", "up", "source_fps", "clamp", "fps", "frame_range", "start"),
+    *("form", "rig_layer", "force_fit", "prim_path", "to_units", "to_up", "sparse"),
+    *("bones", "reduce", "reduce_at", "strict"),
+)
 class OptionsModel(FileModel):
     """How to bake the inputs, where no scene says it."""
 
@@ -67,55 +66,6 @@ class OptionsModel(FileModel):
         default=False,
         description="Of clips: bring controls into their ranges and joints into their "
         "limits.",
-        examples=[True],
-    )
-    fps: Real | str | None = Field(
-        default=None,
-        description="Frames a second of the outputs. Not given: the rig layer's, or "
-        "each source's.",
-        examples=[24],
-    )
-    range: Annotated[list[WholeFrame], Len(2, 2)] | None = Field(
-        default=None,
-        description="First and last frame to write, as the outputs number them. Not "
-        "given: all.",
-        examples=[[1001, 1040]],
-    )
-    start: Frame | None = Field(
-        default=None,
-        description="Time code of the first frame. Not given: as `bake` has it.",
-        examples=[1001],
-    )
-    form: FormName = None
-    rig_layer: RigLayer = None
-    force_fit: ForceFit = False
-    prim_path: str | None = Field(
-        default=None,
-        description="Where the character stands. Not given: as `bake` has it.",
-        examples=["/World/hero"],
-    )
-    to_units: Literal["m", "cm", "mm", "in"] | None = Field(
-        default=None,
-        description="Unit of the outputs. Not given: each source's.",
-        examples=["m"],
-    )
-    to_up: Literal["Y", "Z"] | None = Field(
-        default=None,
-        description="Up axis of the outputs. Not given: each source's.",
-        examples=["Y"],
-    )
-    sparse: Sparse = False
-    bones: Bones = False
-    reduce: str | None = Field(
-        default=None,
-        description="Leave out samples that the others give back within this length. "
-        "Not given: all stay.",
-        examples=["0.5mm"],
-    )
-    reduce_at: ReduceAt = {}
-    strict: bool = Field(
-        default=False,
-        description="Take warnings for errors.",
         examples=[True],
     )
 

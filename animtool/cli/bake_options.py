@@ -238,42 +238,28 @@ def bake_options(command: Command) -> Command:
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
+    from animtool.options import options_of
     from animtool.scene.options import BakeOptions
     from animtool.units import LengthUnit, UpAxis
 
-    to_units, to_up = given["to_units"], given["to_up"]
+    units, up = given["to_units"], given["to_up"]
+    source = source_options_record(
+        given,
+        given["source_prim"],
+        given["rig"],
+        clamp=given["clamp"],
+        take=given["take"],
+    )
+    # --take names one of the source, not the one that is written.
+    names = options_of(BakeOptions).keys() & given.keys() - {"take"}
     return BakeOptions(
-        source=source_options_record(
-            given,
-            given["source_prim"],
-            given["rig"],
-            clamp=given["clamp"],
-            take=given["take"],
-        ),
-        form="split" if given["split"] else given["form"],
-        rig_layer=given["rig_layer"],
-        force_fit=given["force_fit"],
-        prim_path=given["prim_path"],
-        bones=given["bones"],
-        strip_namespace=given["strip_namespace"],
-        rest_frame=given["rest_frame"],
-        fps=given["fps"],
-        frame_range=given["frame_range"],
+        source=source,
         shot=given["shot"],
-        start=given["start"],
-        samples=given["samples"],
-        keep_samples=given["keep_samples"],
-        to_units=None if to_units is None else LengthUnit(to_units),
-        to_up=None if to_up is None else UpAxis(to_up.upper()),
-        root_motion=given["root_motion"] == "skelroot",
-        sparse=given["sparse"],
-        keep_curves=given["keep_curves"],
-        reduce=given["reduce"],
-        reduce_at=given["reduce_at"],
-        deform=given["deform"],
-        velocities=given["velocities"],
-        normals=given["normals"],
-        chunk=given["chunk"],
-        strict=given["strict"],
-        overwrite=given["overwrite"],
+        **{name: given[name] for name in names}
+        | {
+            "form": "split" if given["split"] else given["form"],
+            "to_units": None if units is None else LengthUnit(units),
+            "to_up": None if up is None else UpAxis(up.upper()),
+            "root_motion": given["root_motion"] == "skelroot",
+        },
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
@@ -33,7 +33,8 @@ from animtool.scene.entries import (
     kind_of,
     place_of_entry,
 )
-from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.scene.options import BakeOptions
+from animtool.scene.output_fields import Value, bake_keys
 from animtool.scene.retime import Preroll
 from animtool.scene.scene import Scene
 from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
@@ -43,7 +44,7 @@ from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.shot import Shot
-from animtool.units import LengthUnit, UpAxis, parse_length
+from animtool.units import LengthUnit, UpAxis
 
 
 def load_scene(
@@ -127,7 +128,7 @@ class _SceneReader:
 
     def scene(self) -> Scene:
         model, shot = self.model, self.model.shot
-        rig = None if model.rig is None else self._input(("rig",), model.rig)
+        rig = None if model.rig is None else self.read_file(("rig",), model.rig)
         passes = [
             made
             for i, entry in enumerate(model.passes)
@@ -224,7 +225,7 @@ class _SceneReader:
         return tuple(props)
 
     def _prop(self, at: Location, model: PropModel) -> SceneProp:
-        file = self._input((*at, "from"), model.file)
+        file = self.read_file((*at, "from"), model.file)
         if not is_usd(file):
             message = f"{model.file!r} is no USD file"
             self.document.add("SCN048", (*at, "from"), message)
@@ -234,7 +235,7 @@ class _SceneReader:
             self.document.add("SCN048", (*at, "path"), message)
         shown: Path | None = None
         if isinstance(model.reference, str):
-            shown = self._input((*at, "reference"), model.reference)
+            shown = self.read_file((*at, "reference"), model.reference)
         elif model.reference:
             shown = file
         return SceneProp(
@@ -278,13 +279,15 @@ class _SceneReader:
             if entry.file is None:
                 hint = "each of several outputs names its file"
                 self.document.add("DOC021", at, "key 'file' is missing", hint)
-            if entry.chunk is not None:
-                message = "chunks are for a scene of one output"
-                self.document.add("SCN039", (*at, "chunk"), message)
-        return tuple(
+        outputs = tuple(
             self._output(("output", i), entry, fps, frames)
             for i, entry in enumerate(given)
         )
+        for i, output in enumerate(outputs):
+            if output.bake.chunk is not None:
+                message = "chunks are for a scene of one output"
+                self.document.add("SCN039", ("output", i, "chunk"), message)
+        return outputs
 
     def _output(
         self,
@@ -296,38 +299,14 @@ class _SceneReader:
         path = None if model.file is None else self._file((*at, "file"), model.file)
         if path is not None and kind_of(path) is not OutputKind.USD:
             self._check_kind(at, model, kind_of(path))
-        if model.take is not None and model.form != "library":
+        keys = bake_keys(model, "scene", at, self)
+        if "take" in keys and keys.get("form") != "library":
             message = "take is for a take of a library"
             self.document.add("SCN039", (*at, "take"), message, "write as: library")
-        layer, shot = model.rig_layer, self.model.shot
-        start = model.start
-        if start is None and shot is not None:
-            start = shot.start
-        bake = BakeOptions(
-            form=model.form,
-            rig_layer=None if layer is None else self._input((*at, "rig_layer"), layer),
-            force_fit=model.force_fit,
-            take=model.take,
-            prim_path=model.prim_path,
-            fps=fps,
-            frame_range=frames,
-            shot=self._shot(),
-            start=None if start is None else Fraction(start),
-            samples=self._samples((*at, "samples"), model.samples),
-            sparse=model.sparse,
-            bones=model.bones,
-            keep_curves=model.keep_curves,
-            reduce=self._length((*at, "reduce"), model.reduce),
-            reduce_at=tuple(
-                (name, length)
-                for name, text in model.reduce_at.items()
-                if (length := self._length((*at, "reduce_at", name), text))
-            ),
-            deform=model.deform,
-            velocities=model.velocities,
-            normals=model.normals,
-            chunk=model.chunk,
-        )
+        shot = self.model.shot
+        if "start" not in keys and shot is not None and shot.start is not None:
+            keys["start"] = Fraction(shot.start)
+        bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
         systems = None if model.systems is None else tuple(model.systems)
         if systems is not None:
             check_names(self.document, (*at, "systems"), systems, self._names())
@@ -372,15 +351,6 @@ class _SceneReader:
             return FrameRange(found.start, found.end)
         return FrameRange(first, last)
 
-    def _samples(self, at: Location, given: list[float]) -> tuple[Fraction, ...]:
-        if not given:
-            return ()
-        try:
-            return parse_offsets(",".join(map(repr, given)))
-        except ValueError as error:
-            self.document.add("SCN003", at, str(error))
-            return ()
-
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
         given = self.model.source
         if given is None:
@@ -409,7 +379,7 @@ class _SceneReader:
     def _source(
         self, at: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
-        path = self._input((*at, "file"), model.file)
+        path = self.read_file((*at, "file"), model.file)
         options = SourceOptions(
             None if model.units is None else LengthUnit(model.units),
             None if model.up is None else UpAxis(model.up),
@@ -444,26 +414,21 @@ class _SceneReader:
         found = referred(self.document, at, name, roots, "SCN004", written=True)
         return Path(name) if found is None else found
 
-    def _input(self, at: Location, name: str) -> Path:
+    def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
         codes = "SCN004", "SCN005"
         found = referred_input(self.document, at, name, self.roots, codes)
         return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
-        if given is None:
-            return None
-        try:
-            return parse_rate(given)
-        except ValueError as error:
-            self.document.add("SCN003", at, str(error))
-            return None
+        return None if given is None else self.parsed(at, given, parse_rate)
 
-    def _length(self, at: Location, given: str | None) -> float | None:
-        if given is None:
-            return None
+    def parsed(
+        self, at: Location, given: Any, parse: Callable[[Any], Value]
+    ) -> Value | None:
+        """Return a value; None, and a fault, where it is none."""
         try:
-            return parse_length(given)
+            return parse(given)
         except ValueError as error:
             self.document.add("SCN003", at, str(error))
             return None
@@ -504,6 +469,6 @@ class _SceneReader:
         for field in fields(found.options):
             value = getattr(options, field.name)
             if isinstance(value, Path):
-                self._input((*at, field.name), str(value))
+                self.read_file((*at, field.name), str(value))
         for name in getattr(options, "writes", ()):
             self._file(at, str(name))

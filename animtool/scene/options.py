@@ -8,8 +8,9 @@ from fractions import Fraction
 from pathlib import Path
 
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Fault, OptionError, excerpt
-from animtool.rates import LARGEST_FRAME, exact_number, rate_label, rate_option
+from animtool.errors import excerpt
+from animtool.options import Key, option
+from animtool.rates import LARGEST_FRAME, exact_number, rate_option
 from animtool.scene.sources import SourceOptions
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
@@ -62,33 +63,227 @@ class BakeOptions:
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
-    form: str | None = None
-    rig_layer: Path | None = None
-    force_fit: bool = False
-    take: str | None = None
-    prim_path: str | None = None
-    bones: bool = False
-    strip_namespace: int = 0
-    rest_frame: int | None = None
-    fps: Fraction | None = None
-    frame_range: FrameRange | None = None
+    form: str | None = option(
+        None,
+        "choice",
+        "--as",
+        scene=Key(
+            "One file, three, an animation layer, or a take of a clip library, "
+            "beside those that the file has. Not given: `layer` with `rig_layer`, else "
+            "`stage`.",
+            "split",
+            ("stage", "split", "layer", "library"),
+            "as",
+        ),
+        batch=Key(
+            "One file, three, or an animation layer. Not given: `layer` with "
+            "`rig_layer`, else `stage`.",
+            "split",
+            ("stage", "split", "layer"),
+            "as",
+        ),
+    )
+    rig_layer: Path | None = option(
+        None,
+        "file",
+        "--rig-layer",
+        label="a rig layer",
+        not_for=("systems",),
+        both=Key(
+            "The rig in USD, or a shot that holds it, that a layer goes over.",
+            "hero.usda",
+        ),
+    )
+    force_fit: bool = option(
+        False,
+        "switch",
+        "--force-fit",
+        both=Key("Write a take that does not fit the rig all the same.", True),
+    )
+    take: str | None = option(
+        None,
+        "text",
+        "--take",
+        scene=Key(
+            "With `as: library`: the name of the take. Not given: that of the scene.",
+            "walk",
+        ),
+    )
+    prim_path: str | None = option(
+        None,
+        "text",
+        "--prim-path",
+        scene=Key(
+            "Where the character stands. Not given: /NAME of the source, or "
+            "where the rig layer has it.",
+            "/World/hero",
+        ),
+        batch=Key(
+            "Where the character stands. Not given: as `bake` has it.", "/World/hero"
+        ),
+    )
+    bones: bool = option(
+        False,
+        "switch",
+        "--bones",
+        label="bones",
+        not_for=("systems", "library", "deform"),
+        both=Key("Add geometry that shows the joints.", True),
+    )
+    strip_namespace: int = option(0, "count", "--strip-namespace")
+    rest_frame: int | None = option(
+        None,
+        "count",
+        "--rest frame:N",
+        label="rest",
+        not_for=("systems", "library", "deform"),
+    )
+    fps: Fraction | None = option(
+        None,
+        "rate",
+        "--fps",
+        batch=Key(
+            "Frames a second of the outputs. Not given: the rig layer's, or "
+            "each source's.",
+            24,
+        ),
+    )
+    frame_range: FrameRange | None = option(
+        None,
+        "range",
+        "--range",
+        batch=Key(
+            "First and last frame to write, as the outputs number them. Not "
+            "given: all.",
+            [1001, 1040],
+            alias="range",
+        ),
+    )
     shot: Shot | None = None
-    start: Fraction | None = None
-    samples: tuple[Fraction, ...] = ()
-    keep_samples: bool = False
-    to_units: LengthUnit | None = None
-    to_up: UpAxis | None = None
-    root_motion: bool = False
-    sparse: bool = False
-    keep_curves: bool = False
-    reduce: float | None = None
-    reduce_at: tuple[tuple[str, float], ...] = ()
-    deform: bool = False
-    velocities: bool = False
-    normals: bool | None = None
-    chunk: int | None = None
-    strict: bool = False
-    overwrite: bool = False
+    start: Fraction | None = option(
+        None,
+        "frame",
+        "--start",
+        scene=Key(
+            "Time code of the first frame. Not given: the rig layer's, the "
+            "source's, the project's, or 1.",
+            1001,
+        ),
+        batch=Key("Time code of the first frame. Not given: as `bake` has it.", 1001),
+    )
+    samples: tuple[Fraction, ...] = option(
+        (),
+        "offsets",
+        "--samples",
+        scene=Key(
+            "Samples around each frame, in frames, for motion blur. Not given: "
+            "one on the frame.",
+            [-0.25, 0, 0.25],
+        ),
+    )
+    keep_samples: bool = option(
+        False, "switch", "--keep-samples", label="keep_samples", not_for=("systems",)
+    )
+    to_units: LengthUnit | None = option(
+        None,
+        "unit",
+        "--to-units",
+        not_for=("library",),
+        batch=Key("Unit of the outputs. Not given: each source's.", "m"),
+    )
+    to_up: UpAxis | None = option(
+        None,
+        "axis",
+        "--to-up",
+        not_for=("library",),
+        batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
+    )
+    root_motion: bool = option(
+        False,
+        "switch",
+        "--root-motion skelroot",
+        label="root_motion",
+        not_for=("systems", "deform"),
+    )
+    sparse: bool = option(
+        False,
+        "switch",
+        "--sparse",
+        label="sparse",
+        not_for=("systems", "deform"),
+        both=Key("Write only joints that leave their rest pose.", True),
+    )
+    keep_curves: bool = option(
+        False,
+        "switch",
+        "--keep-curves",
+        label="keep_curves",
+        not_for=("systems", "deform"),
+        scene=Key("Of a clip: write the curves of its controls as splines too.", True),
+    )
+    reduce: float | None = option(
+        None,
+        "length",
+        "--reduce",
+        label="reduce",
+        not_for=("systems", "deform"),
+        scene=Key(
+            "Leave out samples that the others give back within this length. "
+            "Not given: all stay; of keys: 0.5mm.",
+            "0.5mm",
+        ),
+        batch=Key(
+            "Leave out samples that the others give back within this length. "
+            "Not given: all stay.",
+            "0.5mm",
+        ),
+    )
+    reduce_at: tuple[tuple[str, float], ...] = option(
+        (),
+        "lengths",
+        "--reduce-at",
+        both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
+    )
+    deform: bool = option(
+        False,
+        "switch",
+        "--deform",
+        label="deform",
+        not_for=("systems", "library"),
+        scene=Key(
+            "Write the meshes deformed, as point caches, in place of a skinned "
+            "character.",
+            True,
+        ),
+    )
+    velocities: bool = option(
+        False,
+        "switch",
+        "--velocities",
+        scene=Key("With `deform`: write how fast points move, per second, too.", True),
+    )
+    normals: bool | None = option(
+        None,
+        "answer",
+        "--no-normals",
+        scene=Key(
+            "With `deform`: whether meshes keep normals. Not given: they do.", False
+        ),
+    )
+    chunk: int | None = option(
+        None,
+        "count",
+        "--chunk",
+        scene=Key(
+            "Of `deform` and of systems: a file for every so many samples. Not "
+            "given: one file.",
+            500,
+        ),
+    )
+    strict: bool = option(
+        False, "switch", "--strict", batch=Key("Take warnings for errors.", True)
+    )
+    overwrite: bool = option(False, "switch", "--overwrite")
 
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
@@ -192,141 +387,3 @@ def parse_rest(text: str) -> int | None:
     if match is None:
         raise ValueError(f"{text!r} is neither offsets nor frame:N")
     return int(match[1])
-
-
-def check_options(
-    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
-) -> None:
-    """Raise `OptionError` where options exclude each other.
-
-    Args:
-        options: Of the bake.
-        to_stdout: Whether the output is no file.
-        simulated: Whether systems are written.
-    """
-    form = options.form or ("layer" if options.rig_layer else "stage")
-    clashes = _layer_clashes(options, form)
-    if form == "library":
-        clashes += _library_clashes(options, to_stdout=to_stdout)
-    clashes.append(
-        (form == "split" and to_stdout, "--split writes three files, not stdout")
-    )
-    clashes += _sample_clashes(options)
-    clashes += _shot_clashes(options, form)
-    clashes += _deform_clashes(options, form)
-    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
-    if faults:
-        raise OptionError(faults)
-
-
-def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what animation over a rig layer does not go with, and whether it is so."""
-    return [
-        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
-        (
-            form != "layer" and options.rig_layer is not None,
-            "--rig-layer goes with --as layer",
-        ),
-        (form == "layer" and options.bones, "--bones never goes into a layer"),
-        (
-            form == "layer" and options.rest_frame is not None,
-            "--rest frame:N sets a skeleton's rest pose, which a layer does not hold",
-        ),
-        (
-            form == "layer" and (options.to_units or options.to_up) is not None,
-            "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
-        ),
-    ]
-
-
-def _library_clashes(
-    options: BakeOptions, *, to_stdout: bool
-) -> list[tuple[bool, str]]:
-    """Return what a take of a library does not go with, and whether it is asked for."""
-    flags = [
-        (to_stdout, "-o -"),
-        (options.deform, "--deform"),
-        (options.bones, "--bones"),
-        (options.rest_frame is not None, "--rest frame:N"),
-        (options.to_units is not None, "--to-units"),
-        (options.to_up is not None, "--to-up"),
-    ]
-    return [
-        (asked, f"a take of a library goes without {flag}") for asked, flag in flags
-    ]
-
-
-def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
-    """Return what of samples excludes each other, and whether it is asked for."""
-    return [
-        (
-            options.keep_samples and bool(options.samples),
-            "--keep-samples and --samples exclude each other",
-        ),
-        (
-            options.reduce is not None and bool(options.samples),
-            "--reduce and --samples exclude each other",
-        ),
-        (
-            options.reduce is not None and options.root_motion,
-            "--reduce measures joints: no --root-motion skelroot",
-        ),
-        (
-            options.reduce is None and bool(options.reduce_at),
-            "--reduce-at goes with --reduce",
-        ),
-    ]
-
-
-def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what excludes a shot that places its media, and whether it is so."""
-    shot = options.shot
-    if shot is None or not shot.places_media or shot.fps is None:
-        return []
-    named = f"shot {shot.name}" if shot.name else "the shot"
-    return [
-        (
-            options.fps != shot.fps,
-            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
-        ),
-        (
-            options.start is not None,
-            f"--start: {named} begins at {shot.start}, as its timeline says",
-        ),
-        (form == "library", f"{named} is not a take of a library"),
-    ]
-
-
-def _chunk_clashes(
-    options: BakeOptions, *, to_stdout: bool, simulated: bool
-) -> list[tuple[bool, str]]:
-    """Return what chunks do not go with, and whether it is asked for."""
-    if options.chunk is None:
-        return []
-    if not (options.deform or simulated):
-        return [(True, "--chunk goes with --deform, or a scene that has systems")]
-    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
-    return [
-        (to_stdout, "--chunk writes several files, not stdout"),
-        (options.chunk < 1, message),
-    ]
-
-
-def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return what does not go with point caches, and whether it is asked for."""
-    if not options.deform:
-        return [
-            (options.velocities, "--velocities goes with --deform"),
-            (options.normals is False, "--no-normals goes with --deform"),
-        ]
-    joints = "--deform writes points, no joints"
-    return [
-        (form == "split", f"{joints}: no --split"),
-        (options.bones, f"{joints}: no --bones"),
-        (options.sparse, f"{joints}: no --sparse"),
-        (options.reduce is not None, f"{joints}: no --reduce"),
-        (options.root_motion, f"{joints}: no --root-motion skelroot"),
-        (options.keep_curves, f"{joints}: no --keep-curves"),
-        (options.rest_frame is not None, f"{joints}: no --rest frame:N"),
-    ]

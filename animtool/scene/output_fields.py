@@ -1,46 +1,151 @@
-"""Keys of outputs that scenes and batches share."""
+"""Keys of scenes and batches that are options of a bake, read off their record."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
-from pydantic import Field
+from annotated_types import Ge, Len
+from pydantic import Field, create_model
 
-FormName = Annotated[
-    Literal["stage", "split", "layer"] | None,
-    Field(
-        alias="as",
-        description="One file, three, or an animation layer. Not given: `layer` with "
-        "`rig_layer`, else `stage`.",
-        examples=["split"],
-    ),
-]
-RigLayer = Annotated[
-    str | None,
-    Field(
-        description="The rig in USD, or a shot that holds it, that a layer goes over.",
-        examples=["hero.usda"],
-    ),
-]
-ForceFit = Annotated[
-    bool,
-    Field(
-        description="Write a take that does not fit the rig all the same.",
-        examples=[True],
-    ),
-]
-Sparse = Annotated[
-    bool,
-    Field(description="Write only joints that leave their rest pose.", examples=[True]),
-]
-Bones = Annotated[
-    bool,
-    Field(description="Add geometry that shows the joints.", examples=[True]),
-]
-ReduceAt = Annotated[
-    dict[str, str],
-    Field(
-        description="Other tolerances, by joint or pattern.",
-        examples=[{"hand_*": "0.1mm"}],
-    ),
-]
+from animtool.documents.check import FileModel
+from animtool.documents.document import Location
+from animtool.documents.fields import Frame, Real, Whole, WholeFrame
+from animtool.edit.frame_range import FrameRange
+from animtool.options import Key, Kind, keys_of, options_of
+from animtool.rates import parse_rate
+from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.units import LengthUnit, UpAxis, parse_length
+
+Model = TypeVar("Model", bound=FileModel)
+Value = TypeVar("Value")
+FileKind = Literal["scene", "batch"]
+
+# As a file writes a kind of option; what is not given is None, if nothing else is said.
+_TYPES: dict[Kind, Any] = {
+    "switch": bool,
+    "answer": bool | None,
+    "text": str | None,
+    "file": str | None,
+    "unit": Literal["m", "cm", "mm", "in"] | None,
+    "axis": Literal["Y", "Z"] | None,
+    "rate": Real | str | None,
+    "range": Annotated[list[WholeFrame], Len(2, 2)] | None,
+    "frame": Frame | None,
+    "offsets": list[Frame],
+    "length": str | None,
+    "lengths": dict[str, str],
+    "count": Annotated[Whole, Ge(1)] | None,
+}
+_DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
+
+
+class KeyReader(Protocol):
+    """Reads values of a file and records its faults."""
+
+    def parsed(
+        self, at: Location, given: Any, parse: Callable[[Any], Value]
+    ) -> Value | None:
+        """Return a value; None, and a fault, where `parse` raises `ValueError`."""
+        ...
+
+    def read_file(self, at: Location, name: str) -> Path:
+        """Return a file to read, which must be there."""
+        ...
+
+
+def with_keys(place: FileKind, *order: str) -> Callable[[type[Model]], type[Model]]:
+    """Give a model the keys of `BakeOptions`; those not in ``order`` come last."""
+
+    def decorate(model: type[Model]) -> type[Model]:
+        definitions: dict[str, Any] = {
+            name: (info.annotation, info) for name, info in model.model_fields.items()
+        }
+        for name, key in keys_of(BakeOptions, place).items():
+            kind = options_of(BakeOptions)[name].kind
+            definitions[name] = _definition(kind, key)
+        names = sorted(
+            definitions, key=lambda n: order.index(n) if n in order else len(order)
+        )
+        made: Any = create_model(
+            model.__name__,
+            __base__=FileModel,
+            __module__=model.__module__,
+            __doc__=model.__doc__,
+            **{name: definitions[name] for name in names},
+        )
+        return made  # type: ignore[no-any-return]
+
+    return decorate
+
+
+def _definition(kind: Kind, key: Key) -> tuple[Any, Any]:
+    """Return the type of a key, and what documents it."""
+    type_ = Literal[key.choices] | None if kind == "choice" else _TYPES[kind]
+    described = Field(
+        default=_DEFAULTS.get(kind),
+        alias=key.alias,
+        description=key.description,
+        examples=[key.example],
+    )
+    return type_, described
+
+
+def bake_keys(
+    model: FileModel, place: FileKind, at: Location, reader: KeyReader
+) -> dict[str, Any]:
+    """Return the arguments of `BakeOptions` that the keys of a model give.
+
+    Args:
+        model: Of `with_keys`.
+        place: The kind of file.
+        at: Where the model is in its file.
+        reader: Reads and records faults.
+    """
+    values = {}
+    for name, key in keys_of(BakeOptions, place).items():
+        given = getattr(model, name)
+        if given is not None:
+            kind = options_of(BakeOptions)[name].kind
+            value = _value(kind, given, (*at, key.alias or name), reader)
+            if value is not None:
+                values[name] = value
+    return values
+
+
+def _value(kind: Kind, given: Any, at: Location, reader: KeyReader) -> Any:
+    """Return what a key means; None, and its fault recorded, where it means nothing."""
+    if kind == "file":
+        return reader.read_file(at, given)
+    if kind == "lengths":
+        lengths = {
+            name: reader.parsed((*at, name), text, parse_length)
+            for name, text in given.items()
+        }
+        return tuple((name, v) for name, v in lengths.items() if v is not None)
+    parse = _PARSERS.get(kind)
+    return given if parse is None else reader.parsed(at, given, parse)
+
+
+def _offsets(given: list[float]) -> tuple[Fraction, ...]:
+    return parse_offsets(",".join(map(repr, given))) if given else ()
+
+
+def _range(given: list[int]) -> FrameRange:
+    first, last = given
+    if first > last:
+        raise ValueError(f"the range from {first} to {last} is reversed")
+    return FrameRange(first, last)
+
+
+_PARSERS: dict[Kind, Callable[[Any], Any]] = {
+    "unit": LengthUnit,
+    "axis": UpAxis,
+    "rate": parse_rate,
+    "range": _range,
+    "frame": Fraction,
+    "offsets": _offsets,
+    "length": parse_length,
+}

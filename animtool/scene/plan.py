@@ -16,7 +16,8 @@ from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.files import form_of, output_files
 from animtool.scene.frames import TakePlan
-from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.option_checks import check_options
+from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakePlan, OutputPrims, rig_paths
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import Source, found_sources

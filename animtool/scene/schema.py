@@ -16,17 +16,10 @@ from animtool.documents.fields import (
     IgnoreModel,
     Name,
     Real,
-    Whole,
     WholeFrame,
     check_numbers,
 )
-from animtool.scene.output_fields import (
-    Bones,
-    ForceFit,
-    ReduceAt,
-    RigLayer,
-    Sparse,
-)
+from animtool.scene.output_fields import with_keys
 from animtool.scene.systems.schema import SystemModel
 
 
@@ -176,6 +169,12 @@ class ShotModel(FileModel):
     )
 
 
+@with_keys(
+    "scene",
+    *("file", "form", "take", "rig_layer", "force_fit", "prim_path", "start"),
+    *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
+    *("velocities", "normals", "systems", "chunk"),
+)
 class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
@@ -185,81 +184,11 @@ class OutputModel(FileModel):
         "given: USD beside the source.",
         examples=["shot.usdc"],
     )
-    form: Literal["stage", "split", "layer", "library"] | None = Field(
-        default=None,
-        alias="as",
-        description="One file, three, an animation layer, or a take of a clip library, "
-        "beside those that the file has. Not given: `layer` with `rig_layer`, else "
-        "`stage`.",
-        examples=["split"],
-    )
-    take: str | None = Field(
-        default=None,
-        description="With `as: library`: the name of the take. Not given: that of the "
-        "scene.",
-        examples=["walk"],
-    )
-    rig_layer: RigLayer = None
-    force_fit: ForceFit = False
-    prim_path: str | None = Field(
-        default=None,
-        description="Where the character stands. Not given: /NAME of the source, or "
-        "where the rig layer has it.",
-        examples=["/World/hero"],
-    )
-    start: Frame | None = Field(
-        default=None,
-        description="Time code of the first frame. Not given: the rig layer's, the "
-        "source's, the project's, or 1.",
-        examples=[1001],
-    )
-    samples: list[Frame] = Field(
-        default=[],
-        description="Samples around each frame, in frames, for motion blur. Not given: "
-        "one on the frame.",
-        examples=[[-0.25, 0, 0.25]],
-    )
-    sparse: Sparse = False
-    bones: Bones = False
-    keep_curves: bool = Field(
-        default=False,
-        description="Of a clip: write the curves of its controls as splines too.",
-        examples=[True],
-    )
-    reduce: str | None = Field(
-        default=None,
-        description="Leave out samples that the others give back within this length. "
-        "Not given: all stay; of keys: 0.5mm.",
-        examples=["0.5mm"],
-    )
-    reduce_at: ReduceAt = {}
-    deform: bool = Field(
-        default=False,
-        description="Write the meshes deformed, as point caches, in place of a skinned "
-        "character.",
-        examples=[True],
-    )
-    velocities: bool = Field(
-        default=False,
-        description="With `deform`: write how fast points move, per second, too.",
-        examples=[True],
-    )
-    normals: bool | None = Field(
-        default=None,
-        description="With `deform`: whether meshes keep normals. Not given: they do.",
-        examples=[False],
-    )
     systems: list[str] | None = Field(
         default=None,
         description="Names of the systems that go into it; others are simulated where "
         "these need them. Not given: all.",
         examples=[["flag", "rope"]],
-    )
-    chunk: Annotated[Whole, Ge(1)] | None = Field(
-        default=None,
-        description="Of `deform` and of systems: a file for every so many samples. Not "
-        "given: one file.",
-        examples=[500],
     )
 
 

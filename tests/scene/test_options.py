@@ -10,9 +10,9 @@ import pytest
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import OptionError
+from animtool.scene.option_checks import check_options
 from animtool.scene.options import (
     BakeOptions,
-    check_options,
     merged,
     parse_frame,
     parse_frame_range,

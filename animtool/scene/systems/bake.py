@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from animtool.clock import MAX_FRAMES
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
+from animtool.options import refused_options
 from animtool.output import once_named, size_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import Draft, Save
@@ -202,25 +203,13 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 def _check(scene: Scene, options: BakeOptions) -> None:
     """Refuse what only characters have."""
-    asked = {
-        "a rig layer": options.rig_layer is not None,
-        "as: split": options.form == Form.SPLIT,
-        "as: layer": options.form == Form.LAYER,
-        "as: library": options.form == Form.LIBRARY,
-        "bones": options.bones,
-        "sparse": options.sparse,
-        "keep_curves": options.keep_curves,
-        "reduce": options.reduce is not None,
-        "deform": options.deform,
-        "keep_samples": options.keep_samples,
-        "root_motion": options.root_motion,
-        "rest": options.rest_frame is not None,
-    }
+    names = [refused.label for refused in refused_options(options, "systems")]
+    if options.form in {Form.SPLIT, Form.LAYER, Form.LIBRARY}:
+        names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
     faults = [
         Fault("SCN062", f"{name} is for characters, and there is none", path)
-        for name, given in asked.items()
-        if given
+        for name in names
     ]
     if faults:
         raise OptionError(faults)

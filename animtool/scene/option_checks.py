@@ -1,0 +1,132 @@
+"""Options of a bake that exclude each other."""
+
+from __future__ import annotations
+
+from animtool.errors import Fault, OptionError
+from animtool.options import refused_options
+from animtool.rates import rate_label
+from animtool.scene.options import BakeOptions
+
+
+def check_options(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
+) -> None:
+    """Raise `OptionError` where options exclude each other.
+
+    Args:
+        options: Of the bake.
+        to_stdout: Whether the output is no file.
+        simulated: Whether systems are written.
+    """
+    form = options.form or ("layer" if options.rig_layer else "stage")
+    clashes = _layer_clashes(options, form)
+    if form == "library":
+        clashes += _library_clashes(options, to_stdout=to_stdout)
+    clashes.append(
+        (form == "split" and to_stdout, "--split writes three files, not stdout")
+    )
+    clashes += _sample_clashes(options)
+    clashes += _shot_clashes(options, form)
+    clashes += _deform_clashes(options, form)
+    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
+    if faults:
+        raise OptionError(faults)
+
+
+def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what animation over a rig layer does not go with, and whether it is so."""
+    return [
+        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
+        (
+            form != "layer" and options.rig_layer is not None,
+            "--rig-layer goes with --as layer",
+        ),
+        (form == "layer" and options.bones, "--bones never goes into a layer"),
+        (
+            form == "layer" and options.rest_frame is not None,
+            "--rest frame:N sets a skeleton's rest pose, which a layer does not hold",
+        ),
+        (
+            form == "layer" and (options.to_units or options.to_up) is not None,
+            "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
+        ),
+    ]
+
+
+def _library_clashes(
+    options: BakeOptions, *, to_stdout: bool
+) -> list[tuple[bool, str]]:
+    """Return what a take of a library does not go with, and whether it is asked for."""
+    flags = ["-o -"] if to_stdout else []
+    flags += [refused.flag for refused in refused_options(options, "library")]
+    return [(True, f"a take of a library goes without {flag}") for flag in flags]
+
+
+def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
+    """Return what of samples excludes each other, and whether it is asked for."""
+    return [
+        (
+            options.keep_samples and bool(options.samples),
+            "--keep-samples and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and bool(options.samples),
+            "--reduce and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and options.root_motion,
+            "--reduce measures joints: no --root-motion skelroot",
+        ),
+        (
+            options.reduce is None and bool(options.reduce_at),
+            "--reduce-at goes with --reduce",
+        ),
+    ]
+
+
+def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what excludes a shot that places its media, and whether it is so."""
+    shot = options.shot
+    if shot is None or not shot.places_media or shot.fps is None:
+        return []
+    named = f"shot {shot.name}" if shot.name else "the shot"
+    return [
+        (
+            options.fps != shot.fps,
+            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
+        ),
+        (
+            options.start is not None,
+            f"--start: {named} begins at {shot.start}, as its timeline says",
+        ),
+        (form == "library", f"{named} is not a take of a library"),
+    ]
+
+
+def _chunk_clashes(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool
+) -> list[tuple[bool, str]]:
+    """Return what chunks do not go with, and whether it is asked for."""
+    if options.chunk is None:
+        return []
+    if not (options.deform or simulated):
+        return [(True, "--chunk goes with --deform, or a scene that has systems")]
+    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
+    return [
+        (to_stdout, "--chunk writes several files, not stdout"),
+        (options.chunk < 1, message),
+    ]
+
+
+def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what does not go with point caches, and whether it is asked for."""
+    if not options.deform:
+        return [
+            (options.velocities, "--velocities goes with --deform"),
+            (options.normals is False, "--no-normals goes with --deform"),
+        ]
+    joints = "--deform writes points, no joints"
+    flags = ["--split"] if form == "split" else []
+    flags += [refused.flag for refused in refused_options(options, "deform")]
+    return [(True, f"{joints}: no {flag}") for flag in flags]

@@ -1,0 +1,53 @@
+"""Options that are declared on the fields of a record."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import pytest
+
+from animtool.options import Key, keys_of, option, options_of, refused_options
+from animtool.scene.options import BakeOptions
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Cut."""
+
+    sharp: bool = option(False, "switch", "--sharp", not_for=("soup",), both=Key("", 1))
+    width: float | None = option(None, "length", "--width", not_for=("soup", "bread"))
+    plain: int = 0
+
+
+@pytest.mark.parametrize(
+    ("given", "use", "flags"),
+    [
+        (Cut(), "soup", []),
+        (Cut(sharp=True, width=1.0), "soup", ["--sharp", "--width"]),
+        (Cut(sharp=True, width=0.0), "bread", ["--width"]),
+        (Cut(sharp=True), "cheese", []),
+    ],
+)
+def test_a_use_refuses_what_is_not_the_default(
+    given: Cut, use: str, flags: list[str]
+) -> None:
+    assert [refused.flag for refused in refused_options(given, use)] == flags
+
+
+def test_files_have_the_keys_that_options_declare() -> None:
+    assert [*options_of(Cut)] == ["sharp", "width"]
+    assert [*keys_of(Cut, "scene")] == [*keys_of(Cut, "batch")] == ["sharp"]
+
+
+def test_every_option_of_a_bake_is_documented() -> None:
+    documented = re.findall(r"^        (\w+): ", BakeOptions.__doc__ or "", re.M)
+    assert [*options_of(BakeOptions)] == [
+        name for name in documented if name not in {"source", "shot", "OptionError"}
+    ]
+
+
+def test_what_a_use_refuses_has_a_name_there() -> None:
+    for name, described in options_of(BakeOptions).items():
+        assert described.flag.startswith("--"), name
+        assert bool(described.label) == ("systems" in described.not_for), name
