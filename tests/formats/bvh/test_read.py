@@ -274,6 +274,11 @@ def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ign
     [
         ("0.033333", None, ""),
         ("0.017", "BVH107", "58, 59 fps would read the same; 60 fps is taken"),
+        (
+            "0.0035",
+            "BVH107",
+            "so that 282, 283, 284, 285, 287, 288 … fps would read",
+        ),
         ("0.033343", "BVH106", "no usual rate; 29.9913 fps is taken"),
         ("0.25", None, ""),
         ("0.2501", "BVH105", "implausible"),

@@ -209,6 +209,13 @@ def test_extents_are_those_of_the_plugin_to_the_last_bit(tmp_path: Path) -> None
         assert bounded.GetExtentAttr().Get(code) == computed
 
 
+def test_an_extent_that_was_missing_differs_from_none(tmp_path: Path) -> None:
+    path = planted(tmp_path / "wrong.usdc", PLANTS["USD250"])
+    fixes = fix_copy(path, tmp_path / "new.usdc")
+    [(_, done)] = fixes.report.mended
+    assert done == f"{ROOT}: computes the extent at {FRAMES} samples"
+
+
 @pytest.mark.parametrize("roots", [[ROOT, MESH], [MESH]])
 def test_extents_of_meshes_come_before_those_of_their_skel_root(
     roots: list[str], tmp_path: Path
