@@ -180,7 +180,7 @@ class MovingMeshModel(FollowedPrimModel, _MaterialModel):
 class SystemSpec(FileModel):
     """What a scene says of a system that steps evenly: subclass it, and add keys."""
 
-    name: PrimName
+    name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = Field(
         default=0.01,
         description="Step of the simulation [s], whatever the frame rate is.",
