@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import gc
-
 import os
 import signal
 from pathlib import Path
