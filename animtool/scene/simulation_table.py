@@ -27,15 +27,10 @@ MAX_INSTANTS = 100
 
 @dataclass(frozen=True, slots=True)
 class SimulationTable:
-    """What a scene simulates, one table each.
+    """What a scene simulates, one table each."""
 
-    Attributes:
-        source: The scene.
-        tables: In its order.
-    """
-
-    source: Path
-    tables: list[TrialTable]
+    source: Path  # the scene
+    tables: list[TrialTable]  # in its order
 
     @property
     def notices(self) -> list[Fault]:

@@ -11,21 +11,14 @@ ON_GRID = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """Even steps from a time to another.
+    """Even steps from a time to another."""
 
-    Attributes:
-        start: [s]
-        end: [s]
-        count: Of steps.
-        h: Each step [s].
-        first: Where the times are multiples of the step, which multiple the start
-            is; None where they are not.
-    """
-
-    start: float
-    end: float
-    count: int
-    h: float
+    start: float  # [s]
+    end: float  # [s]
+    count: int  # of steps
+    h: float  # each step [s]
+    # Where the times are multiples of the step, which multiple the start is; None where
+    # they are not.
     first: int | None
 
     def time(self, i: int) -> float:

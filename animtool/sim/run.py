@@ -20,43 +20,25 @@ LOOK_EVERY = 32
 
 @dataclass(slots=True)
 class Run:
-    """A motion under way.
-
-    Attributes:
-        integrator: Its method.
-        equations: Its system's.
-        options: How to integrate.
-        watch: Looks for signs that it has blown up.
-        end: The last time [s].
-        time: Where it stands [s].
-        state: There.
-        memory: What the method takes along.
-        trial: The step to try next, of methods that choose theirs [s].
-        steps: Kept.
-        rejected: Not kept.
-        smallest: Step [s].
-        largest: Step [s].
-        local_error: Sum of the steps' own estimates.
-        reason: Why it stopped.
-        looked: Steps kept when signs were last looked for.
-    """
+    """A motion under way."""
 
     integrator: Integrator
     equations: Equations
-    options: IntegrateOptions
-    watch: Signs
-    end: float
-    time: float
+    options: IntegrateOptions  # how to integrate
+    watch: Signs  # looks for signs that it has blown up
+    end: float  # the last time [s]
+    time: float  # where it stands [s]
     state: FloatArray
-    memory: object = None
+    memory: object = None  # what the method takes along
+    # The step to try next, of methods that choose theirs [s].
     trial: float | None = None
-    steps: int = 0
-    rejected: int = 0
-    smallest: float = math.inf
-    largest: float = 0.0
-    local_error: float = 0.0
-    reason: str = ""
-    looked: int = field(default=0)
+    steps: int = 0  # kept
+    rejected: int = 0  # not kept
+    smallest: float = math.inf  # step [s]
+    largest: float = 0.0  # step [s]
+    local_error: float = 0.0  # sum of the steps' own estimates
+    reason: str = ""  # why it stopped
+    looked: int = field(default=0)  # steps kept when signs were last looked for
 
     def keep(self, step: Step, t: float, h: float) -> Status:
         """Go on to where a step leads, at time t, and return whether to go further."""

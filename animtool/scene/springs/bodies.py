@@ -31,19 +31,12 @@ Families: TypeAlias = Mapping[str, Family | None]
 
 @dataclass(frozen=True, slots=True)
 class SpringBody:
-    """Particles and springs as an entry has them.
+    """Particles and springs as an entry has them."""
 
-    Attributes:
-        body: Particles and springs, at rest where they are.
-        places: Numbers of particles by the name of their place.
-        shape: What is drawn of them.
-        notices: What is odd about them.
-    """
-
-    body: Body
-    places: Mapping[str, IntArray]
-    shape: Shape
-    notices: tuple[Fault, ...] = ()
+    body: Body  # particles and springs, at rest where they are
+    places: Mapping[str, IntArray]  # numbers of particles by the name of their place
+    shape: Shape  # what is drawn of them
+    notices: tuple[Fault, ...] = ()  # what is odd about them
 
 
 def mass_of(reader: EntryReader, at: Location, mass: float) -> float:

@@ -23,23 +23,15 @@ GUST_STEPS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tie:
-    """Particles that go along paths, or are drawn to what does.
+    """Particles that go along paths, or are drawn to what does."""
 
-    Attributes:
-        particles: Which ``(P,)``.
-        times: Ascending ``(K,)`` [s].
-        places: At the times ``(K, P, 3)`` [m].
-        start: At the beginning ``(P, 3)`` [m].
-        stiffness: Of springs that draw them ``(P,)`` [N/m]; None where they are held.
-        damping: Likewise ``(P,)`` [N s/m].
-    """
-
-    particles: IntArray
-    times: FloatArray
-    places: FloatArray
-    start: FloatArray
+    particles: IntArray  # which ``(P,)``
+    times: FloatArray  # ascending ``(K,)`` [s]
+    places: FloatArray  # at the times ``(K, P, 3)`` [m]
+    start: FloatArray  # at the beginning ``(P, 3)`` [m]
+    # Of springs that draw them ``(P,)`` [N/m]; None where they are held.
     stiffness: FloatArray | None = None
-    damping: FloatArray | None = None
+    damping: FloatArray | None = None  # likewise ``(P,)`` [N s/m]
 
 
 def ties_of(

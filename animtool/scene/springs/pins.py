@@ -32,24 +32,18 @@ BOUND_AT = 0.0
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """Particles that are held or drawn.
+    """Particles that are held or drawn."""
 
-    Attributes:
-        particles: Which ``(P,)``.
-        moves: Where they are over time, from where they begin: times, and ways
-            ``(K, 4)`` [s, m]; None where they stay, or something carries them.
-        carrier: What carries them.
-        offset: Where in its frame they are [m]; None is where they are at 0 s.
-        stiffness: Of springs that draw them [N/m]; None where they are held.
-        damping: Likewise [N s/m].
-    """
-
-    particles: IntArray
+    particles: IntArray  # which ``(P,)``
+    # Where they are over time, from where they begin: times, and ways ``(K, 4)`` [s,
+    # m]; None where they stay, or something carries them.
     moves: FloatArray | None = None
-    carrier: Carrier | None = None
+    carrier: Carrier | None = None  # what carries them
+    # Where in its frame they are [m]; None is where they are at 0 s.
     offset: tuple[float, float, float] | None = None
+    # Of springs that draw them [N/m]; None where they are held.
     stiffness: float | None = None
-    damping: float = 0.0
+    damping: float = 0.0  # likewise [N s/m]
 
     def poses(self, characters: CharacterMotions) -> Poses:
         """Return the frame that they are in, over time."""
@@ -77,19 +71,12 @@ class Pin:
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Particles that are one with those of another system.
+    """Particles that are one with those of another system."""
 
-    Attributes:
-        particles: Which ``(P,)``.
-        system: Name of the other.
-        others: Names and numbers of its particles, as written.
-        at: Place of the other's name, and of its particles.
-    """
-
-    particles: IntArray
-    system: str
-    others: tuple[str | int, ...]
-    at: tuple[Location, Location]
+    particles: IntArray  # which ``(P,)``
+    system: str  # name of the other
+    others: tuple[str | int, ...]  # names and numbers of its particles, as written
+    at: tuple[Location, Location]  # place of the other's name, and of its particles
 
 
 def read_pins(

@@ -33,32 +33,20 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """Particles at a time.
+    """Particles at a time."""
 
-    Attributes:
-        time: [s].
-        points: ``(N, 3)`` [m].
-        torn: Which springs are ``(S,)``.
-    """
-
-    time: float
-    points: FloatArray
-    torn: npt.NDArray[np.bool_]
+    time: float  # [s]
+    points: FloatArray  # ``(N, 3)`` [m]
+    torn: npt.NDArray[np.bool_]  # which springs are ``(S,)``
 
 
 @dataclass(slots=True)
 class Keeping:
-    """Times that somebody looks back to.
+    """Times that somebody looks back to."""
 
-    Attributes:
-        begin: The first [s].
-        step: What lies between two [s].
-        since: None before is looked back to any more [s].
-    """
-
-    begin: float
-    step: float
-    since: float
+    begin: float  # the first [s]
+    step: float  # what lies between two [s]
+    since: float  # none before is looked back to any more [s]
 
     def between(self, now: float, t: float) -> list[float]:
         """Return those that lie between two times."""

@@ -26,17 +26,12 @@ from animtool.systems.springs.options import check_keeping_apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wind:
-    """Air in motion.
+    """Air in motion."""
 
-    Attributes:
-        velocity: ``(3,)`` [m/s].
-        gusts: More of it over time: seconds and velocity ``(K, 4)``.
-        faces: Density [kg/m³], and coefficients of drag and lift, of faces that bear
-            it; None is taken along by drag.
-    """
-
-    velocity: FloatArray
-    gusts: FloatArray
+    velocity: FloatArray  # ``(3,)`` [m/s]
+    gusts: FloatArray  # more of it over time: seconds and velocity ``(K, 4)``
+    # Density [kg/m³], and coefficients of drag and lift, of faces that bear it; None is
+    # taken along by drag.
     faces: tuple[float, float, float] | None = None
 
     @property
@@ -59,46 +54,27 @@ class Wind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpringSetup:
-    """What particles and springs of an entry are made of.
+    """What particles and springs of an entry are made of."""
 
-    Attributes:
-        body: Particles and springs.
-        pins: What holds and draws them.
-        joins: What makes them one with those of other systems.
-        gravity: ``(3,)`` [m/s²].
-        drag: What slows all motion, over mass and speed [1/s].
-        radius: What is kept from colliders [m].
-        speed_limit: Pins that go faster were put elsewhere [m/s].
-        wind: The air; None is still, and faces bear none.
-        self_contact: How it keeps apart from itself; None goes through.
-        colliders: What they run into.
-        characters: Those that they run into.
-        options: Solver and steps.
-        preroll: Time before 0 s that they begin in [s].
-        settle: Whether they begin at rest.
-        given: Names of the keys that the entry has.
-        at: Place of the entry.
-        meshes: Meshes of USD files that they run into.
-        followed: USD files that colliders go with, and those of meshes.
-    """
-
-    body: SpringBody
-    pins: tuple[Pin, ...]
-    joins: tuple[Join, ...]
-    gravity: FloatArray
-    drag: float
-    radius: float
-    speed_limit: float
-    wind: Wind | None
+    body: SpringBody  # particles and springs
+    pins: tuple[Pin, ...]  # what holds and draws them
+    joins: tuple[Join, ...]  # what makes them one with those of other systems
+    gravity: FloatArray  # ``(3,)`` [m/s²]
+    drag: float  # what slows all motion, over mass and speed [1/s]
+    radius: float  # what is kept from colliders [m]
+    speed_limit: float  # pins that go faster were put elsewhere [m/s]
+    wind: Wind | None  # the air; None is still, and faces bear none
+    # How it keeps apart from itself; None goes through.
     self_contact: SelfContact | None
-    colliders: tuple[Collider, ...]
-    characters: tuple[CharacterCollider, ...]
-    options: SpringOptions
-    preroll: float
-    settle: bool
-    given: frozenset[str]
-    at: Location
-    meshes: tuple[MovingMesh, ...] = ()
+    colliders: tuple[Collider, ...]  # what they run into
+    characters: tuple[CharacterCollider, ...]  # those that they run into
+    options: SpringOptions  # solver and steps
+    preroll: float  # time before 0 s that they begin in [s]
+    settle: bool  # whether they begin at rest
+    given: frozenset[str]  # names of the keys that the entry has
+    at: Location  # place of the entry
+    meshes: tuple[MovingMesh, ...] = ()  # meshes of USD files that they run into
+    # USD files that colliders go with, and those of meshes.
     followed: tuple[Path, ...] = ()
 
     @property
@@ -160,27 +136,17 @@ _OWN = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shared:
-    """How a system of bodies is simulated.
+    """How a system of bodies is simulated."""
 
-    Attributes:
-        options: Solver and steps.
-        gravity: ``(3,)`` [m/s²].
-        radius: What is kept from colliders [m].
-        speed_limit: Pins that go faster were put elsewhere [m/s].
-        self_contact: How they keep apart from themselves and each other.
-        preroll: Time before 0 s that they begin in [s].
-        settle: Whether they begin at rest.
-        wind: The air that faces bear; None is none.
-    """
-
-    options: SpringOptions
-    gravity: FloatArray
-    radius: float
-    speed_limit: float
+    options: SpringOptions  # solver and steps
+    gravity: FloatArray  # ``(3,)`` [m/s²]
+    radius: float  # what is kept from colliders [m]
+    speed_limit: float  # pins that go faster were put elsewhere [m/s]
+    # How they keep apart from themselves and each other.
     self_contact: SelfContact | None
-    preroll: float
-    settle: bool
-    wind: Wind | None
+    preroll: float  # time before 0 s that they begin in [s]
+    settle: bool  # whether they begin at rest
+    wind: Wind | None  # the air that faces bear; None is none
 
 
 def shared(setups: Sequence[SpringSetup]) -> Shared:

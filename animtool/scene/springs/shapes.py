@@ -23,16 +23,11 @@ class Curves:
 
     Where a spring between two neighbours tears, a curve becomes two; a particle alone
     is not drawn.
-
-    Attributes:
-        counts: Particles of each ``(C,)``.
-        width: [m].
-        springs: Between them.
     """
 
-    counts: IntArray
-    width: float
-    springs: Springs
+    counts: IntArray  # particles of each ``(C,)``
+    width: float  # [m]
+    springs: Springs  # between them
 
     @property
     def tears(self) -> bool:
@@ -70,19 +65,12 @@ class Curves:
 
 @dataclass(frozen=True)
 class Faces:
-    """A surface of particles.
+    """A surface of particles."""
 
-    Attributes:
-        counts: Corners of each face ``(M,)``.
-        indices: Corners, face by face.
-        springs: Between the particles.
-        closed: Whether only its outside is to be seen.
-    """
-
-    counts: IntArray
-    indices: IntArray
-    springs: Springs
-    closed: bool = False
+    counts: IntArray  # corners of each face ``(M,)``
+    indices: IntArray  # corners, face by face
+    springs: Springs  # between the particles
+    closed: bool = False  # whether only its outside is to be seen
 
     @property
     def tears(self) -> bool:
@@ -133,13 +121,9 @@ class Faces:
 
 @dataclass(frozen=True)
 class TornMesh:
-    """A surface of particles that parts.
+    """A surface of particles that parts."""
 
-    Attributes:
-        tearing: How.
-    """
-
-    tearing: Tearing
+    tearing: Tearing  # how
 
     def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:
         """Return what is drawn at a frame; see `Faces.row`."""

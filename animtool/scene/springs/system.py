@@ -217,25 +217,15 @@ def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> Colliders:
 
 @dataclass
 class RunningSprings:
-    """A rope, strands, cloth or a volume under way.
+    """A rope, strands, cloth or a volume under way."""
 
-    Attributes:
-        member: Its entry.
-        setup: What it is made of.
-        run: What takes it, and what it is joined to, through time.
-        rows: Its particles in the run ``(N,)``.
-        springs: Its springs there.
-        own: What is odd about it alone.
-        first: Whether it speaks for all that it is joined to.
-    """
-
-    member: SceneSystem
-    setup: SpringSetup
-    run: SpringRun
-    rows: IntArray
-    springs: slice
-    own: Sequence[Fault]
-    first: bool
+    member: SceneSystem  # its entry
+    setup: SpringSetup  # what it is made of
+    run: SpringRun  # what takes it, and what it is joined to, through time
+    rows: IntArray  # its particles in the run ``(N,)``
+    springs: slice  # its springs there
+    own: Sequence[Fault]  # what is odd about it alone
+    first: bool  # whether it speaks for all that it is joined to
     _torn_mesh: TornMesh | Faces | None = None
 
     @property

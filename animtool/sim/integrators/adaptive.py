@@ -38,11 +38,7 @@ def doubled(base: Integrator) -> Integrator:
     growth = _growth(base.growth, gain)
 
     def both(
-        equations: Equations,
-        t: float,
-        y: FloatArray,
-        h: float,
-        memory: object,
+        equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step | None:
         whole = step(equations, t, y, h, None)
         first = step(equations, t, y, h / 2, None)
@@ -83,18 +79,12 @@ def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
 
 ADAPTIVE_DOUBLING = doubled(RK4)
 
-
-FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
-FOURTH = (
-    5179 / 57600,
-    0.0,
-    7571 / 16695,
-    393 / 640,
-    -92097 / 339200,
-    187 / 2100,
-    1 / 40,
+_FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+_FOURTH = (
+    *(5179 / 57600, 0.0, 7571 / 16695, 393 / 640),
+    *(-92097 / 339200, 187 / 2100, 1 / 40),
 )
-RK45_TABLEAU = Tableau(
+RK45 = Tableau(
     (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0),
     (
         (),
@@ -103,25 +93,15 @@ RK45_TABLEAU = Tableau(
         (44 / 45, -56 / 15, 32 / 9),
         (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
         (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-        FIFTH,
+        _FIFTH,
     ),
-    (*FIFTH, 0.0),
-    tuple(a - b for a, b in zip((*FIFTH, 0.0), FOURTH, strict=True)),
-)
-
-RK45 = Integrator(
+    (*_FIFTH, 0.0),
+    tuple(a - b for a, b in zip((*_FIFTH, 0.0), _FOURTH, strict=True)),
+).integrator(
     "rk45",
     "steps by their error, six rates each: for smooth motion, the first to try",
-    order=5,
-    control=Control.ADAPTIVE,
-    step=RK45_TABLEAU.step,
-    limit=rate_limit(RK45_TABLEAU.growth()),
-    growth=RK45_TABLEAU.growth(),
-    evaluations=6,
-    error_order=5,
+    5,
 )
-
-
 DOP853 = Integrator(
     "dop853",
     "scipy's, steps by their error: for smooth motion to many digits",
@@ -129,8 +109,6 @@ DOP853 = Integrator(
     control=Control.SCIPY,
     solver="scipy.integrate:DOP853",
 )
-
-
 LSODA = Integrator(
     "lsoda",
     "scipy's, changes between methods for stiff and other systems by itself",
@@ -139,8 +117,6 @@ LSODA = Integrator(
     implicit=True,
     solver="scipy.integrate:LSODA",
 )
-
-
 RADAU = Integrator(
     "radau",
     "scipy's, implicit, steps by their error: for stiff systems",

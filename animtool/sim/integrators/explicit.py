@@ -14,34 +14,23 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Form, Integrator, Step
+from animtool.sim.integrators.integrator import Control, Form, Integrator, Step
 from animtool.sim.stability import jury_limit, rate_limit
 
 
 @dataclass(frozen=True, slots=True)
 class Tableau:
-    """An explicit method of S stages.
+    """An explicit method of S stages."""
 
-    Attributes:
-        nodes: Where in the step each stage is ``(S,)`` [1]; the first is 0.
-        rows: Weights of the stages before each, S tuples.
-        weights: Of the stages in the step ``(S,)``.
-        errors: Of the stages in the estimate of the error ``(S,)``; none of methods
-            without one.
-    """
-
+    # Where in the step each stage is ``(S,)`` [1]; the first is 0.
     nodes: tuple[float, ...]
-    rows: tuple[tuple[float, ...], ...]
-    weights: tuple[float, ...]
+    rows: tuple[tuple[float, ...], ...]  # weights of the stages before each, S tuples
+    weights: tuple[float, ...]  # of the stages in the step ``(S,)``
+    # Of the stages in the estimate of the error ``(S,)``; none of methods without one.
     errors: tuple[float, ...] = ()
 
     def step(
-        self,
-        equations: Equations,
-        t: float,
-        y: FloatArray,
-        h: float,
-        memory: object,
+        self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> Step:
         """Return where a step leads; of every product, step times weight comes first.
 
@@ -53,11 +42,30 @@ class Tableau:
         for node, row in zip(self.nodes, self.rows, strict=True):
             at = _moved(y, h, row, rates)
             rates.append(equations.rate(t + node * h, at))
-        ends = self.rows[-1] + (0.0,) == self.weights
-        state = at if ends else _moved(y, h, self.weights, rates)
+        state = at if self.first_as_last else _moved(y, h, self.weights, rates)
         if not self.errors:
             return Step(state)
         return Step(state, error=_moved(np.zeros_like(y), h, self.errors, rates))
+
+    @property
+    def first_as_last(self) -> bool:
+        """Whether the last stage is the state at the end of the step."""
+        return self.rows[-1] + (0.0,) == self.weights
+
+    def integrator(self, name: str, summary: str, order: int) -> Integrator:
+        """Return the method as an entry of the table; errors make it adaptive."""
+        growth = self.growth()
+        return Integrator(
+            name,
+            summary,
+            order=order,
+            control=Control.ADAPTIVE if self.errors else Control.FIXED,
+            step=self.step,
+            limit=rate_limit(growth),
+            growth=growth,
+            evaluations=len(self.nodes) - self.first_as_last,
+            error_order=order if self.errors else 0,
+        )
 
     def growth(self) -> tuple[float, ...]:
         """Return the polynomial R of which ``y' = λ y`` grows by R(h λ) a step.
@@ -85,26 +93,30 @@ def _moved(
     return y
 
 
-EULER_TABLEAU = Tableau((0.0,), ((),), (1.0,))
-
-EULER = Integrator(
+EULER = Tableau((0.0,), ((),), (1.0,)).integrator(
     "euler",
     "along the rate at the start; grows without damping, for comparison only",
-    order=1,
-    step=EULER_TABLEAU.step,
-    limit=rate_limit(EULER_TABLEAU.growth()),
-    growth=EULER_TABLEAU.growth(),
-    evaluations=1,
+    1,
+)
+MIDPOINT = Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).integrator(
+    "midpoint", "along the rate at the middle of Euler's step", 2
+)
+HEUN = Tableau((0.0, 1.0), ((), (1.0,)), (0.5, 0.5)).integrator(
+    "heun", "along the mean of the rates at both ends of Euler's step", 2
+)
+RK4 = Tableau(
+    (0.0, 0.5, 0.5, 1.0),
+    ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+).integrator(
+    "rk4", "four rates a step: exact where steps are fixed and forces smooth", 4
 )
 
 
-def _step(
-    equations: Equations,
-    t: float,
-    y: FloatArray,
-    h: float,
-    memory: object,
+def modified_euler(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
+    """Return where a step along the mean of both velocities leads."""
     x, v = y
     after = v + h * equations.acceleration(t, x, v)
     return Step(np.array((x + (0.5 * h) * (v + after), after)))
@@ -115,50 +127,7 @@ MODIFIED_EULER = Integrator(
     "along the mean of the velocities at both ends; exact in a uniform field",
     order=1,
     form=Form.ACCELERATIONS,
-    step=_step,
+    step=modified_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -0.5], lambda z: [1, -2 * z, 0.5]),
     evaluations=1,
-)
-
-
-MIDPOINT_TABLEAU = Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0))
-
-MIDPOINT = Integrator(
-    "midpoint",
-    "along the rate at the middle of Euler's step",
-    order=2,
-    step=MIDPOINT_TABLEAU.step,
-    limit=rate_limit(MIDPOINT_TABLEAU.growth()),
-    growth=MIDPOINT_TABLEAU.growth(),
-    evaluations=2,
-)
-
-
-HEUN_TABLEAU = Tableau((0.0, 1.0), ((), (1.0,)), (0.5, 0.5))
-
-HEUN = Integrator(
-    "heun",
-    "along the mean of the rates at both ends of Euler's step",
-    order=2,
-    step=HEUN_TABLEAU.step,
-    limit=rate_limit(HEUN_TABLEAU.growth()),
-    growth=HEUN_TABLEAU.growth(),
-    evaluations=2,
-)
-
-
-RK4_TABLEAU = Tableau(
-    (0.0, 0.5, 0.5, 1.0),
-    ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
-    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-)
-
-RK4 = Integrator(
-    "rk4",
-    "four rates a step: exact where steps are fixed and forces smooth",
-    order=4,
-    step=RK4_TABLEAU.step,
-    limit=rate_limit(RK4_TABLEAU.growth()),
-    growth=RK4_TABLEAU.growth(),
-    evaluations=4,
 )

@@ -14,51 +14,6 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-
-def _step(
-    equations: Equations,
-    t: float,
-    y: FloatArray,
-    h: float,
-    memory: object,
-) -> Step | None:
-    state = solve_stage(equations, t + h, y, y, h)
-    return None if state is None else Step(state)
-
-
-IMPLICIT_EULER = Integrator(
-    "implicit_euler",
-    "along the rate at the end, by Newton's method; stable with any step, damps",
-    order=1,
-    step=_step,
-    limit=unlimited,
-    implicit=True,
-)
-
-
-def _step_trapezoid(
-    equations: Equations,
-    t: float,
-    y: FloatArray,
-    h: float,
-    memory: object,
-) -> Step | None:
-    base = y + (0.5 * h) * equations.rate(t, y)
-    state = solve_stage(equations, t + h, base, y, 0.5 * h)
-    return None if state is None else Step(state)
-
-
-TRAPEZOID = Integrator(
-    "trapezoid",
-    "along the mean of the rates at both ends, by Newton's method; does not damp",
-    order=2,
-    step=_step_trapezoid,
-    limit=unlimited,
-    implicit=True,
-    reversible=True,
-)
-
-
 # Beyond it the difference of two unequal steps is not stable: 1 + √2 is the limit.
 LARGEST_RATIO = 2.4
 
@@ -71,7 +26,45 @@ class _Before:
     h: float
 
 
-def _step_bdf2(
+def implicit_euler(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
+) -> Step | None:
+    """Return where a step along the rate at its end leads."""
+    state = solve_stage(equations, t + h, y, y, h)
+    return None if state is None else Step(state)
+
+
+IMPLICIT_EULER = Integrator(
+    "implicit_euler",
+    "along the rate at the end, by Newton's method; stable with any step, damps",
+    order=1,
+    step=implicit_euler,
+    limit=unlimited,
+    implicit=True,
+)
+
+
+def trapezoid(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
+) -> Step | None:
+    """Return where a step along the mean of the rates at both ends leads."""
+    base = y + (0.5 * h) * equations.rate(t, y)
+    state = solve_stage(equations, t + h, base, y, 0.5 * h)
+    return None if state is None else Step(state)
+
+
+TRAPEZOID = Integrator(
+    "trapezoid",
+    "along the mean of the rates at both ends, by Newton's method; does not damp",
+    order=2,
+    step=trapezoid,
+    limit=unlimited,
+    implicit=True,
+    reversible=True,
+)
+
+
+def bdf2(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step | None:
     """Return where a step leads; the first, with none before it, as implicit Euler."""
@@ -89,7 +82,7 @@ BDF2 = Integrator(
     "bdf2",
     "backward difference of two steps, by Newton's method; stable, damps little",
     order=2,
-    step=_step_bdf2,
+    step=bdf2,
     limit=unlimited,
     implicit=True,
     multistep=True,

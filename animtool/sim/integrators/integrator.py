@@ -40,17 +40,12 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Where a step leads.
+    """Where a step leads."""
 
-    Attributes:
-        state: After it.
-        memory: What the method takes along to the next step.
-        error: Estimate of the error of this step, of the state's shape; None of
-            methods that have none.
-    """
-
-    state: FloatArray
-    memory: object = None
+    state: FloatArray  # after it
+    memory: object = None  # what the method takes along to the next step
+    # Estimate of the error of this step, of the state's shape; None of methods that
+    # have none.
     error: FloatArray | None = None
 
 

@@ -20,13 +20,10 @@ from animtool.sim.integrators.integrator import Form, Integrator, Step
 from animtool.sim.stability import jury_limit
 
 
-def _step(
-    equations: Equations,
-    t: float,
-    y: FloatArray,
-    h: float,
-    memory: object,
+def symplectic_euler(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
+    """Return where a step leads: the velocity first, then along the new one."""
     x, v = y
     after = v + h * equations.acceleration(t, x, v)
     return Step(np.array((x + h * after, after)))
@@ -37,14 +34,14 @@ SYMPLECTIC_EULER = Integrator(
     "the velocity first, then along the new one; cheap, and keeps energy in bounds",
     order=1,
     form=Form.ACCELERATIONS,
-    step=_step,
+    step=symplectic_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     evaluations=1,
     symplectic=True,
 )
 
 
-def _step_velocity_verlet(
+def velocity_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
     """Return where a step leads.
@@ -68,7 +65,7 @@ VELOCITY_VERLET = Integrator(
     "half a kick, a drift, half a kick; keeps energy in bounds for ever",
     order=2,
     form=Form.ACCELERATIONS,
-    step=_step_velocity_verlet,
+    step=velocity_verlet,
     limit=jury_limit(
         lambda z: [2, -2 * z, z * z - 1, 0.5 * z],
         lambda z: [1, -2 * z, z * z],
@@ -79,13 +76,10 @@ VELOCITY_VERLET = Integrator(
 )
 
 
-def _step_position_verlet(
-    equations: Equations,
-    t: float,
-    y: FloatArray,
-    h: float,
-    memory: object,
+def position_verlet(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> Step:
+    """Return where a step leads: half a drift, a kick, half a drift."""
     x, v = y
     halfway = x + (0.5 * h) * v
     after = v + h * equations.acceleration(t + 0.5 * h, halfway, v)
@@ -97,7 +91,7 @@ POSITION_VERLET = Integrator(
     "half a drift, a kick, half a drift; one force a step, energy in bounds",
     order=2,
     form=Form.ACCELERATIONS,
-    step=_step_position_verlet,
+    step=position_verlet,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     drag_order=1,
     evaluations=1,

@@ -43,83 +43,57 @@ SHORT, REPEATS = 0.3, 3
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The motion that others are compared with.
+    """The motion that others are compared with."""
 
-    Attributes:
-        setting: Of it.
-        error: How far it may well be off itself, from the two finest.
-        order: Power of the step that its error goes with, from the three finest; None
-            where they do not differ.
-        sensitive: Whether halving the steps hardly brings it nearer: then nothing is
-            near, and errors say little.
-    """
-
-    setting: Setting
-    error: Distances
+    setting: Setting  # of it
+    error: Distances  # how far it may well be off itself, from the two finest
+    # Power of the step that its error goes with, from the three finest; None where they
+    # do not differ.
     order: float | None
+    # Whether halving the steps hardly brings it nearer: then nothing is near, and
+    # errors say little.
     sensitive: bool
 
 
 @dataclass(frozen=True, slots=True)
 class TrialRow:
-    """A setting, and what it comes to.
+    """A setting, and what it comes to."""
 
-    Attributes:
-        setting: What is tried.
-        seconds: Wall time of the simulation [s]; 0 where the method is not for it.
-        steps: That were taken.
-        status: How it ended; None where the method is not for it.
-        reason: Why it stopped, or is not for it; empty where it did what it should.
-        stable_step: As in `Outcome`.
-        error: Distances from the reference; None where it did not get to the end, or
-            there is no reference.
-        energy_drift: Most that the energy differed from that of the start, in the
-            largest that there was [1]; None where it may come and go.
-        stretch: As in `Outcome`; None too where it did not get to the end.
-        chosen: Whether the file has it so.
-        best: Whether no other that is as exact is faster.
-        recommended: Whether to take it in place of the chosen one.
-    """
-
-    setting: Setting
+    setting: Setting  # what is tried
+    # Wall time of the simulation [s]; 0 where the method is not for it.
     seconds: float = 0.0
-    steps: int = 0
-    status: Status | None = None
+    steps: int = 0  # that were taken
+    status: Status | None = None  # how it ended; None where the method is not for it
+    # Why it stopped, or is not for it; empty where it did what it should.
     reason: str = ""
-    stable_step: float | None = None
+    stable_step: float | None = None  # as in `Outcome`
+    # Distances from the reference; None where it did not get to the end, or there is no
+    # reference.
     error: Distances | None = None
+    # Most that the energy differed from that of the start, in the largest that there
+    # was [1]; None where it may come and go.
     energy_drift: float | None = None
+    # As in `Outcome`; None too where it did not get to the end.
     stretch: float | None = None
-    chosen: bool = False
-    best: bool = False
-    recommended: bool = False
+    chosen: bool = False  # whether the file has it so
+    best: bool = False  # whether no other that is as exact is faster
+    recommended: bool = False  # whether to take it in place of the chosen one
 
 
 @dataclass(frozen=True, slots=True)
 class TrialTable:
-    """The settings of one simulation.
+    """The settings of one simulation."""
 
-    Attributes:
-        name: What it is called.
-        kind: What it is.
-        span: How long it was simulated [s].
-        instants: At how many times points were compared.
-        points: How many there were, at most.
-        extent: Diagonal of the box that they stayed in [m].
-        reference: What they were compared with; None where every fine one stopped.
-        rows: In the order tried.
-        notices: What is odd about it.
-    """
-
-    name: str
-    kind: str
-    span: float
-    instants: int
-    points: int
-    extent: float
+    name: str  # what it is called
+    kind: str  # what it is
+    span: float  # how long it was simulated [s]
+    instants: int  # at how many times points were compared
+    points: int  # how many there were, at most
+    extent: float  # diagonal of the box that they stayed in [m]
+    # What they were compared with; None where every fine one stopped.
     reference: Reference | None
-    rows: list[TrialRow]
-    notices: list[Fault] = field(default_factory=list)
+    rows: list[TrialRow]  # in the order tried
+    notices: list[Fault] = field(default_factory=list)  # what is odd about it
 
 
 def measure(

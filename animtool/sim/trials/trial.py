@@ -21,14 +21,10 @@ FINER = (0.5, 0.25, 0.125)
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A way to simulate.
+    """A way to simulate."""
 
-    Attributes:
-        method: An integrator or a solver.
-        options: Names and values that go with it, as the scene file writes them.
-    """
-
-    method: str
+    method: str  # an integrator or a solver
+    # Names and values that go with it, as the scene file writes them.
     options: tuple[tuple[str, float], ...]
 
     def __str__(self) -> str:
@@ -57,28 +53,20 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a setting came to.
+    """What a setting came to."""
 
-    Attributes:
-        seconds: Wall time of the simulation [s].
-        steps: That were taken.
-        shots: At the times that were reached.
-        status: How it ended.
-        reason: Why it stopped, empty where it did not.
-        stable_step: The largest that is stable where it ended [s]: 0 where none is,
-            infinite where all are, None where it is not known.
-        energies: At these times; None where energy may come and go.
-        stretch: Most that a spring was longer than at rest, over that [1]; None where
-            there are no springs.
-    """
-
-    seconds: float
-    steps: int
-    shots: Sequence[Shot]
-    status: Status = Status.OK
-    reason: str = ""
+    seconds: float  # wall time of the simulation [s]
+    steps: int  # that were taken
+    shots: Sequence[Shot]  # at the times that were reached
+    status: Status = Status.OK  # how it ended
+    reason: str = ""  # why it stopped, empty where it did not
+    # The largest that is stable where it ended [s]: 0 where none is, infinite where all
+    # are, None where it is not known.
     stable_step: float | None = None
+    # At these times; None where energy may come and go.
     energies: Sequence[Energy] | None = None
+    # Most that a spring was longer than at rest, over that [1]; None where there are no
+    # springs.
     stretch: float | None = None
 
 
@@ -128,19 +116,12 @@ def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """How far points are from where others have them, over all times.
+    """How far points are from where others have them, over all times."""
 
-    Attributes:
-        largest: [m]
-        rms: Root of the mean of squares [m].
-        median: Half of them are nearer [m].
-        apart: Share of the points that only one of the two has [1].
-    """
-
-    largest: float
-    rms: float
-    median: float
-    apart: float = 0.0
+    largest: float  # [m]
+    rms: float  # root of the mean of squares [m]
+    median: float  # half of them are nearer [m]
+    apart: float = 0.0  # share of the points that only one of the two has [1]
 
     def scaled(self, factor: float) -> Distances:
         """Return them times a factor."""
@@ -213,15 +194,10 @@ AS_GOOD, WORTH_IT = 1.05, 0.8
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a setting takes, and what it gives.
+    """What a setting takes, and what it gives."""
 
-    Attributes:
-        seconds: Wall time [s].
-        error: [m]
-    """
-
-    seconds: float
-    error: float
+    seconds: float  # wall time [s]
+    error: float  # [m]
 
 
 def best_of(costs: Sequence[Cost | None]) -> list[int]:

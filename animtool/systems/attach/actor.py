@@ -42,17 +42,11 @@ def upwards(rig: Rig) -> FloatArray:
 
 @dataclass
 class Ways:
-    """A character over one frame, worked out once for each number of steps.
+    """A character over one frame, worked out once for each number of steps."""
 
-    Attributes:
-        rig: The character.
-        before: Its pose at the begin.
-        after: Its pose at the end.
-    """
-
-    rig: Rig
-    before: Pose
-    after: Pose
+    rig: Rig  # the character
+    before: Pose  # its pose at the begin
+    after: Pose  # its pose at the end
     _made: dict[int, Way] = field(default_factory=dict)
 
     def of(self, steps: int) -> Way:

@@ -52,17 +52,12 @@ class Body(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainBody(Body):
-    """A chain of joints: its first origin is held, the end of each bone swings.
+    """A chain of joints: its first origin is held, the end of each bone swings."""
 
-    Attributes:
-        joints: From the root on ``(C,)``.
-        tip: End of the last bone, in the frame of its joint ``(3,)`` [m].
-        bare: Nothing follows the rotation of the last joint: it has no tip, and no
-            joint, skin, collider or strands below it.
-    """
-
-    joints: IntArray
-    tip: FloatArray
+    joints: IntArray  # from the root on ``(C,)``
+    tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
+    # Nothing follows the rotation of the last joint: it has no tip, and no joint, skin,
+    # collider or strands below it.
     bare: bool = False
 
     def targets(self, way: Way) -> FloatArray:
@@ -75,12 +70,9 @@ class ChainBody(Body):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceBody(Body):
-    """Cloth or strands: points that follow the skin until they are moved.
+    """Cloth or strands: points that follow the skin until they are moved."""
 
-    Attributes:
-        mesh: What moves them; it has the name that the points have in a motion.
-    """
-
+    # What moves them; it has the name that the points have in a motion.
     mesh: CharacterMesh
 
     def targets(self, way: Way) -> FloatArray:

@@ -17,15 +17,10 @@ NO_TRIANGLES: IntArray = np.zeros((0, 3), np.int64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """L springs of one kind.
+    """L springs of one kind."""
 
-    Attributes:
-        ends: Particles on either end ``(L, 2)``.
-        rests: Length at rest ``(L,)`` [m].
-    """
-
-    ends: IntArray
-    rests: FloatArray
+    ends: IntArray  # particles on either end ``(L, 2)``
+    rests: FloatArray  # length at rest ``(L,)`` [m]
 
     @staticmethod
     def of(points: FloatArray, ends: IntArray) -> Links:
@@ -36,25 +31,16 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """N particles of equal mass, and what joins them.
+    """N particles of equal mass, and what joins them."""
 
-    Attributes:
-        points: Where they are at bind ``(N, 3)`` [m].
-        held: Particles that go where the animation has them ``(P,)``, ascending.
-        stiff: What does not become longer.
-        shears: Diagonals of faces, which give way sideways.
-        folds: From one side of a fold to the other.
-        triangles: Corners of the surface ``(T, 3)``.
-        strands: How many lines of equal length the particles stand in, each from the
-            end that is held on, one line behind the other; 0 where it is a surface.
-    """
-
-    points: FloatArray
-    held: IntArray
-    stiff: Links
-    shears: Links
-    folds: Links
-    triangles: IntArray
+    points: FloatArray  # where they are at bind ``(N, 3)`` [m]
+    held: IntArray  # particles that go where the animation has them ``(P,)``, ascending
+    stiff: Links  # what does not become longer
+    shears: Links  # diagonals of faces, which give way sideways
+    folds: Links  # from one side of a fold to the other
+    triangles: IntArray  # corners of the surface ``(T, 3)``
+    # How many lines of equal length the particles stand in, each from the end that is
+    # held on, one line behind the other; 0 where it is a surface.
     strands: int = 0
 
     @staticmethod

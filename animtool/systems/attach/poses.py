@@ -15,31 +15,21 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """One frame of a motion.
+    """One frame of a motion."""
 
-    Attributes:
-        translations: ``(J, 3)`` [m], parent space.
-        rotations: ``(J, 4)``.
-        scales: ``(J, 3)`` [1]; None is none.
-        weights: Of the rig's shapes ``(S,)`` [1]; None where the take has none.
-    """
-
-    translations: FloatArray
-    rotations: FloatArray
-    scales: FloatArray | None
+    translations: FloatArray  # ``(J, 3)`` [m], parent space
+    rotations: FloatArray  # ``(J, 4)``
+    scales: FloatArray | None  # ``(J, 3)`` [1]; None is none
+    # Of the rig's shapes ``(S,)`` [1]; None where the take has none.
     weights: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """A character at K times, from one frame to another, both among them.
+    """A character at K times, from one frame to another, both among them."""
 
-    Attributes:
-        world: Where its joints are.
-        weights: Of the rig's shapes ``(K, S)`` [1]; None where there are none.
-    """
-
-    world: WorldTransforms
+    world: WorldTransforms  # where its joints are
+    # Of the rig's shapes ``(K, S)`` [1]; None where there are none.
     weights: FloatArray | None
 
 
@@ -117,15 +107,10 @@ SEAM = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Travel:
-    """What a cycle carries the character by, over the ground.
+    """What a cycle carries the character by, over the ground."""
 
-    Attributes:
-        shift: ``(3,)`` [m], behind the turn.
-        turn: About the up axis, at the world's origin ``(4,)``.
-    """
-
-    shift: FloatArray
-    turn: FloatArray
+    shift: FloatArray  # ``(3,)`` [m], behind the turn
+    turn: FloatArray  # about the up axis, at the world's origin ``(4,)``
 
 
 def travel_between(rig: Rig, up: FloatArray, poses: tuple[Pose, ...]) -> Travel:

@@ -56,38 +56,23 @@ LEAST_SWING = math.radians(0.1)
 
 @dataclass(frozen=True, slots=True)
 class AttachReport:
-    """What became of one attachment.
+    """What became of one attachment."""
 
-    Attributes:
-        name: As the rig names it.
-        kind: Of `AttachKind`.
-        status: ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``:
-            something stays inside a collider, or went through the cloth.
-        particles: How many there are.
-        steps: Steps a frame.
-        stretch: Most that a spring was longer than at rest [1].
-        aimed: At which stretch [1].
-        contacts: Most particles that touched colliders at once.
-        unresolved: Most that were left inside.
-        passed: Most that had gone through the cloth.
-        cut: Most pairs of its edges that had gone through each other.
-        jumps: How often it was carried over a jump.
-        seconds: Time spent [s].
-    """
-
-    name: str
-    kind: str
+    name: str  # as the rig names it
+    kind: str  # of `AttachKind`
+    # ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``: something stays
+    # inside a collider, or went through the cloth.
     status: str
-    particles: int
-    steps: int
-    stretch: float
-    aimed: float
-    contacts: int
-    unresolved: int
-    passed: int
-    cut: int
-    jumps: int
-    seconds: float
+    particles: int  # how many there are
+    steps: int  # steps a frame
+    stretch: float  # most that a spring was longer than at rest [1]
+    aimed: float  # at which stretch [1]
+    contacts: int  # most particles that touched colliders at once
+    unresolved: int  # most that were left inside
+    passed: int  # most that had gone through the cloth
+    cut: int  # most pairs of its edges that had gone through each other
+    jumps: int  # how often it was carried over a jump
+    seconds: float  # time spent [s]
 
 
 def reports_of(simulation: Simulation) -> list[AttachReport]:

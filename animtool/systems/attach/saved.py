@@ -24,17 +24,11 @@ MAX_INDEX = 1 << 31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Saved:
-    """States of attachments at one frame.
+    """States of attachments at one frame."""
 
-    Attributes:
-        frame: Its time code.
-        steps: Of each attachment a frame.
-        states: By the attachment's name.
-    """
-
-    frame: float
-    steps: Mapping[str, int]
-    states: Mapping[str, State]
+    frame: float  # its time code
+    steps: Mapping[str, int]  # of each attachment a frame
+    states: Mapping[str, State]  # by the attachment's name
 
 
 def write_states(path: Path, saved: list[Saved]) -> None:

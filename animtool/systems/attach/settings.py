@@ -51,72 +51,59 @@ def _number(
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """What moves by itself, and how.
+    """What moves by itself, and how."""
 
-    Attributes:
-        what: Names of the rig's attachments.
-        frequency: How fast they swing back to the animated pose [Hz]; 0 does not draw
-            them there. None is 2 for chains and strands, and 0 for cloth.
-        damping: Of that, 1 comes back without swinging over [1].
-        bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
-        shear: How fast cloth that is drawn askew springs back [Hz].
-        stretch: How much longer than at rest springs may become [1]. None is 0.01 for
-            chains, and 0.05 for others.
-        gravity: Downwards along the rig's up axis [m/s²]. 0 leaves a still character's
-            attachments where they are.
-        drag: How fast the air takes speed [1/s]; of cloth, the coefficient of drag of
-            its faces [1].
-        wind: Velocity of the air ``[x, y, z]`` [m/s].
-        colliders: Keep out of the rig's capsules.
-        radius: Distance kept from them, such as ``5mm``.
-        friction: On them, and between layers, Coulomb's coefficient [1].
-        thickness: Distance that cloth keeps from itself, such as ``5mm``; None lets it
-            go through itself.
-        settle: Time in the first pose before anything moves [s].
-        preroll: Time of the way into the first frame, behind ``settle`` [s].
-        lead: How that way goes.
-        loop: The take is a cycle, whose first pose follows on its last.
-        loop_tolerance: The cycle is repeated until nothing differs from the repeat
-            before by more, such as ``0.1mm``.
-        loop_repeats: Most repeats.
-        weight: Share of the simulation, one number or ``[[frame, weight], …]`` [1].
-        interpolation: How weights run from key to key.
-        teleport_speed: What carries an attachment jumps where it would be faster
-            [m/s]; 0 never does.
-        teleports: Frames that begin with a jump.
-        rate: Least steps a second; None is as many as ``stretch`` needs.
-        save: File (``.npz``) for the states at the frames of ``save_at``, beside the
-            scene.
-        save_at: Frames.
-        resume: Such a file to go on from, at the latest frame that it has.
-    """
-
-    what: tuple[str, ...] = ()
+    what: tuple[str, ...] = ()  # names of the rig's attachments
+    # How fast they swing back to the animated pose [Hz]; 0 does not draw them there.
+    # None is 2 for chains and strands, and 0 for cloth.
     frequency: Annotated[float | None, _number(0.0)] = None
+    # Of that, 1 comes back without swinging over [1].
     damping: Annotated[float, _number(0.0)] = 0.3
+    # How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
     bend: Annotated[float | None, _number(0.0)] = None
+    # How fast cloth that is drawn askew springs back [Hz].
     shear: Annotated[float, _number(0.0)] = 20.0
+    # How much longer than at rest springs may become [1]. None is 0.01 for chains, and
+    # 0.05 for others.
     stretch: Annotated[float | None, _number(0.0, reached=False)] = None
+    # Downwards along the rig's up axis [m/s²]. 0 leaves a still character's attachments
+    # where they are.
     gravity: Annotated[float, _number()] = 9.81
+    # How fast the air takes speed [1/s]; of cloth, the coefficient of drag of its faces
+    # [1].
     drag: Annotated[float, _number(0.0)] = 0.5
+    # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    colliders: bool = True
-    radius: str = "5mm"
+    colliders: bool = True  # keep out of the rig's capsules
+    radius: str = "5mm"  # distance kept from them, such as ``5mm``
+    # On them, and between layers, Coulomb's coefficient [1].
     friction: Annotated[float, _number(0.0)] = 0.2
+    # Distance that cloth keeps from itself, such as ``5mm``; None lets it go through
+    # itself.
     thickness: str | None = None
+    # Time in the first pose before anything moves [s].
     settle: Annotated[float, _number(0.0, 600.0)] = 1.0
+    # Time of the way into the first frame, behind ``settle`` [s].
     preroll: Annotated[float, _number(0.0, 600.0)] = 0.0
-    lead: Lead = Lead.HOLD
-    loop: bool = False
+    lead: Lead = Lead.HOLD  # how that way goes
+    loop: bool = False  # the take is a cycle, whose first pose follows on its last
+    # The cycle is repeated until nothing differs from the repeat before by more, such
+    # as ``0.1mm``.
     loop_tolerance: str = "0.1mm"
-    loop_repeats: Annotated[int, _number(1.0, 10_000.0)] = 20
+    loop_repeats: Annotated[int, _number(1.0, 10_000.0)] = 20  # most repeats
+    # Share of the simulation, one number or ``[[frame, weight], …]`` [1].
     weight: Weight = 1.0
+    # How weights run from key to key.
     interpolation: Interpolation = Interpolation.LINEAR
+    # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
     teleport_speed: Annotated[float, _number(0.0)] = 50.0
-    teleports: tuple[float, ...] = ()
+    teleports: tuple[float, ...] = ()  # frames that begin with a jump
+    # Least steps a second; None is as many as ``stretch`` needs.
     rate: Annotated[float | None, _number(0.0, 1e6, reached=False)] = None
+    # File (``.npz``) for the states at the frames of ``save_at``, beside the scene.
     save: str = ""
-    save_at: tuple[float, ...] = ()
+    save_at: tuple[float, ...] = ()  # frames
+    # Such a file to go on from, at the latest frame that it has.
     resume: Path | None = None
 
     @property
@@ -127,37 +114,21 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What of the options one attachment needs, in SI units.
+    """What of the options one attachment needs, in SI units."""
 
-    Attributes:
-        frequency: Angular, of the draw to the animated pose [rad/s].
-        damping: Its damping ratio [1].
-        bend: Angular, of folds [rad/s].
-        shear: Angular, of diagonals [rad/s].
-        stretch: Aimed at [1].
-        gravity: [m/s²]
-        drag: [1/s], or [1] of cloth.
-        wind: [m/s]
-        radius: Distance kept from colliders [m].
-        friction: [1]
-        thickness: Distance that cloth keeps from itself [m]; 0 does not ask.
-        colliders: Keep out of the rig's capsules.
-        rate: Least steps a second; None is by ``stretch``.
-    """
-
-    frequency: float
-    damping: float
-    bend: float
-    shear: float
-    stretch: float
-    gravity: float
-    drag: float
-    wind: tuple[float, float, float]
-    radius: float
-    friction: float
-    thickness: float
-    colliders: bool
-    rate: float | None
+    frequency: float  # angular, of the draw to the animated pose [rad/s]
+    damping: float  # its damping ratio [1]
+    bend: float  # angular, of folds [rad/s]
+    shear: float  # angular, of diagonals [rad/s]
+    stretch: float  # aimed at [1]
+    gravity: float  # [m/s²]
+    drag: float  # [1/s], or [1] of cloth
+    wind: tuple[float, float, float]  # [m/s]
+    radius: float  # distance kept from colliders [m]
+    friction: float  # [1]
+    thickness: float  # distance that cloth keeps from itself [m]; 0 does not ask
+    colliders: bool  # keep out of the rig's capsules
+    rate: float | None  # least steps a second; None is by ``stretch``
 
 
 def settings_for(options: SimulateOptions, kind: str) -> Settings:

@@ -36,17 +36,11 @@ from animtool.units import parse_length
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """How a cycle came round.
+    """How a cycle came round."""
 
-    Attributes:
-        repeats: How often it was run.
-        residual: How far its end was from its begin at the last [m].
-        tolerance: What was asked for [m].
-    """
-
-    repeats: int
-    residual: float
-    tolerance: float
+    repeats: int  # how often it was run
+    residual: float  # how far its end was from its begin at the last [m]
+    tolerance: float  # what was asked for [m]
 
 
 @dataclass(slots=True)

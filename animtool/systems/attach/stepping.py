@@ -44,30 +44,21 @@ def nowhere() -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Where N particles are, and how fast.
+    """Where N particles are, and how fast."""
 
-    Attributes:
-        positions: ``(N, 3)`` [m], world.
-        velocities: ``(N, 3)`` [m/s].
-        passages: Where cloth went through itself ``(C, 3)``: particle, triangle, side.
-    """
-
-    positions: FloatArray
-    velocities: FloatArray
+    positions: FloatArray  # ``(N, 3)`` [m], world
+    velocities: FloatArray  # ``(N, 3)`` [m/s]
+    # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(default_factory=nowhere)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """What the animation does over a frame, at K times, both ends among them.
+    """What the animation does over a frame, at K times, both ends among them."""
 
-    Attributes:
-        targets: Particles as they are animated ``(K, N, 3)`` [m].
-        colliders: What kernels take of colliders, over the K - 1 cells between these
-            times; None where there are none.
-    """
-
-    targets: FloatArray
+    targets: FloatArray  # particles as they are animated ``(K, N, 3)`` [m]
+    # What kernels take of colliders, over the K - 1 cells between these times; None
+    # where there are none.
     colliders: tuple[Any, ...] | None
 
     @property
@@ -78,19 +69,12 @@ class Motions:
 
 @dataclass(slots=True)
 class Tally:
-    """What happened over the steps.
+    """What happened over the steps."""
 
-    Attributes:
-        stretch: Most that a spring was longer than at rest, over that [1].
-        contacts: Most particles that touched colliders at once.
-        unresolved: Most that were left inside one.
-        through: What had gone through the cloth.
-    """
-
-    stretch: float = 0.0
-    contacts: int = 0
-    unresolved: int = 0
-    through: Through = field(default_factory=Through)
+    stretch: float = 0.0  # most that a spring was longer than at rest, over that [1]
+    contacts: int = 0  # most particles that touched colliders at once
+    unresolved: int = 0  # most that were left inside one
+    through: Through = field(default_factory=Through)  # what had gone through the cloth
 
     def add(
         self,

@@ -79,21 +79,13 @@ FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A solver and its steps.
+    """A solver and its steps."""
 
-    Attributes:
-        solver: Not `Solver.AUTO`.
-        cell: Of time [s].
-        substeps: Steps in a cell.
-        reason: Why, in words.
-        limit: The largest stable step of semi-implicit Euler [s].
-    """
-
-    solver: Solver
-    cell: float
-    substeps: int
-    reason: str
-    limit: float
+    solver: Solver  # not `Solver.AUTO`
+    cell: float  # of time [s]
+    substeps: int  # steps in a cell
+    reason: str  # why, in words
+    limit: float  # the largest stable step of semi-implicit Euler [s]
 
 
 def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:

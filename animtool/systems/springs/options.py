@@ -111,45 +111,27 @@ def check_keeping_apart(wanted: Solver) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Where a motion stands on its grid of time, so that it can be gone on with.
+    """Where a motion stands on its grid of time, so that it can be gone on with."""
 
-    Attributes:
-        solver: What takes it on.
-        origin: Time of the grid's first cell [s].
-        cell: Length of each [s].
-        index: Of the cell to cross next.
-        substeps: Steps in a cell.
-        state: At its start ``(2, N, 3)``.
-        torn: Which springs are, in the order of kernels ``(S,)``.
-        before: State a step before, of bdf2.
-        calm: Cells of xpbd without need of as many steps.
-        least: Steps in a cell of xpbd, at least.
-        stretch: The largest so far of springs of xpbd that is not mostly their own
-            give [1].
-        steps: Taken so far.
-        evaluations: Of all springs so far.
-        lost: Whether a cell could not be crossed.
-        unresolved: Particles left inside colliders, at most.
-        passages: Where the surface is through itself ``(C, 3)``, as kernels have it.
-        through: What went through the surface, at most.
-    """
-
-    solver: Solver
-    origin: float
-    cell: float
-    index: int
-    substeps: int
-    state: FloatArray
-    torn: npt.NDArray[np.uint8]
-    before: FloatArray | None = None
-    calm: int = 0
-    least: int = 1
+    solver: Solver  # what takes it on
+    origin: float  # time of the grid's first cell [s]
+    cell: float  # length of each [s]
+    index: int  # of the cell to cross next
+    substeps: int  # steps in a cell
+    state: FloatArray  # at its start ``(2, N, 3)``
+    torn: npt.NDArray[np.uint8]  # which springs are, in the order of kernels ``(S,)``
+    before: FloatArray | None = None  # state a step before, of bdf2
+    calm: int = 0  # cells of xpbd without need of as many steps
+    least: int = 1  # steps in a cell of xpbd, at least
+    # The largest so far of springs of xpbd that is not mostly their own give [1].
     stretch: float = 0.0
-    steps: int = 0
-    evaluations: int = 0
-    lost: bool = False
-    unresolved: int = 0
+    steps: int = 0  # taken so far
+    evaluations: int = 0  # of all springs so far
+    lost: bool = False  # whether a cell could not be crossed
+    unresolved: int = 0  # particles left inside colliders, at most
+    # Where the surface is through itself ``(C, 3)``, as kernels have it.
     passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    # What went through the surface, at most.
     through: Through = field(default_factory=Through)
 
     @property

@@ -76,17 +76,12 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Through:
-    """What of a surface went through itself, at most at a time.
+    """What of a surface went through itself, at most at a time."""
 
-    Attributes:
-        passed: Particles through triangles that were not yet brought back.
-        cut: Pairs of edges through each other.
-        rate: Steps a second in which what went too far in one would have been seen
-            [1/s]; 0 where nothing did.
-    """
-
-    passed: int = 0
-    cut: int = 0
+    passed: int = 0  # particles through triangles that were not yet brought back
+    cut: int = 0  # pairs of edges through each other
+    # Steps a second in which what went too far in one would have been seen [1/s]; 0
+    # where nothing did.
     rate: float = 0.0
 
     def with_more(self, more: Through) -> Through:

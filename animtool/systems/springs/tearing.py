@@ -87,19 +87,12 @@ class Tearing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turning:
-    """How particles turn with their neighbours.
+    """How particles turn with their neighbours."""
 
-    Attributes:
-        which: The particles, ascending ``(P,)``.
-        owners: Numbers of particles in it, one a neighbour ``(K,)``.
-        neighbours: Particles that stay next to them ``(K,)``.
-        ways: To them at rest ``(K, 3)`` [m].
-    """
-
-    which: IntArray
-    owners: IntArray
-    neighbours: IntArray
-    ways: FloatArray
+    which: IntArray  # the particles, ascending ``(P,)``
+    owners: IntArray  # numbers of particles in it, one a neighbour ``(K,)``
+    neighbours: IntArray  # particles that stay next to them ``(K,)``
+    ways: FloatArray  # to them at rest ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
         """Return where particles stand among those that turn."""
@@ -121,19 +114,12 @@ class _Turning:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle of a face, once for each of the parts that meet there.
+    """The middle of a face, once for each of the parts that meet there."""
 
-    Attributes:
-        corners: Of the face ``(C,)``.
-        parts: Of each corner ``(C,)``.
-        springs: Between a part and the next, around the face ``(P,)``.
-        ways: From corners to the middle at rest ``(C, 3)`` [m].
-    """
-
-    corners: IntArray
-    parts: IntArray
-    springs: IntArray
-    ways: FloatArray
+    corners: IntArray  # of the face ``(C,)``
+    parts: IntArray  # of each corner ``(C,)``
+    springs: IntArray  # between a part and the next, around the face ``(P,)``
+    ways: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
     def at(
         self,
