@@ -17,7 +17,6 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -312,5 +311,6 @@ def _state(process: int) -> str:
 @cache
 def _host() -> str:
     import platform
+    from hashlib import sha256
 
     return sha256(platform.node().encode()).hexdigest()[:8]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
-import queue
 import signal
 import sys
 import threading
@@ -36,6 +35,8 @@ def prefetch(items: Iterator[T], depth: int = 3) -> Generator[T]:
     >>> list(prefetch(iter("abc")))
     ['a', 'b', 'c']
     """
+    import queue
+
     ready: queue.Queue[T | _End] = queue.Queue(depth)
     stopped = threading.Event()
 

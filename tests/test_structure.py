@@ -301,6 +301,19 @@ def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> N
     assert not loaded(code) & heavy
 
 
+def test_meshes_without_a_rig_layer_need_no_skeletons_of_usd(
+    root: Path, tmp_path: Path
+) -> None:
+    clip, output = root / "samples/speech/speech.clip.yaml", tmp_path / "o.usdc"
+    code = (
+        "from animtool.cli.main import run\n"
+        f"run(['bake', {str(clip)!r}, '--deform', '-o', {str(output)!r}])"
+    )
+    heavy = {"pxr.UsdSkel", "pxr.UsdUtils", "pxr.UsdShade", "scipy", "rich"}
+    assert not loaded(code) & heavy
+    assert output.exists()
+
+
 def test_a_batch_is_planned_without_what_makes_it(walk: Path, tmp_path: Path) -> None:
     code = (
         "from animtool.cli.main import run\n"

@@ -16,8 +16,7 @@ from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import asset_path, author_order, prim, quaternion
-from animtool.usd.library import TAKE_SET
-from animtool.usd.names import RigPaths
+from animtool.usd.names import TAKE_SET, RigPaths
 from animtool.usd.samples import Samples
 
 if TYPE_CHECKING:

@@ -22,10 +22,9 @@ from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
 from animtool.rates import LARGEST_FRAME
 from animtool.similar import similar
 from animtool.usd.layers import find_layer, new_layer, usd_errors
-from animtool.usd.names import RigPaths
+from animtool.usd.names import TAKE_SET, RigPaths
 from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below
 
-TAKE_SET = "take"
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (
     "what a rig binds is stronger than a variant of a layer beside it: let a shot "

@@ -11,6 +11,9 @@ from animtool.errors import Fault, Severity, excerpt
 from animtool.rig.skeleton import Joint
 from animtool.similar import distinct
 
+# The variant set of a library whose variants are its takes.
+TAKE_SET = "take"
+
 
 @dataclass(frozen=True, slots=True)
 class UsdNames:

@@ -13,7 +13,6 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.maths.euler import axes_of
-from animtool.output import check_outputs, write_parts
 from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
@@ -56,6 +55,8 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
         OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
+    from animtool.output import check_outputs, write_parts
+
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
     text = bvh_text(take)
