@@ -9,10 +9,10 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
+from animtool.scene.springs.parts_schema import FaceWindModel, WindModel
 from animtool.scene.springs.pins import Pin
-from animtool.scene.springs.setup import Wind
 from animtool.sim.colliders import Poses
-from animtool.systems.springs import Pins, Targets
+from animtool.systems.springs import Air, Pins, Targets
 from animtool.systems.springs.paths import over_knots
 
 # What keeps a turn as small as it may be where points leave it open.
@@ -37,13 +37,9 @@ class Tie:
 def ties_of(
     pins: Sequence[Pin], poses: Sequence[Poses], points: FloatArray, begin: float
 ) -> list[Tie]:
-    """Return where pins have their particles.
+    """Return where pins have their particles from the begin on [s].
 
-    Args:
-        pins: What holds and draws them.
-        poses: The frame of each over time.
-        points: Where particles are built ``(N, 3)`` [m].
-        begin: When the simulation begins [s].
+    Each pin has a frame over time; points are where particles are built ``(N, 3)`` [m].
     """
     found = []
     for pin, frame in zip(pins, poses, strict=True):
@@ -68,15 +64,9 @@ def ties_of(
 def moved_to_pins(
     pins: Sequence[Pin], poses: Sequence[Poses], points: FloatArray, begin: float
 ) -> FloatArray:
-    """Return points brought to where pins with an offset want their particles.
+    """Return points ``(N, 3)`` [m] moved to where pins with an offset have theirs.
 
-    They are moved as a whole, and turned as little as it takes.
-
-    Args:
-        pins: What holds particles.
-        poses: The frame of each over time.
-        points: Where particles are built ``(N, 3)`` [m].
-        begin: When the simulation begins [s].
+    At the begin [s] they are moved as a whole, and turned as little as it takes.
     """
     goals, own = [], []
     for pin, frame in zip(pins, poses, strict=True):
@@ -96,18 +86,29 @@ def moved_to_pins(
     return turned
 
 
+def air_of(wind: FaceWindModel) -> Air:
+    """Return the air as faces bear it."""
+    velocity, gusts = np.array(wind.velocity), gusts_of(wind)
+    if not len(gusts):
+        return Air(velocity, wind.drag, wind.lift, wind.density)
+    winds = velocity + gusts[:, 1:]
+    return Air(winds, wind.drag, wind.lift, wind.density, gusts[:, 0])
+
+
+def gusts_of(wind: WindModel) -> FloatArray:
+    """Return more of the air over time: seconds and velocity ``(K, 4)`` [s, m/s]."""
+    return np.array(wind.gusts).reshape(-1, 4)
+
+
 def wind_ties(
-    wind: Wind, points: FloatArray, drags: FloatArray, span: tuple[float, float]
+    wind: WindModel, points: FloatArray, drags: FloatArray, span: tuple[float, float]
 ) -> Tie:
     """Return the air that takes particles along, as what draws them by damping alone.
 
-    Args:
-        wind: How it moves.
-        points: Where particles begin ``(N, 3)`` [m].
-        drags: What slows each, over its speed in still air ``(N,)`` [N s/m].
-        span: First and last time [s].
+    Particles begin at points ``(N, 3)`` [m]; drags ``(N,)`` [N s/m] are what slows each
+    over its speed in still air; the span is the first and the last time [s].
     """
-    gusts, (first, last) = wind.gusts, span
+    gusts, (first, last) = gusts_of(wind), span
     times = np.array([first, max(last, first + 1.0)])
     if len(gusts):
         inner = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
@@ -115,7 +116,7 @@ def wind_ties(
         shares = np.arange(GUST_STEPS) / GUST_STEPS
         fine = ends[:-1, None] + np.diff(ends)[:, None] * shares
         times = np.append(fine.ravel(), ends[-1])
-    speeds = np.tile(wind.velocity, (len(times) - 1, 1))
+    speeds = np.tile(np.array(wind.velocity), (len(times) - 1, 1))
     if len(gusts):
         middle = (times[:-1] + times[1:]) / 2
         blown = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
@@ -135,12 +136,7 @@ class Ties:
         self._drawn: list[tuple[IntArray, Tie]] = []
 
     def add(self, tie: Tie, rows: IntArray) -> None:
-        """Add a tie.
-
-        Args:
-            tie: Of particles of one body.
-            rows: What these are in the system ``(N,)``.
-        """
+        """Add a tie of particles of one body, whose rows in the system are ``(N,)``."""
         kind = self._held if tie.stiffness is None else self._drawn
         kind.append((rows[tie.particles], tie))
 

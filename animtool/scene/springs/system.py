@@ -15,12 +15,27 @@ from animtool.errors import Fault, Severity, counted, percent
 from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
-from animtool.scene.springs.paths import Tie, Ties, moved_to_pins, ties_of, wind_ties
+from animtool.scene.springs.parts_schema import FaceWindModel
+from animtool.scene.springs.paths import (
+    Tie,
+    Ties,
+    air_of,
+    moved_to_pins,
+    ties_of,
+    wind_ties,
+)
 from animtool.scene.springs.run import SpringRun, Watched
-from animtool.scene.springs.setup import SpringSetup, join_pairs, shared
+from animtool.scene.springs.setup import (
+    SpringSetup,
+    contact_of,
+    join_pairs,
+    options_of,
+    shared,
+    wind_of,
+)
 from animtool.scene.springs.shapes import Faces, TornMesh
-from animtool.scene.systems.character_collider import character_colliders
 from animtool.scene.systems.simulation import Opening
+from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.systems.springs.trial import SpringTrial
@@ -48,7 +63,7 @@ def open_springs(
     whole = _Whole(names, setups, opening)
     run = SpringRun(
         whole.system,
-        whole.shared.options,
+        options_of(whole.spec),
         whole.begin,
         opening.last,
         opening.phase if opening.progress else None,
@@ -80,7 +95,7 @@ def spring_trial(
     opening = rebuild()
     whole = _Whole(names, setups, opening)
     kinds = dict.fromkeys(member.kind for member in members)
-    options = whole.shared.options
+    options = options_of(whole.spec)
     if options.error is not None:
         run = SpringRun(whole.system, options, whole.begin, opening.last)
         options = run.options
@@ -93,7 +108,7 @@ class _Whole:
     """Bodies that are one system of particles.
 
     Attributes:
-        shared: What they have in common.
+        spec: Their keys, as one system has them.
         begin: When they begin [s].
         system: Of all particles.
         rows: Of each body, its particles in the system ``(N,)``.
@@ -103,8 +118,8 @@ class _Whole:
     def __init__(
         self, names: Sequence[str], setups: Sequence[SpringSetup], opening: Opening
     ) -> None:
-        self.shared = shared(setups)
-        self.begin = -self.shared.preroll
+        self.spec = shared(setups)
+        self.begin = -self.spec.preroll
         self.notices: list[Fault] = []
         bodies, ties = self._placed(setups, opening)
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
@@ -133,8 +148,8 @@ class _Whole:
                     held[tie.particles] = tie.start
             gap = float(np.linalg.norm(held - points, axis=1).max())
             self._say_apart("pins hold particles", gap)
-            windy = setup.wind is not None and setup.wind.faces is not None
-            faces = windy or setup.self_contact is not None
+            windy = isinstance(wind_of(setup.spec), FaceWindModel)
+            faces = windy or contact_of(setup.spec) is not None
             none = np.zeros((0, 3), np.int64)
             triangles = body.triangles if faces else none
             bodies.append(replace(body, positions=held, triangles=triangles))
@@ -153,27 +168,29 @@ class _Whole:
         for setup, rows, own in zip(setups, self.rows, ties, strict=True):
             for tie in own:
                 every.add(tie, rows)
-            slowing = setup.drag * setup.body.body.masses
-            if setup.wind is not None and setup.wind.faces is None:
+            slowing = setup.spec.drag * setup.body.body.masses
+            wind = wind_of(setup.spec)
+            if wind is not None and not isinstance(wind, FaceWindModel):
                 span = self.begin, opening.last
                 points = made.body.positions[rows]
-                every.add(wind_ties(setup.wind, points, slowing, span), rows)
+                every.add(wind_ties(wind, points, slowing, span), rows)
             else:
                 np.add.at(resistance, rows, slowing)
-        wind = self.shared.wind
+        wind = wind_of(self.spec)
+        colliders = _around(setups).built(opening, self.begin, 0.0)
         system = SpringSystem(
             made.body,
             pins=every.pins,
             targets=every.targets,
-            gravity=self.shared.gravity,
+            gravity=self.spec.gravity,
             resistance=resistance,
-            air=None if wind is None else wind.air,
-            colliders=_colliders(setups, opening),
-            radius=self.shared.radius,
-            speed_limit=self.shared.speed_limit,
-            self_contact=self.shared.self_contact,
+            air=air_of(wind) if isinstance(wind, FaceWindModel) else None,
+            colliders=Colliders(*colliders),
+            radius=self.spec.radius,
+            speed_limit=self.spec.speed_limit,
+            self_contact=contact_of(self.spec),
         )
-        if self.shared.settle:
+        if self.spec.settle:
             return self._settled(system, opening.phase())
         return system
 
@@ -200,19 +217,13 @@ class _Whole:
         self.notices.append(fault)
 
 
-def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> Colliders:
-    """Return what any of them runs into, a character once.
-
-    Raises:
-        FormatError: The file of a character or a mesh is malformed.
-        OptionError: A character has no colliders (SIM020) or no such mesh (SIM053), or
-            a mesh makes no sense (SIM051).
-    """
-    met = [one for setup in setups for one in setup.characters]
-    capsules, skins = character_colliders(met, opening.characters)
-    rigid = [collider for setup in setups for collider in setup.colliders]
-    sheets = [mesh.sheet() for setup in setups for mesh in setup.meshes]
-    return Colliders([*rigid, *capsules], [*sheets, *skins])
+def _around(setups: Sequence[SpringSetup]) -> Surroundings:
+    """Return what any of them runs into."""
+    return Surroundings(
+        tuple(each for setup in setups for each in setup.around.colliders),
+        tuple(each for setup in setups for each in setup.around.characters),
+        meshes=tuple(each for setup in setups for each in setup.around.meshes),
+    )
 
 
 @dataclass
@@ -251,13 +262,18 @@ class RunningSprings:
         shape = self._torn_mesh or self.setup.body.shape
         return shape.row(points, state[1, self.rows], torn[self.springs])
 
-    def watched(self, begin: float, step: float) -> Watched:
-        """Return its surface, for what runs into it.
+    @property
+    def radius(self) -> float:
+        """Half its thickness [m]."""
+        return self.setup.spec.radius
 
-        Args:
-            begin: The first time that it is looked at [s].
-            step: What lies between two such times [s].
-        """
+    @property
+    def closed(self) -> bool:
+        """Whether only its outside is run into."""
+        return getattr(self.setup.body.shape, "closed", False)
+
+    def watched(self, begin: float, step: float) -> Watched:
+        """Return its surface from a time on, looked at in steps [s]."""
         shape = cast(Faces, self.setup.body.shape)
         return Watched(self.run, shape, self.rows, self.springs, (begin, step))
 

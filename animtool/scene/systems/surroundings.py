@@ -17,7 +17,6 @@ from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.systems.fields import SystemSurfaceModel
 
 if TYPE_CHECKING:
-    from animtool.scene.springs.setup import SpringSetup
     from animtool.scene.systems.entries import EntryReader
     from animtool.scene.systems.simulation import Opening
 
@@ -40,7 +39,13 @@ class SurfaceCollider:
 class Watchable(Protocol):
     """A system whose surface can be run into."""
 
-    setup: SpringSetup
+    @property
+    def radius(self) -> float:
+        """Half its thickness [m]."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether only its outside is run into."""
 
     def watched(self, begin: float, step: float) -> SheetMotion:
         """Return its surface from a time on, looked at in steps [s]."""
@@ -77,6 +82,11 @@ class Surroundings:
         ]
 
     @property
+    def anything(self) -> bool:
+        """Whether there is anything to run into."""
+        return bool(self.colliders or self.characters or self.surfaces or self.meshes)
+
+    @property
     def count(self) -> int:
         """Shapes and meshes; those of characters are not counted."""
         return len(self.colliders) + len(self.meshes)
@@ -106,8 +116,8 @@ def _sheet(one: SurfaceCollider, opening: Opening, begin: float, step: float) ->
     other = cast(Watchable, opening.opened[one.system])
     return Sheet(
         other.watched(begin, step),
-        other.setup.radius,
-        getattr(other.setup.body.shape, "closed", False),
+        other.radius,
+        other.closed,
         one.system,
         one.restitution,
         one.friction,
