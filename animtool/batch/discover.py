@@ -23,12 +23,12 @@ from animtool.batch.recipe import (
 )
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
-from animtool.documents.names import check_given
+from animtool.documents.names import check_given, is_named
 from animtool.errors import Fault, NothingFoundError, OptionError, Severity, listed
 from animtool.files import FoundFile, Places, files_meant
 from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
-from animtool.scene.sources import is_scene, is_timeline, source_stem
+from animtool.scene.sources import is_timeline, source_stem
 from animtool.usd.forms import check_suffix
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut]) -> None
     names = () if spec.variants is None else spec.variants.names
     faults = []
     for path, shot in sorted(kinds.items()):
-        if not is_scene(path):
+        if not is_named(path, "scene"):
             if names:
                 message = "variants are of scenes, and this is none"
                 hint = "--scene names a scene that uses ${input} and the variants"
@@ -156,7 +156,7 @@ class Batch:
         if item.files:
             return list(item.files)
         source = item.found.path if self.sample is None else self.sample
-        if self.sample is None and is_scene(item.found.path):
+        if self.sample is None and is_named(item.found.path, "scene"):
             source = self.recipe.source(item)
         return self.recipe.outputs(item, source)
 
@@ -237,9 +237,8 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
 
 
 def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
-    kinds = {
-        (file.path.suffix.lower(), is_scene(file.path)): file.path for file in found
-    }
+    paths = [file.path for file in found]
+    kinds = {(path.suffix.lower(), is_named(path, "scene")): path for path in paths}
     return Recipe(spec.scene, dict(spec.variables), spec.options, tuple(kinds.values()))
 
 
@@ -249,7 +248,7 @@ def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> 
     used = {name for name in given if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
-    elif any(map(is_scene, recipe.kinds)):
+    elif any(is_named(path, "scene") for path in recipe.kinds):
         # Each has its own, and says what is wrong with them when it is made.
         used |= set(given)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
@@ -308,7 +307,7 @@ class _Items:
         item = Item(number, file, output, own, values=row, shot=shot.shot)
         named_by_scene = getattr(self.sample, "output", None) is not None
         if outputs is None and (
-            named_by_scene or (spec.scene is None and is_scene(file.path))
+            named_by_scene or (spec.scene is None and is_named(file.path, "scene"))
         ):
             item = self.recipe.named(item)
         return item

@@ -24,12 +24,12 @@ from animtool.batch.records import (
     text_in,
 )
 from animtool.batch.spec import BatchSpec, named_from
-from animtool.documents.names import nearest
+from animtool.documents.names import is_named, nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import FoundFile
 from animtool.output import inside, name_problem
 from animtool.scene.options import BakeOptions
-from animtool.scene.sources import fitting_options, is_scene, source_stem
+from animtool.scene.sources import fitting_options, source_stem
 from animtool.shot import Shot
 
 if TYPE_CHECKING:
@@ -348,7 +348,7 @@ class Recipe:
                 take of a shot begins (SCN073).
         """
         path = item.found.path if self.scene is None else self.scene
-        if not is_scene(path):
+        if not is_named(path, "scene"):
             return path
         from animtool.scene.file import load_scene
 
@@ -450,7 +450,7 @@ class Recipe:
             root: Folder from which files below it are named.
         """
         plain: dict[str, object] = {"input": named_from(item.found.path, root)}
-        if self.scene is not None or is_scene(item.found.path):
+        if self.scene is not None or is_named(item.found.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = named_from(Path(names[key]), root)

@@ -154,9 +154,6 @@ def made_by() -> dict[str, str]:
     return found
 
 
-BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
-
-
 @dataclass(frozen=True, slots=True)
 class BatchSpec:
     """What a batch is asked to do.
@@ -203,12 +200,3 @@ class BatchSpec:
     def rows(self) -> Sequence[Mapping[str, str]]:
         """The variants; one without values where there are none."""
         return ({},) if self.variants is None else self.variants.rows
-
-
-def is_batch(path: Path) -> bool:
-    """Return whether a path is that of a batch file.
-
-    >>> is_batch(Path("nightly.batch.yaml")), is_batch(Path("takes"))
-    (True, False)
-    """
-    return path.name.lower().endswith(BATCH_SUFFIXES)

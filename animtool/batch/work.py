@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 from animtool.batch.manifest import FileRecord, record_of
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import named_from
+from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.placing import output_error
 from animtool.readers import BVH, DOCUMENT, READERS, USD
-from animtool.scene.sources import is_scene
 from animtool.supervisor import follow_parent, report_reading
 
 if TYPE_CHECKING:
@@ -232,7 +232,8 @@ def needed_modules(recipe: Recipe) -> list[str]:
 
 
 def _by_kind(recipe: Recipe) -> Iterator[str]:
-    if recipe.scene is not None or any(map(is_scene, recipe.kinds)):
+    scenes = any(is_named(path, "scene") for path in recipe.kinds)
+    if recipe.scene is not None or scenes:
         yield from SCENES
     if recipe.options.rig_layer is not None:
         yield from LAYERS

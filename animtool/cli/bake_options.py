@@ -23,6 +23,7 @@ from animtool.cli.options import (
     take_option,
 )
 from animtool.cli.shot_options import SHOT_OPTIONS
+from animtool.documents.names import is_named
 
 if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions
@@ -37,12 +38,10 @@ def opened_sources(
     Raises:
         OptionError: No scene uses a variable that is given.
     """
-    from animtool.scene.sources import is_scene
-
     opened: list[Path | Scene] = []
     used: set[str] = set()
     for source in sources:
-        if not is_scene(source):
+        if not is_named(source, "scene"):
             opened.append(source)
             continue
         from animtool.scene.file import load_scene

@@ -26,6 +26,7 @@ from animtool.cli.options import (
     count_or_auto,
     set_option,
 )
+from animtool.documents.names import is_named
 from animtool.errors import Severity
 from animtool.signals import TerminatedError
 from animtool.supervisor import stdin_lines
@@ -275,9 +276,9 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
 
 def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     """Return what is asked for: what a batch file says, and what comes before it."""
-    from animtool.batch.spec import BatchSpec, is_batch
+    from animtool.batch.spec import BatchSpec
 
-    jobs = [text for text in inputs if is_batch(Path(text))]
+    jobs = [text for text in inputs if is_named(Path(text), "batch")]
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: give it alone.")
     if jobs:

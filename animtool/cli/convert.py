@@ -20,6 +20,7 @@ from animtool.cli.options import (
     take_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.documents.names import is_named
 
 
 @click.command(
@@ -72,11 +73,12 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     """
     from animtool.scene.convert import convert as run_convert
     from animtool.scene.convert import convert_outputs
-    from animtool.scene.convert_rig import is_rig, rig_outputs
 
-    of_rig = is_rig(source) or is_rig(output) or given["physics"]
+    of_rig = is_named(source, "rig") or is_named(output, "rig") or given["physics"]
     outputs = convert_outputs(output)
     if of_rig:
+        from animtool.scene.convert_rig import rig_outputs
+
         outputs = rig_outputs(output, physics=given["physics"])
     if skipped(console, "convert", given, output, lambda: outputs):
         return

@@ -18,6 +18,7 @@ from animtool.cli.options import (
     source_options_record,
     take_option,
 )
+from animtool.documents.names import is_named
 
 
 @click.command(
@@ -86,15 +87,13 @@ def _described(
         used: Gets the names of variables of scenes.
     """
     from animtool.cli import info_summary
-    from animtool.ik.file import is_targets
-    from animtool.scene.convert_rig import is_rig
-    from animtool.scene.sources import SourceOptions, is_scene, is_usd
+    from animtool.scene.sources import SourceOptions, is_usd
 
-    if is_scene(path):
+    if is_named(path, "scene"):
         return _scene(path, given, used), info_summary.scene_text
-    if is_rig(path):
+    if is_named(path, "rig"):
         return _rig(path), info_summary.rig_text
-    if is_targets(path):
+    if is_named(path, "targets"):
         from animtool.report.describe_rig import describe_targets
 
         return describe_targets(path), info_summary.targets_text

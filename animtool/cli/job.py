@@ -17,6 +17,7 @@ from animtool.cli.options import (
     count_or_auto,
     format_option,
 )
+from animtool.documents.names import is_named
 
 
 @click.command(
@@ -79,9 +80,8 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
     from animtool.batch.discover import find_batch
     from animtool.batch.file import load_batch
     from animtool.batch.plan import check_places
-    from animtool.batch.spec import is_batch
 
-    if not is_batch(batch_file):
+    if not is_named(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
     spec = load_batch(batch_file, of_shots=given["cuts"] is not None)
     found = find_batch(with_cuts(spec, given))

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from itertools import islice
+from pathlib import Path
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.quantities import CONTROL
@@ -17,6 +18,20 @@ UNKNOWN = "?"
 MAX_NAMES = 2000
 # Of variables: a regular expression.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def file_suffixes(kind: str) -> tuple[str, ...]:
+    """Return what the name of a file of a kind ends in, in lower case."""
+    return tuple(f".{kind}.{text}" for text in ("yaml", "yml", "json"))
+
+
+def is_named(path: Path, kind: str) -> bool:
+    """Return whether a path has the name of a rig, scene, batch or targets file.
+
+    >>> is_named(Path("Hero.rig.yaml"), "rig"), is_named(Path("walk.bvh"), "scene")
+    (True, False)
+    """
+    return path.name.lower().endswith(file_suffixes(kind))
 
 
 def is_variable_name(text: str) -> bool:

@@ -28,18 +28,8 @@ from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
 
-TARGETS_SUFFIXES = (".targets.yaml", ".targets.yml", ".targets.json")
 # Shorter, a direction is a slip.
 SHORTEST = 1e-9
-
-
-def is_targets(path: Path) -> bool:
-    """Return whether a name is that of a targets file.
-
-    >>> is_targets(Path("feet.targets.yaml")), is_targets(Path("feet.clip.yaml"))
-    (True, False)
-    """
-    return path.name.lower().endswith(TARGETS_SUFFIXES)
 
 
 def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.documents.names import file_suffixes, is_named
 from animtool.errors import (
     AnimtoolError,
     Fault,
@@ -22,8 +23,6 @@ from animtool.rig.store import StoredArrays, with_file
 from animtool.rig.write import rig_text
 from animtool.scene.onto_rig import open_rig
 
-RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
-
 
 @dataclass(frozen=True, slots=True)
 class RigReport:
@@ -38,15 +37,6 @@ class RigReport:
     notices: list[Fault]  # warnings and notes
 
 
-def is_rig(path: Path) -> bool:
-    """Return whether a name is that of a rig file.
-
-    >>> is_rig(Path("hero.rig.yaml")), is_rig(Path("hero.clip.yaml"))
-    (True, False)
-    """
-    return path.name.lower().endswith(RIG_SUFFIXES)
-
-
 def convert_rig(
     source: Path | str,
     output: Path | str,
@@ -58,7 +48,7 @@ def convert_rig(
 ) -> RigReport:
     """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it."""
     source, output = Path(source), Path(output)
-    if is_rig(output):
+    if is_named(output, "rig"):
         if physics:
             message = "--physics is for a USD file, and this is none"
             raise OptionError(Fault("CLI004", message, str(output)))
@@ -92,7 +82,7 @@ def _to_file(
     source: Path, output: Path, prim_path: str | None, overwrite: bool, strict: bool
 ) -> RigReport:
     stem = output.name
-    for suffix in RIG_SUFFIXES:
+    for suffix in file_suffixes("rig"):
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
     with recorded_inputs() as inputs:
@@ -114,7 +104,7 @@ def _to_file(
 
 def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
     """Say so where a source has motion: a rig holds none."""
-    if is_rig(source):
+    if is_named(source, "rig"):
         return []
     from animtool.scene.sources import SourceOptions, open_source
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.documents.names import is_named
 from animtool.scene.options import BakeOptions
-from animtool.scene.sources import is_scene, source_stem
+from animtool.scene.sources import source_stem
 from animtool.usd.forms import Form, output_paths
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def bake_outputs(
 
 def _is_take(source: Source) -> bool:
     """Return whether a source is a file that says nothing of outputs."""
-    return isinstance(source, Path | str) and not is_scene(Path(source))
+    return isinstance(source, Path | str) and not is_named(Path(source), "scene")
 
 
 def default_output(source: Path) -> Path:

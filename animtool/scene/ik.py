@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.clock import FrameSpan
 from animtool.config import project_roots
+from animtool.documents.names import is_named
 from animtool.errors import (
     Fault,
     OptionError,
@@ -37,7 +38,6 @@ from animtool.ik.take_run import TakeOptions
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
-from animtool.scene.convert_rig import is_rig
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
@@ -278,7 +278,7 @@ def ik_outputs(job: IkJob) -> list[Path]:
 def _named_rig(rig: Path, output: Path) -> Path | None:
     """Return the rig if it is a file that a clip beside the output may name."""
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
-    return rig if is_rig(rig) and inside else None
+    return rig if is_named(rig, "rig") and inside else None
 
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:

@@ -10,8 +10,8 @@ from pathlib import Path
 from animtool._types import FloatArray
 from animtool.clip.channels import ClipUnits
 from animtool.clock import Clock
+from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
-from animtool.ik.file import is_targets
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
@@ -90,7 +90,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    if not is_targets(job.output) or job.output.suffix.lower() == ".json":
+    if not is_named(job.output, "targets") or job.output.suffix.lower() == ".json":
         message = "is no name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))

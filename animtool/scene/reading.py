@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
+from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.motion import Channel, Motion
 from animtool.scene.options import BakeOptions, merged
@@ -15,7 +16,6 @@ from animtool.scene.scene import Scene
 from animtool.scene.sources import (
     Opener,
     fitting_options,
-    is_scene,
     open_source,
 )
 from animtool.take import TakeStream
@@ -96,7 +96,7 @@ def found_sources(given: Sequence[Source]) -> Reading:
         files.append(path)
         if isinstance(source, Scene):
             scenes[path] = source
-        elif is_scene(path):
+        elif is_named(path, "scene"):
             from animtool.scene.file import load_scene
 
             scenes[path] = load_scene(path)

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
+from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.inputs import note_input
 from animtool.rates import rate_option
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 # From a file, what it is, and by keyword whom to tell of the progress, to its motion.
 Opener: TypeAlias = Callable[..., "TakeStream"]
 
-SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # Options that apply to every source.
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Those that no reader is given.
@@ -82,12 +82,7 @@ def is_usd(path: Path) -> bool:
 
 def motion_bytes(path: Path) -> int:
     """Return the size of a file that holds motion; 0 of a scene, which names others."""
-    return 0 if is_scene(path) else path.stat().st_size
-
-
-def is_scene(path: Path) -> bool:
-    """Return whether a path is that of a scene file."""
-    return path.name.lower().endswith(SCENE_SUFFIXES)
+    return 0 if is_named(path, "scene") else path.stat().st_size
 
 
 def is_timeline(path: Path) -> bool:
@@ -159,7 +154,7 @@ def open_source(
             apply to it.
     """
     path, options = Path(path), options or SourceOptions()
-    if is_scene(path):
+    if is_named(path, "scene"):
         message = "is a scene, and no take is read from scenes"
         hint = "animtool bake bakes it; its source is a file that can be read"
         raise OptionError(Fault("IO002", message, str(path), (), hint))

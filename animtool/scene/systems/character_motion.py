@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError
 from animtool.motion import Motion
 from animtool.reorient import reorient
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import is_scene, open_source
+from animtool.scene.sources import open_source
 from animtool.sim.colliders import Collider, Sphere, rig_colliders
 from animtool.take import Take, TakeStream
 from animtool.units import UpAxis
@@ -99,7 +100,7 @@ def open_take(path: Path) -> TakeStream:
     Raises:
         FormatError: The file is malformed.
     """
-    if not is_scene(path):
+    if not is_named(path, "scene"):
         return open_source(path)
     from animtool.scene.file import load_scene
 

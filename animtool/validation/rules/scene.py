@@ -12,6 +12,7 @@ from typing import Any
 from animtool.clip.points import joint_bounds
 from animtool.config import find_config
 from animtool.documents.document import Location, read_document
+from animtool.documents.names import is_named
 from animtool.documents.variables import resolve_variables
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.passes import Pass, TakePart
@@ -21,7 +22,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import scene_files
 from animtool.scene.plan import take_name
 from animtool.scene.schema import SceneModel
-from animtool.scene.sources import SCENE_SUFFIXES
 from animtool.validation.subjects.scene import SceneSubject
 
 
@@ -53,7 +53,7 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
         if output.path is not None
     ]
     for path in sorted(own.parent.iterdir()) if written else ():
-        if path == own or not path.name.lower().endswith(SCENE_SUFFIXES):
+        if path == own or not is_named(path, "scene"):
             continue
         stat = path.stat()
         others = _outputs(path, stat.st_mtime_ns, stat.st_size)
