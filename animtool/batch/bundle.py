@@ -49,32 +49,21 @@ MAX_SECONDS = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """What the command line says of shots, on top of a batch file.
+    """What the command line says of shots, on top of a batch file."""
 
-    Attributes:
-        path: The timeline; None is that of the batch file.
-        handles: Frames before and after each cut; None is as the batch says.
-    """
-
-    path: Path | None = None
+    path: Path | None = None  # the timeline; None is that of the batch file
+    # Frames before and after each cut; None is as the batch says.
     handles: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A bundle that is not written yet.
+    """A bundle that is not written yet."""
 
-    Attributes:
-        template: Of the job.
-        values: Of its parameters, where the template has none.
-        items: How many there are.
-        chunk: How many of them a task makes.
-    """
-
-    template: Mapping[str, Any]
-    values: Mapping[str, str]
-    items: int
-    chunk: int
+    template: Mapping[str, Any]  # of the job
+    values: Mapping[str, str]  # of its parameters, where the template has none
+    items: int  # how many there are
+    chunk: int  # how many of them a task makes
 
     @property
     def tasks(self) -> int:

@@ -87,29 +87,21 @@ class CutOptions:
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """What an item is made of: a clip of a timeline, or a file.
+    """What an item is made of: a clip of a timeline, or a file."""
 
-    Attributes:
-        found: The media.
-        names: What names stand for in its scene and its output, `SHOT_NAMES`.
-        shot: The clip's frames; None for a file that no timeline shows.
-    """
-
-    found: FoundFile
+    found: FoundFile  # the media
+    # What names stand for in its scene and its output, `SHOT_NAMES`.
     names: Mapping[str, str] = field(default_factory=dict)
+    # The clip's frames; None for a file that no timeline shows.
     shot: Shot | None = None
 
 
 @dataclass(slots=True)
 class CutList:
-    """The shots of a timeline.
+    """The shots of a timeline."""
 
-    Attributes:
-        shots: In its order.
-        notices: What was left out of it, or changed.
-    """
-
-    shots: list[Cut] = field(default_factory=list)
+    shots: list[Cut] = field(default_factory=list)  # in its order
+    # What was left out of it, or changed.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -124,18 +116,6 @@ def read_cuts(
     A clip's media is the file that it refers to; one that refers to none, or to one
     that is not there, has that of ``media`` that is called like it, or like that file.
     Its times are seconds of the media; a shot counts frames at the timeline's rate.
-
-    Args:
-        path: A file that OpenTimelineIO, or an adapter of it, reads.
-        media: Where media is looked for that a clip does not lead to.
-        options: What the shots have.
-        left_out: Whether media is not wanted.
-
-    Raises:
-        FormatError: It cannot be read (BAT041), media is missing (BAT042), a clip
-            plays backwards or stands still (BAT044), or metadata is wrong (BAT047).
-        OptionError: OpenTimelineIO is missing (BAT040), or the timeline has another
-            rate than is asked for (BAT051).
     """
     return _Reader(path, media, options or CutOptions(), left_out).read()
 
@@ -178,19 +158,12 @@ def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Ent
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A clip on a track.
-
-    Attributes:
-        clip: It.
-        track: Name of the track.
-        named: What the clip is called in messages.
-        name: Of its shot.
-    """
+    """A clip on a track."""
 
     clip: Any
-    track: str
-    named: str
-    name: str
+    track: str  # name of the track
+    named: str  # what the clip is called in messages
+    name: str  # of its shot
 
 
 class _Reader:
@@ -359,15 +332,7 @@ class _Reader:
         transitions: tuple[int, int],
         speed: Fraction,
     ) -> Shot:
-        """Return the frames of a clip.
-
-        Args:
-            entry: The clip.
-            start: First time of its media that it shows, 0 at the media's first [s].
-            seconds: How long it lasts [s].
-            transitions: Frames that these show of it before and after.
-            speed: How many times as fast as its media it plays.
-        """
+        """Return the frames of a clip: ``start`` [s], ``seconds`` [s]."""
         own, given = self.metadata(entry.clip, entry.named), self.options
         handles = _first(given.handles, own.handles, self.own.handles, 0)
         begin = _first(given.start, own.start_frame, self.own.start_frame, self.project)

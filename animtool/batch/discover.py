@@ -57,11 +57,7 @@ def sample_source(spec: BatchSpec, recipe: Recipe, shot: Cut) -> Source:
 
 
 def check_columns(spec: BatchSpec) -> None:
-    """Refuse columns of variants whose names mean something else.
-
-    Raises:
-        OptionError: With a fault for each (BAT063).
-    """
+    """Refuse columns of variants whose names mean something else."""
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
@@ -78,12 +74,7 @@ def check_columns(spec: BatchSpec) -> None:
 
 
 def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut]) -> None:
-    """Refuse scenes of which all items, or all variants, would be the same.
-
-    Raises:
-        FormatError: A scene is malformed.
-        OptionError: With a fault for each scene (BAT060).
-    """
+    """Refuse scenes of which all items, or all variants, would be the same."""
     kinds = {spec.scene or shot.found.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
@@ -122,28 +113,18 @@ def _unused(scene: Scene, count: int) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch whose items are known.
+    """A batch whose items are known."""
 
-    Attributes:
-        name: What its records are called.
-        items: In order.
-        recipe: How each is made.
-        limits: What each may take.
-        jobs: How many processes; None is one for each processor.
-        root: Folder of all outputs, absolute, from which records name files.
-        given: Files that all items are made with, such as a scene.
-        sample: What the first item is baked from, where all are of one scene.
-        notices: What is to be said of a timeline that items are of.
-    """
-
-    name: str
-    items: tuple[Item, ...]
-    recipe: Recipe
-    limits: Limits
-    jobs: int | None
-    root: Path
-    given: tuple[Path, ...] = ()
+    name: str  # what its records are called
+    items: tuple[Item, ...]  # in order
+    recipe: Recipe  # how each is made
+    limits: Limits  # what each may take
+    jobs: int | None  # how many processes; None is one for each processor
+    root: Path  # folder of all outputs, absolute, from which records name files
+    given: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
+    # What the first item is baked from, where all are of one scene.
     sample: Source | None = None
+    # What is to be said of a timeline that items are of.
     notices: tuple[Fault, ...] = ()
 
     @property
@@ -266,11 +247,7 @@ class _Items:
     faults: list[Fault] = field(default_factory=list)
 
     def made(self) -> tuple[Item, ...]:
-        """Return the items.
-
-        Raises:
-            OptionError: Outputs have unsafe names (OUT006).
-        """
+        """Return the items."""
         spec = self.spec
         outputs = None
         if spec.output is not None:
@@ -334,11 +311,7 @@ class _Items:
 
 
 def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
-    """Refuse outputs outside of the folders that a batch file may write to.
-
-    Raises:
-        OptionError: With a fault for each folder (BAT003).
-    """
+    """Refuse outputs outside of the folders that a batch file may write to."""
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)
@@ -373,11 +346,7 @@ def _cuts(spec: BatchSpec) -> CutList:
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
-    """Return a batch whose timeline is its cut list, where it is one of the inputs.
-
-    Raises:
-        OptionError: There are several (BAT050).
-    """
+    """Return a batch whose timeline is its cut list, where it is one of the inputs."""
     named = [text for text in spec.inputs if is_timeline(Path(text))]
     if not named:
         return spec

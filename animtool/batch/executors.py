@@ -106,11 +106,7 @@ def processes(work: Work) -> Iterator[Outcome]:
 
 
 def serial(work: Work) -> Iterator[Outcome]:
-    """Yield what becomes of items, made one after another in this process.
-
-    Raises:
-        OptionError: There are limits, which it cannot keep (BAT031).
-    """
+    """Yield what becomes of items, made one after another in this process."""
     if work.argument:
         raise _argument("serial", "it takes none")
     if work.limits != Limits():
@@ -127,10 +123,6 @@ def _argument(name: str, hint: str) -> OptionError:
 def find_executor(name: str) -> Executor:
     """Return an executor by its name, those of plug-ins included.
 
-    Raises:
-        OptionError: There is none of that name (BAT030), or the plug-in that has it
-            cannot be loaded (BAT032).
-
     >>> find_executor("serial").about
     "one after another, in animtool's own process"
     """
@@ -146,19 +138,12 @@ def find_executor(name: str) -> Executor:
 
 @dataclass(frozen=True, slots=True)
 class ListedExecutor:
-    """An executor as `animtool plugins` lists it.
+    """An executor as `animtool plugins` lists it."""
 
-    Attributes:
-        name: As the command line writes it.
-        source: ``animtool``, or the object that an entry point names.
-        loads: Whether it can be loaded.
-        about: How it makes items, or why it cannot be loaded.
-    """
-
-    name: str
-    source: str
-    loads: bool
-    about: str
+    name: str  # as the command line writes it
+    source: str  # ``animtool``, or the object that an entry point names
+    loads: bool  # whether it can be loaded
+    about: str  # how it makes items, or why it cannot be loaded
 
 
 def listed_executors() -> list[ListedExecutor]:
@@ -201,12 +186,6 @@ def dask(work: Work) -> Iterator[Outcome]:
     after another: limits, and what an item costs that ends its process, are those of
     `run_processes`. As many items are begun as the cluster has threads, or as were
     asked for. The folders of inputs and outputs must be there under the same names.
-
-    Raises:
-        OptionError: The argument is no address (BAT031), or distributed is missing
-            (BAT034).
-        OutputError: No scheduler answers, its workers cannot be prepared, or none of
-            them is left (BAT035).
     """
     about = work.argument
     file = about.endswith(".json")
@@ -324,24 +303,14 @@ def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
 
 @dataclass(slots=True)
 class _Watch:
-    """Whether there is still somebody who makes items.
+    """Whether there is still somebody who makes items."""
 
-    Attributes:
-        client: The way to the cluster.
-        about: What the user called it.
-    """
-
-    client: Any
-    about: str
+    client: Any  # the way to the cluster
+    about: str  # what the user called it
     _seen: float = field(default_factory=time.monotonic)
 
     def threads(self) -> int:
-        """Return how many threads the workers of now have.
-
-        Raises:
-            OutputError: There have been none for `WORKERLESS`, or the scheduler is gone
-                (BAT035).
-        """
+        """Return how many threads the workers of now have."""
         hint = "what was made is recorded; the same command goes on with the rest"
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.about, "its scheduler is gone", hint)
@@ -398,15 +367,10 @@ def _failed(item: Item, fault: Fault) -> Outcome:
 
 @dataclass(slots=True)
 class _WorkerProcesses:
-    """The programs of a worker that make items: as many as it has threads at work.
+    """The programs of a worker that make items: as many as it has threads at work."""
 
-    Attributes:
-        task: How they make items.
-        versions: Of what items are made by, where the run is.
-    """
-
-    task: Task
-    versions: Mapping[str, str]
+    task: Task  # how they make items
+    versions: Mapping[str, str]  # of what items are made by, where the run is
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
 

@@ -38,13 +38,7 @@ AT = ("variants",)
 def rows_of_document(
     document: Document, given: Any, taken: Collection[str]
 ) -> Variants | None:
-    """Return the table of values in a batch file; None, and its faults, without one.
-
-    Args:
-        document: The file.
-        given: Values by name, or a list of rows.
-        taken: Names that mean something else already.
-    """
+    """Return the table of values in a batch file; None, and its faults, without one."""
     reader = _Reader(document, taken)
     before = len(document.faults)
     if isinstance(given, list):

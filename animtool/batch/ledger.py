@@ -50,25 +50,15 @@ MAX_WHY = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Which items failed.
+    """Which items failed."""
 
-    Attributes:
-        why: Of each, by key.
-        length: Of what could be read [bytes].
-        damaged: Warnings of lines that cannot be used.
-    """
-
-    why: dict[str, str] = field(default_factory=dict)
-    length: int = 0
-    damaged: tuple[Fault, ...] = ()
+    why: dict[str, str] = field(default_factory=dict)  # of each, by key
+    length: int = 0  # of what could be read [bytes]
+    damaged: tuple[Fault, ...] = ()  # warnings of lines that cannot be used
 
 
 def read_failures(path: Path) -> Failures:
-    """Return which items failed; none where there is no file.
-
-    Raises:
-        FormatError: It cannot be read, or is of another kind or version (BAT011).
-    """
+    """Return which items failed; none where there is no file."""
     reader, found = LineReader(path, HEAD), dict[str, str]()
     for line in reader.lines():
         try:
@@ -82,14 +72,7 @@ def read_failures(path: Path) -> Failures:
 def add_failure(path: Path, key: str, why: str, length: int) -> int:
     """Add an item that failed; return how long the file is then [bytes].
 
-    Args:
-        path: The file.
-        key: Of the item.
-        why: In a line.
-        length: Of what could be read of the file [bytes].
-
-    Raises:
-        OutputError: It cannot be written (BAT012).
+    ``length`` [bytes].
     """
     with LineWriter(path, HEAD, length) as writer:
         writer.write([_line(key, why)])
@@ -97,11 +80,7 @@ def add_failure(path: Path, key: str, why: str, length: int) -> int:
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Write the file anew; without failures it goes.
-
-    Raises:
-        OutputError: It cannot be written (OUT002, BAT012).
-    """
+    """Write the file anew; without failures it goes."""
     if not failures:
         path.unlink(missing_ok=True)
         return
@@ -122,16 +101,12 @@ MAX_OWNER = 4096
 
 @dataclass(slots=True)
 class History:
-    """What earlier runs left.
+    """What earlier runs left."""
 
-    Attributes:
-        made: By all of them.
-        failed: Why items failed that were not made since, by key.
-        damaged: Warnings of lines that cannot be used.
-    """
-
-    made: Manifest = field(default_factory=Manifest)
+    made: Manifest = field(default_factory=Manifest)  # by all of them
+    # Why items failed that were not made since, by key.
     failed: dict[str, str] = field(default_factory=dict)
+    # Warnings of lines that cannot be used.
     damaged: list[Fault] = field(default_factory=list)
 
 
@@ -175,15 +150,7 @@ class _Files:
 
 
 def read_history(folder: Path, name: str) -> History:
-    """Return what earlier runs of a batch left, of parts of it too.
-
-    Args:
-        folder: Of the records.
-        name: Of the batch.
-
-    Raises:
-        FormatError: A file of it cannot be read (BAT011).
-    """
+    """Return what earlier runs of a batch left, of parts of it too."""
     return _read(_Files(folder, name))[0]
 
 
@@ -229,11 +196,7 @@ class Ledger:
         self._failed_length = own.failures
 
     def claim(self, names: Iterable[str]) -> None:
-        """Say which files are about to be written.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Say which files are about to be written."""
         new = [name for name in names if name not in self.history.made.known]
         if new:
             self._writer.claim(new)
@@ -241,22 +204,14 @@ class Ledger:
             self.history.made.known.update(new)
 
     def made(self, made: ItemRecord) -> None:
-        """Note an item that was made.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Note an item that was made."""
         self._writer.add(made)
         self._grown = True
         self.history.made.add(made)
         self.history.failed.pop(made.key, None)
 
     def failed(self, key: str, why: str) -> None:
-        """Note an item that failed.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Note an item that failed."""
         path = self._files.named(".failed.jsonl")
         self._grown = True
         self._failed_length = add_failure(path, key, why, self._failed_length)
@@ -267,14 +222,7 @@ class Ledger:
         self._closing.close()
 
     def settle(self, wanted: Callable[[ItemRecord], bool]) -> None:
-        """Write records of the whole anew, those of its parts taken in.
-
-        Args:
-            wanted: Whether an item is still of interest.
-
-        Raises:
-            OutputError: They cannot be written (OUT002, BAT012).
-        """
+        """Write records of the whole anew, those of its parts taken in."""
         self.close()
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
@@ -300,18 +248,7 @@ class Ledger:
 
 @contextmanager
 def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Give the records of a batch, which no other run may use at the same time.
-
-    Args:
-        folder: Of the records.
-        name: Of the batch.
-        part: Which of its items are run, such as ``1-20``; empty is all.
-
-    Raises:
-        FormatError: A file of it cannot be read (BAT011).
-        OutputError: Another run holds them (BAT010), or they cannot be written
-            (BAT012).
-    """
+    """Give the records of a batch, which no other run may use at the same time."""
     files = _Files(folder, name, part)
     with ExitStack() as held:
         if part:

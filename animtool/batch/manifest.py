@@ -37,17 +37,11 @@ CLOCK = 2**63
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """A file as it was.
+    """A file as it was."""
 
-    Attributes:
-        path: Where it is, from the folder of all outputs if below it.
-        state: None where there was none.
-        sha256: Of its content; empty where there was none, or it is a folder.
-    """
-
-    path: str
-    state: FileState | None
-    sha256: str = ""
+    path: str  # where it is, from the folder of all outputs if below it
+    state: FileState | None  # none where there was none
+    sha256: str = ""  # of its content; empty where there was none, or it is a folder
 
     def as_dict(self) -> dict[str, object]:
         """Return it as JSON has it."""
@@ -63,11 +57,7 @@ class FileRecord:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> FileRecord:
-        """Return what `as_dict` wrote.
-
-        Raises:
-            RecordError: It is something else.
-        """
+        """Return what `as_dict` wrote."""
         path = text_in(plain, "path")
         if "absent" in plain:
             if plain["absent"] is not True or "size" in plain:
@@ -83,31 +73,19 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class ItemRecord:
-    """An item that was made.
+    """An item that was made."""
 
-    Attributes:
-        key: Its output, named as files are.
-        how: Digest of everything but files that decided how.
-        versions: Digest of the versions of what made it.
-        inputs: The files that were looked at.
-        outputs: The files that were written.
-        at: When, by the clock of the disk that it was written to [ns]. Files that are
-            as young may have changed since without a sign.
-    """
-
-    key: str
-    how: str
-    versions: str
-    inputs: tuple[FileRecord, ...]
-    outputs: tuple[FileRecord, ...]
+    key: str  # its output, named as files are
+    how: str  # digest of everything but files that decided how
+    versions: str  # digest of the versions of what made it
+    inputs: tuple[FileRecord, ...]  # the files that were looked at
+    outputs: tuple[FileRecord, ...]  # the files that were written
+    # When, by the clock of the disk that it was written to [ns]. Files that are as
+    # young may have changed since without a sign.
     at: int
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
-        """Return it as JSON has it.
-
-        Args:
-            numbers: Of the inputs.
-        """
+        """Return it as JSON has it."""
         return {
             "item": self.key,
             "how": self.how,
@@ -121,15 +99,7 @@ class ItemRecord:
     def from_dict(
         cls, plain: Mapping[str, Any], files: Mapping[int, FileRecord]
     ) -> ItemRecord:
-        """Return what `as_dict` wrote.
-
-        Args:
-            plain: What it wrote.
-            files: The inputs, by number.
-
-        Raises:
-            RecordError: It is something else, or an input has no record.
-        """
+        """Return what `as_dict` wrote."""
         outputs = list_in(plain, "outputs")
         if not outputs:
             raise RecordError("'outputs' is empty")
@@ -169,11 +139,7 @@ def digest_of(value: object) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's content; empty of a folder, a device or a pipe.
-
-    Raises:
-        FormatError: It cannot be read, or changed meanwhile.
-    """
+    """Return the SHA-256 of a file's content; empty of a folder, a device or a pipe."""
     if path.exists() and not path.is_file():
         return ""
     with open_input(path, None, noted=False) as file:
@@ -183,11 +149,7 @@ def file_digest(path: Path) -> str:
 
 
 def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
-    """Return the record of a file whose state is known, its content read.
-
-    Raises:
-        FormatError: It cannot be read, or changed meanwhile.
-    """
+    """Return the record of a file whose state is known, its content read."""
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 
@@ -199,22 +161,16 @@ CLAIMED = 100
 
 @dataclass(slots=True)
 class Manifest:
-    """What has been made.
+    """What has been made."""
 
-    Attributes:
-        items: By key.
-        known: Names of files that were made, or begun, by a run of the batch.
-        files: The distinct files that items refer to, with their numbers.
-        next: The number of the next of them.
-        length: Of what could be read [bytes].
-        damaged: Warnings of lines that cannot be used.
-    """
-
-    items: dict[str, ItemRecord] = field(default_factory=dict)
+    items: dict[str, ItemRecord] = field(default_factory=dict)  # by key
+    # Names of files that were made, or begun, by a run of the batch.
     known: set[str] = field(default_factory=set)
+    # The distinct files that items refer to, with their numbers.
     files: dict[FileRecord, int] = field(default_factory=dict)
-    next: int = 0
-    length: int = 0
+    next: int = 0  # the number of the next of them
+    length: int = 0  # of what could be read [bytes]
+    # Warnings of lines that cannot be used.
     damaged: list[Fault] = field(default_factory=list)
 
     def add(self, made: ItemRecord) -> None:
@@ -236,9 +192,6 @@ def read_manifest(path: Path) -> Manifest:
     """Return what a manifest says; an empty one where there is none.
 
     A line that cannot be used is left out, and `Manifest.damaged` says so.
-
-    Raises:
-        FormatError: It cannot be read, or is of another kind or version (BAT011).
     """
     manifest, reader = Manifest(), LineReader(path, HEAD)
     lines = _Lines(manifest)
@@ -261,11 +214,7 @@ class _Lines:
         self.files: dict[int, FileRecord] = {}
 
     def take(self, line: Mapping[str, Any]) -> None:
-        """Note what a line says.
-
-        Raises:
-            RecordError: It is none of a manifest.
-        """
+        """Note what a line says."""
         if "known" in line:
             self.manifest.known.update(texts_in(line, "known"))
         elif "file" in line:
@@ -289,34 +238,18 @@ class ManifestWriter(LineWriter):
     """A manifest that items are added to."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
-        """Open a manifest.
-
-        Args:
-            path: The file.
-            manifest: What `read_manifest` found there.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Open a manifest."""
         self._files, self._next = dict(manifest.files), manifest.next
         super().__init__(path, HEAD, manifest.length)
 
     def claim(self, names: Iterable[str]) -> None:
-        """Say which files are about to be written.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Say which files are about to be written."""
         known = list(names)
         some = (known[i : i + CLAIMED] for i in range(0, len(known), CLAIMED))
         self.write({"known": part} for part in some)
 
     def add(self, made: ItemRecord) -> None:
-        """Add an item.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Add an item."""
         new = list(self._numbered(made.inputs))
         self.write([*new, made.as_dict(self._files)])
 
@@ -332,17 +265,7 @@ class ManifestWriter(LineWriter):
 def rewrite_manifest(
     path: Path, items: Iterable[ItemRecord], known: Iterable[str]
 ) -> None:
-    """Write a manifest anew, whole or not at all.
-
-    Args:
-        path: The file.
-        items: All that it is to hold.
-        known: Names of the files that runs of the batch wrote, those of items too:
-            they may be replaced where the line of their item is damaged.
-
-    Raises:
-        OutputError: It cannot be written (OUT002, BAT012).
-    """
+    """Write a manifest anew, whole or not at all."""
     with (
         replacing(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,

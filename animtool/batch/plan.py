@@ -35,19 +35,13 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What becomes of an item.
+    """What becomes of an item."""
 
-    Attributes:
-        item: The item.
-        reason: Why.
-        detail: The file that changed, or what happened last time.
-        refreshed: The item's record with what files are now, where they were touched
-            and are still the same.
-    """
-
-    item: Item
-    reason: Reason
-    detail: str = ""
+    item: Item  # the item
+    reason: Reason  # why
+    detail: str = ""  # the file that changed, or what happened last time
+    # The item's record with what files are now, where they were touched and are still
+    # the same.
     refreshed: ItemRecord | None = None
 
     @property
@@ -72,15 +66,7 @@ class Planner:
         verify: bool = False,
         force: bool = False,
     ) -> None:
-        """Take what decisions are made by.
-
-        Args:
-            batch: The batch.
-            history: What earlier runs left.
-            now: The clock of the disk [ns], for records of touched files.
-            verify: Read every file.
-            force: Make every item.
-        """
+        """Take what decisions are made by: ``now`` [ns]."""
         self._batch, self._history, self._now = batch, history, now
         self._verify, self._force = verify, force
         self._states: dict[str, FileState | None] = {}
@@ -250,16 +236,7 @@ def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
 def check_overwrites(
     batch: Batch, items: Iterable[Item], known: Callable[[Path], bool]
 ) -> None:
-    """Refuse to replace files that no run of the batch made.
-
-    Args:
-        batch: The batch.
-        items: Those that are to be made.
-        known: Whether a run of the batch made a file, or began to.
-
-    Raises:
-        OptionError: With a fault for each (OUT001).
-    """
+    """Refuse to replace files that no run of the batch made."""
     faults = [
         Fault("OUT001", "already exists", str(path), (), "--overwrite replaces it")
         for item in items

@@ -117,25 +117,15 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Pool:
-    """The processes of a run.
+    """The processes of a run."""
 
-    Attributes:
-        maker: What makes items.
-        items: What is to be made.
-        limits: What each may take.
-        ahead: Whether the next item is begun before it is told how the last ended.
-        left: Whether there may be more items.
-        workers: Those that live.
-        failed_starts: How many in a row ended before they could take an item.
-    """
-
-    maker: Maker
-    items: Iterator[Item]
-    limits: Limits
-    ahead: bool
-    left: bool = True
-    workers: list[_Worker] = field(default_factory=list)
-    failed_starts: int = 0
+    maker: Maker  # what makes items
+    items: Iterator[Item]  # what is to be made
+    limits: Limits  # what each may take
+    ahead: bool  # whether the next item is begun before it is told how the last ended
+    left: bool = True  # whether there may be more items
+    workers: list[_Worker] = field(default_factory=list)  # those that live
+    failed_starts: int = 0  # how many in a row ended before they could take an item
 
     def start(self) -> None:
         context = _context(self.maker.recipe)
@@ -202,11 +192,7 @@ class _Pool:
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
-        """End a process that takes no item.
-
-        Raises:
-            OutputError: It is one of several in a row (BAT071).
-        """
+        """End a process that takes no item."""
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
@@ -309,17 +295,6 @@ def run_processes(
     """Yield what becomes of items, as each ends, made by several processes.
 
     An item is taken only when a process can make it. Closing the iterator ends them.
-
-    Args:
-        maker: What makes them.
-        items: What is to be made.
-        limits: What each may take.
-        jobs: How many processes.
-        ahead: Begin the next item before it is told how the last ended; not where items
-            come only then.
-
-    Raises:
-        OutputError: Processes cannot be started (BAT071).
     """
     pool, well = _Pool(maker, items, limits, ahead), False
     try:

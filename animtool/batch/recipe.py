@@ -107,28 +107,15 @@ def output_root(pattern: str) -> PurePath:
 
 @dataclass(slots=True)
 class NamedOutputs:
-    """The outputs of a pattern, none of which leaves the folder that it states.
+    """The outputs of a pattern, none of which leaves the folder that it states."""
 
-    Attributes:
-        pattern: The files to write.
-        folder: Where a relative one starts.
-        paths: Names whose values may lead into folders, as ``a/b`` does.
-    """
-
-    pattern: str
-    folder: Path
-    paths: frozenset[str]
+    pattern: str  # the files to write
+    folder: Path  # where a relative one starts
+    paths: frozenset[str]  # names whose values may lead into folders, as ``a/b`` does
     _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
-        """Return the output that the pattern is for some values.
-
-        Args:
-            values: Of its names.
-
-        Raises:
-            UnsafeNameError: The output would leave the folder, or has no legal name.
-        """
+        """Return the output that the pattern is for some values."""
         root, path = self.folder, self.folder
         below = False
         for part in PurePath(self.pattern).parts:
@@ -195,15 +182,10 @@ MAX_BYTES = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class PathRule:
-    """Where a folder of one machine is on this one.
+    """Where a folder of one machine is on this one."""
 
-    Attributes:
-        source: There.
-        destination: Here.
-    """
-
-    source: PurePath
-    destination: str
+    source: PurePath  # there
+    destination: str  # here
 
 
 def read_rules(path: Path) -> list[PathRule]:
@@ -277,26 +259,19 @@ def values_text(values: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """What is made of one file.
+    """What is made of one file."""
 
-    Attributes:
-        number: Its place among those of the batch, from 1.
-        found: What it is made of.
-        output: The file to write; of several the first.
-        names: What names stand for in its scene, beside those of its input.
-        files: Every file to write, where its scene names several outputs, or one that
-            is no USD; empty where they follow from ``output``.
-        values: Those of ``names`` that tell it from other variants.
-        shot: Of a clip of a timeline; None is a file as it is.
-    """
-
-    number: int
-    found: FoundFile
-    output: Path
+    number: int  # its place among those of the batch, from 1
+    found: FoundFile  # what it is made of
+    output: Path  # the file to write; of several the first
+    # What names stand for in its scene, beside those of its input.
     names: Mapping[str, str] = field(default_factory=dict)
+    # Every file to write, where its scene names several outputs, or one that is no USD;
+    # empty where they follow from ``output``.
     files: tuple[Path, ...] = ()
+    # Those of ``names`` that tell it from other variants.
     values: Mapping[str, str] = field(default_factory=dict)
-    shot: Shot | None = None
+    shot: Shot | None = None  # of a clip of a timeline; None is a file as it is
 
     @property
     def label(self) -> str:
@@ -312,19 +287,15 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How every item is made.
+    """How every item is made."""
 
-    Attributes:
-        scene: A scene that says what is done to each; None bakes each as it is.
-        variables: What names in scenes stand for, beside those of each input.
-        options: How to bake, where there is no scene.
-        kinds: An input of each kind that there is.
-    """
-
+    # A scene that says what is done to each; None bakes each as it is.
     scene: Path | None = None
+    # What names in scenes stand for, beside those of each input.
     variables: Mapping[str, str] = field(default_factory=dict)
+    # How to bake, where there is no scene.
     options: BakeOptions = field(default_factory=BakeOptions)
-    kinds: tuple[Path, ...] = ()
+    kinds: tuple[Path, ...] = ()  # an input of each kind that there is
     # By suffix, on which alone they depend: options, and the digest of them.
     _fitting: dict[str, BakeOptions] = field(
         default_factory=dict, compare=False, repr=False
@@ -340,13 +311,7 @@ class Recipe:
         return {**names, **item.names, **self.variables}
 
     def source(self, item: Item) -> Source:
-        """Return what is baked: a scene, loaded, or a file.
-
-        Raises:
-            FormatError: The scene is malformed.
-            OptionError: It adds a take to a library (SCN052), or says itself where the
-                take of a shot begins (SCN073).
-        """
+        """Return what is baked: a scene, loaded, or a file."""
         path = item.found.path if self.scene is None else self.scene
         if not is_named(path, "scene"):
             return path
@@ -365,12 +330,7 @@ class Recipe:
         return scene
 
     def named(self, item: Item) -> Item:
-        """Return an item with the outputs that its scene names, if it names some.
-
-        Raises:
-            FormatError: The scene is malformed.
-            OptionError: One of several outputs names no file (DOC021).
-        """
+        """Return an item with the outputs that its scene names, if it names some."""
         scene = self.source(item)
         own = getattr(scene, "output", None)
         files: Sequence[Path] = ()
@@ -381,11 +341,7 @@ class Recipe:
         return replace(item, output=own or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
-        """Refuse a scene that names its outputs, where a pattern names them too.
-
-        Raises:
-            OptionError: It has other outputs than one USD file (SCN044).
-        """
+        """Refuse a scene that names its outputs, where a pattern names them too."""
         if self._is_several(source):
             message = "the scene names its outputs, and the batch names one"
             hint = "leave out the batch's output (-o), and use ${stem} in the scene's"
@@ -404,9 +360,6 @@ class Recipe:
         """Make an item, and return what became of each of its outputs.
 
         What they were before is replaced.
-
-        Raises:
-            AnimtoolError: As `animtool.bake`.
         """
         source, options = self.source(item), self._options(item.found.path)
         if item.files:
@@ -421,12 +374,7 @@ class Recipe:
         return [bake(source, item.output, options)]
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
-        """Return the files that a bake writes.
-
-        Args:
-            item: What is made.
-            source: What it, or one like it, is baked from.
-        """
+        """Return the files that a bake writes."""
         if item.files:
             return list(item.files)
         from animtool.scene.files import bake_outputs
@@ -443,12 +391,7 @@ class Recipe:
         return self._fitting[kind]
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
-        """Return everything that decides how an item is made, but its files.
-
-        Args:
-            item: What is made.
-            root: Folder from which files below it are named.
-        """
+        """Return everything that decides how an item is made, but its files."""
         plain: dict[str, object] = {"input": named_from(item.found.path, root)}
         if self.scene is not None or is_named(item.found.path, "scene"):
             names = self.names(item)

@@ -47,15 +47,7 @@ _UNIQUE = json.JSONDecoder(parse_constant=_refused, object_pairs_hook=_unique)
 
 
 def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
-    """Return the JSON object that data holds.
-
-    Args:
-        data: UTF-8.
-        unique: Whether to refuse a key that is there twice, which takes longer.
-
-    Raises:
-        RecordError: It is no JSON object, nests too deeply, or has NaN or infinity.
-    """
+    """Return the JSON object that data holds."""
     decoder = _UNIQUE if unique else _PLAIN
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
@@ -68,11 +60,7 @@ def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
 
 
 def json_of_file(path: Path, most: int) -> dict[str, Any]:
-    """Return the JSON object in a file of at most so many bytes.
-
-    Raises:
-        RecordError: It cannot be read, is too large, or as in `json_object`.
-    """
+    """Return the JSON object in a file of at most so many bytes."""
     try:
         data = read_input(path, most, noted=False)
     except FormatError as error:
@@ -81,22 +69,14 @@ def json_of_file(path: Path, most: int) -> dict[str, Any]:
 
 
 def object_of(value: object) -> dict[str, Any]:
-    """Return a value that is an object.
-
-    Raises:
-        RecordError: It is none.
-    """
+    """Return a value that is an object."""
     if not isinstance(value, dict):
         raise RecordError("is no object")
     return value
 
 
 def text_in(record: Mapping[str, Any], key: str, longest: int = MAX_TEXT) -> str:
-    """Return the text of a key.
-
-    Raises:
-        RecordError: There is none, or it is too long or has a NUL.
-    """
+    """Return the text of a key."""
     return _text(record.get(key), key, longest)
 
 
@@ -111,22 +91,14 @@ def _text(value: object, key: str, longest: int = MAX_TEXT) -> str:
 
 
 def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
-    """Return the texts of a key, checked as in `text_in`.
-
-    Raises:
-        RecordError: They are none.
-    """
+    """Return the texts of a key, checked as in `text_in`."""
     return [_text(value, key) for value in list_in(record, key)]
 
 
 def whole_in(
     record: Mapping[str, Any], key: str, low: int = 0, high: int = MAX_WHOLE
 ) -> int:
-    """Return the whole number of a key.
-
-    Raises:
-        RecordError: There is none from ``low`` to ``high``.
-    """
+    """Return the whole number of a key."""
     value = record.get(key)
     # A truth value is an int to Python.
     if type(value) is not int or not low <= value <= high:
@@ -135,11 +107,7 @@ def whole_in(
 
 
 def number_in(record: Mapping[str, Any], key: str, low: float = 0.0) -> float:
-    """Return the finite number of a key.
-
-    Raises:
-        RecordError: There is none that is at least ``low``.
-    """
+    """Return the finite number of a key."""
     value = record.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RecordError(f"{key!r} is no number")
@@ -153,11 +121,7 @@ def number_in(record: Mapping[str, Any], key: str, low: float = 0.0) -> float:
 
 
 def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
-    """Return the list of a key.
-
-    Raises:
-        RecordError: There is none.
-    """
+    """Return the list of a key."""
     value = record.get(key)
     if not isinstance(value, list):
         raise RecordError(f"{key!r} is no list")
@@ -182,12 +146,7 @@ class LineReader:
     """
 
     def __init__(self, path: Path, head: Line) -> None:
-        """Take a file that need not be there.
-
-        Args:
-            path: The file.
-            head: Its first line, which says what it is.
-        """
+        """Take a file that need not be there."""
         self.path, self.head = path, head
         self.length = self.number = 0
         self.damaged: dict[int, str] = {}
@@ -198,9 +157,6 @@ class LineReader:
 
         Lines that are no JSON, or not what was written, are `damaged`; whoever takes
         a line adds what is wrong with its content.
-
-        Raises:
-            FormatError: It cannot be read, or is of another kind or version (BAT011).
         """
         try:
             raw = open_input(self.path, None, noted=False)
@@ -307,16 +263,7 @@ class LineWriter:
     """
 
     def __init__(self, path: Path, head: Line, length: int = 0) -> None:
-        """Open a file, making it and its folder where need be.
-
-        Args:
-            path: The file; no link, which may lead to what is not ours.
-            head: Its first line.
-            length: Of what could be read of it [bytes]; the rest goes.
-
-        Raises:
-            OutputError: It cannot be written (BAT012).
-        """
+        """Open a file, making it and its folder where need be: ``length`` [bytes]."""
         self.path, self.length = path, length
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -343,11 +290,7 @@ class LineWriter:
         os.close(self._handle)
 
     def write(self, lines: Iterable[Line]) -> None:
-        """Add lines.
-
-        Raises:
-            OutputError: They cannot be written (BAT012).
-        """
+        """Add lines."""
         self._write(b"".join(map(_summed, lines)))
 
     def _write(self, data: bytes) -> None:

@@ -33,26 +33,16 @@ NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class ItemReport:
-    """What became of an item.
+    """What became of an item."""
 
-    Attributes:
-        item: The item.
-        status: What became of it.
-        reason: Why it was made, or not.
-        detail: The file that changed, or what happened last time.
-        seconds: Wall time of making it; 0 where it was not made.
-        faults: Why it failed.
-        notices: Warnings and notes.
-        measured: What the bake measured; None where it was not made.
-    """
-
-    item: Item
-    status: Status
-    reason: Reason
-    detail: str = ""
-    seconds: float = 0.0
-    faults: tuple[Fault, ...] = ()
-    notices: tuple[Fault, ...] = ()
+    item: Item  # the item
+    status: Status  # what became of it
+    reason: Reason  # why it was made, or not
+    detail: str = ""  # the file that changed, or what happened last time
+    seconds: float = 0.0  # wall time of making it; 0 where it was not made
+    faults: tuple[Fault, ...] = ()  # why it failed
+    notices: tuple[Fault, ...] = ()  # warnings and notes
+    # What the bake measured; None where it was not made.
     measured: Measured | None = None
 
     @classmethod
@@ -112,19 +102,12 @@ class ItemReport:
 
 @dataclass(frozen=True, slots=True)
 class BatchReport:
-    """What became of a batch.
+    """What became of a batch."""
 
-    Attributes:
-        batch: The batch.
-        items: Those that were looked at, in order.
-        seconds: Wall time of all.
-        notices: Warnings of the records of earlier runs.
-    """
-
-    batch: Batch
-    items: tuple[ItemReport, ...]
-    seconds: float
-    notices: tuple[Fault, ...] = ()
+    batch: Batch  # the batch
+    items: tuple[ItemReport, ...]  # those that were looked at, in order
+    seconds: float  # wall time of all
+    notices: tuple[Fault, ...] = ()  # warnings of the records of earlier runs
 
     def count(self, status: Status) -> int:
         """Return of how many items something became."""

@@ -85,10 +85,6 @@ UP = ".."
 def named_from(path: Path, root: Path) -> str:
     """Return the name of a file, seen from a folder; absolute where they share none.
 
-    Args:
-        path: The file.
-        root: The folder, absolute.
-
     >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
     """

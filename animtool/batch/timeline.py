@@ -37,11 +37,7 @@ _OTHERS = bytes(set(range(256)) - set(_BRACKETS))
 
 
 def check_text(path: Path) -> None:
-    """Refuse a timeline that is too large, nests too deeply, or is no file.
-
-    Raises:
-        FormatError: It is one of these (BAT041).
-    """
+    """Refuse a timeline that is too large, nests too deeply, or is no file."""
     try:
         problem = _problem(path)
     except FormatError as error:
@@ -90,28 +86,17 @@ def nesting(text: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """What is stated of shots; None is not stated.
+    """What is stated of shots; None is not stated."""
 
-    Attributes:
-        start_frame: First frame of the shot, that of its head handle.
-        handles: Shot frames before and after the cut.
-        fps: Of a timeline: the rate of its shots.
-    """
-
-    start_frame: int | None = None
-    handles: int | None = None
-    fps: Fraction | None = None
+    start_frame: int | None = None  # first frame of the shot, that of its head handle
+    handles: int | None = None  # shot frames before and after the cut
+    fps: Fraction | None = None  # of a timeline: the rate of its shots
 
 
 def cut_metadata(
     metadata: Mapping[str, Any], named: str, *, rate: bool = False
 ) -> tuple[CutMetadata, list[tuple[str, str]]]:
     """Return what metadata says, and what is wrong with it and what to do.
-
-    Args:
-        metadata: Of a clip or a timeline.
-        named: What that is called in messages.
-        rate: Whether it may state the rate of shots, as timelines do.
 
     >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
     8
@@ -166,12 +151,7 @@ LOCAL = ("", "localhost")
 
 
 def read_timeline(path: Path) -> Any:
-    """Return a timeline as OpenTimelineIO has it.
-
-    Raises:
-        FormatError: It cannot be read (BAT041).
-        OptionError: OpenTimelineIO is missing (BAT040).
-    """
+    """Return a timeline as OpenTimelineIO has it."""
     try:
         import opentimelineio as otio
     except ModuleNotFoundError as error:
@@ -231,22 +211,14 @@ def is_remote(clip: Any) -> bool:
 
 
 def exact_rate(rate: float) -> Fraction:
-    """Return the rate that a timeline states.
-
-    Raises:
-        ValueError: No media has it.
-    """
+    """Return the rate that a timeline states."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise ValueError(f"{rate!r} is no rate of frames")
     return rate_from_float(rate)
 
 
 def seconds_of(time: Any) -> Fraction:
-    """Return a time of a timeline, exact at its own rate [s].
-
-    Raises:
-        ValueError: It is none, or has no rate.
-    """
+    """Return a time of a timeline, exact at its own rate [s]."""
     rate = exact_rate(time.rate)
     if not abs(time.value) <= LONGEST * rate:
         raise ValueError(f"{time.value!r} is no time at {float(rate):g} frames/s")
@@ -260,9 +232,8 @@ def seconds_of(time: Any) -> Fraction:
 def shown_span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
     """Return what a clip shows of its media.
 
-    Returns:
-        Time of its first frame, 0 at the media's first [s], how long it is shown [s],
-        and frames a second of the media, as far as the timeline knows.
+    Returns time of its first frame, 0 at the media's first [s], how long it is shown
+    [s], and frames a second of the media, as far as the timeline knows.
     """
     span = clip.trimmed_range()
     start, rate = seconds_of(span.start_time), span.start_time.rate
@@ -286,11 +257,7 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
 
 
 def speed_of(clip: Any) -> Fraction:
-    """Return how many times as fast as its media a clip plays.
-
-    Raises:
-        ValueError: It is faster than anything plays.
-    """
+    """Return how many times as fast as its media a clip plays."""
     speed = Fraction(1)
     for effect in clip.effects:
         scalar = float(getattr(effect, "time_scalar", 1.0))

@@ -32,15 +32,11 @@ _NO_FILE_NAME = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 @dataclass(frozen=True, slots=True)
 class Variants:
-    """A table of values.
+    """A table of values."""
 
-    Attributes:
-        rows: Of each variant, the value of every name, as written.
-        path: The file that it was read from; None where there is none.
-    """
-
+    # Of each variant, the value of every name, as written.
     rows: tuple[Mapping[str, str], ...]
-    path: Path | None = None
+    path: Path | None = None  # the file that it was read from; None where there is none
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,9 +46,6 @@ class Variants:
 
 def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
     """Return every combination of the values of columns, the last changing fastest.
-
-    Raises:
-        ValueError: There are none, or too many.
 
     >>> [row["k"] + row["s"] for row in columns_variants({"k": "12", "s": "ab"}).rows]
     ['1a', '1b', '2a', '2b']
@@ -100,9 +93,6 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
 def values_of_text(text: str) -> list[str]:
     """Return the values of a list with commas, in which ranges may be.
 
-    Raises:
-        ValueError: A value or a range makes no sense.
-
     >>> values_of_text("1..3,10"), values_of_text("0..1/0.25")
     (['1', '2', '3', '10'], ['0', '0.25', '0.5', '0.75', '1'])
     """
@@ -123,10 +113,6 @@ def values_of_text(text: str) -> list[str]:
 
 def range_values(first: str, last: str, step: str = "1") -> list[str]:
     """Return the numbers from the first to the last, both included where steps allow.
-
-    Raises:
-        ValueError: One is no number, the step leads away from the last, or there are
-            too many.
 
     >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
@@ -174,12 +160,7 @@ def value_problem(text: str) -> str | None:
 def name_problems(
     names: Sequence[str], taken: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
-    """Yield the columns whose names cannot be used, and why.
-
-    Args:
-        names: Of the columns.
-        taken: Names that mean something else already.
-    """
+    """Yield the columns whose names cannot be used, and why."""
     seen: set[str] = set()
     for i, name in enumerate(names):
         twice = name in seen
@@ -284,12 +265,7 @@ def _lines(
 
 
 def _values(line: str, separator: str) -> list[str]:
-    """Return the values of a line.
-
-    Raises:
-        ValueError: There are too many.
-        csv.Error: Quotes do not fit.
-    """
+    """Return the values of a line."""
     if len(line) > MAX_LINE:
         raise ValueError(f"a line has up to {MAX_LINE} letters")
     (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)

@@ -39,59 +39,35 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a bake measured.
+    """What a bake measured."""
 
-    Attributes:
-        samples: Written.
-        error: Largest distance between a joint and where its file has it [m].
-        joint: Which joint's.
-    """
-
-    samples: int
-    error: float
-    joint: str
+    samples: int  # written
+    error: float  # largest distance between a joint and where its file has it [m]
+    joint: str  # which joint's
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an item that was to be made.
+    """What became of an item that was to be made."""
 
-    Attributes:
-        number: The item's.
-        status: Done or failed.
-        seconds: Wall time of making it.
-        faults: Why it failed.
-        notices: Warnings and notes.
-        measured: What the bake measured.
-        inputs: The files that were looked at.
-        outputs: The files that were written.
-        at: When, by the clock of the disk that it was written to [ns].
-        retired: Whether the process that made it had better make no other.
-    """
-
-    number: int
-    status: Status
-    seconds: float
-    faults: tuple[Fault, ...] = ()
-    notices: tuple[Fault, ...] = ()
-    measured: Measured | None = None
-    inputs: tuple[FileRecord, ...] = ()
-    outputs: tuple[FileRecord, ...] = ()
-    at: int = 0
-    retired: bool = False
+    number: int  # the item's
+    status: Status  # done or failed
+    seconds: float  # wall time of making it
+    faults: tuple[Fault, ...] = ()  # why it failed
+    notices: tuple[Fault, ...] = ()  # warnings and notes
+    measured: Measured | None = None  # what the bake measured
+    inputs: tuple[FileRecord, ...] = ()  # the files that were looked at
+    outputs: tuple[FileRecord, ...] = ()  # the files that were written
+    at: int = 0  # when, by the clock of the disk that it was written to [ns]
+    retired: bool = False  # whether the process that made it had better make no other
 
 
 @dataclass(slots=True)
 class Maker:
-    """Makes the items of a batch, one after another.
+    """Makes the items of a batch, one after another."""
 
-    Attributes:
-        recipe: How.
-        root: Folder from which records name files.
-    """
-
-    recipe: Recipe
-    root: Path
+    recipe: Recipe  # how
+    root: Path  # folder from which records name files
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
     def make(self, item: Item) -> Outcome:
@@ -262,10 +238,7 @@ class Reading:
 def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
     """Make the items that come in, and send what became of each, until none comes.
 
-    Args:
-        connection: To the run.
-        maker: What makes them.
-        memory: What this process may have [bytes]; None is any.
+    ``memory`` [bytes].
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()

@@ -24,36 +24,22 @@ from animtool.batch.work import Maker, Outcome
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """How a lane makes items.
+    """How a lane makes items."""
 
-    Attributes:
-        maker: Makes them.
-        limits: What each may take.
-        folder: The current folder, from which paths of items start.
-    """
-
-    maker: Maker
-    limits: Limits
-    folder: str
+    maker: Maker  # makes them
+    limits: Limits  # what each may take
+    folder: str  # the current folder, from which paths of items start
 
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """Such a program, and the way to it.
+    """Such a program, and the way to it."""
 
-    Attributes:
-        task: How it makes items.
-    """
-
-    task: Task
+    task: Task  # how it makes items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
     def make(self, item: Item) -> Outcome:
-        """Return what became of an item.
-
-        Raises:
-            OSError: The program cannot be started, or ended.
-        """
+        """Return what became of an item."""
         try:
             if self._process is None:
                 self._process = self._started()

@@ -33,11 +33,7 @@ if TYPE_CHECKING:
 def opened_sources(
     sources: Sequence[Path], variables: dict[str, str]
 ) -> list[Path | Scene]:
-    """Return sources, those loaded that are scenes.
-
-    Raises:
-        OptionError: No scene uses a variable that is given.
-    """
+    """Return sources, those loaded that are scenes."""
     opened: list[Path | Scene] = []
     used: set[str] = set()
     for source in sources:

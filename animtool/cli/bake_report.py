@@ -28,14 +28,7 @@ def say_bake(
     *,
     as_json: bool,
 ) -> None:
-    """Print the summary of a bake.
-
-    Args:
-        console: Where it is said.
-        report: What was written.
-        stages: What the stages of a scene took; None where costs are not asked for.
-        as_json: Whether it is printed as JSON.
-    """
+    """Print the summary of a bake."""
     console.faults(report.notices)
     if as_json:
         costs = {} if stages is None else {"stats": stats_json(stages, [report])}

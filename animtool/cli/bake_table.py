@@ -29,27 +29,13 @@ def plot_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def refuse_alone(given: dict[str, Any]) -> None:
-    """Refuse ``--plot`` without a table.
-
-    Raises:
-        UsageError: There is none.
-    """
+    """Refuse ``--plot`` without a table."""
     if given["plot"] is not None and not given["table"]:
         raise click.UsageError("--plot draws what --table measures: give both.")
 
 
 def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Raise where the picture that is asked for cannot be drawn.
-
-    Args:
-        plot: Its file; None is not asked for.
-        inputs: What is read, which it may not replace.
-        overwrite: Whether it may replace a file.
-
-    Raises:
-        OptionError: It is no picture, or there is no matplotlib, or it exists.
-        OutputError: It cannot be written.
-    """
+    """Raise where the picture that is asked for cannot be drawn."""
     if plot is None:
         return
     from animtool.output import check_outputs

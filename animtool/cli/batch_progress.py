@@ -23,12 +23,7 @@ if TYPE_CHECKING:
 
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
-    """Return the lines of a summary.
-
-    Args:
-        report: What became of the batch.
-        dry: Nothing was made, and nothing was to be.
-    """
+    """Return the lines of a summary."""
     words = {Status.NOT_RUN: "to be made"} if dry else {}
     counts = [
         f"{count} {words.get(status, status)}"
@@ -61,13 +56,7 @@ def _error_text(entry: ItemReport) -> str:
 
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
-    """Return the line of an item that ended.
-
-    Args:
-        entry: What became of it.
-        number: How many have ended, it included.
-        total: How many are to be made.
-    """
+    """Return the line of an item that ended."""
     head = f"[{number}/{total}] {entry.status} {entry.item.output}"
     values = values_text(entry.item.values)
     if entry.status is Status.FAILED:
@@ -89,12 +78,7 @@ def planned_text(report: BatchReport) -> list[str]:
 def report_json(
     report: BatchReport, command: Callable[[ItemReport], str]
 ) -> dict[str, object]:
-    """Return the report as plain values.
-
-    Args:
-        report: What became of the batch.
-        command: Returns what makes an item again.
-    """
+    """Return the report as plain values."""
     items = []
     for entry in report.items:
         plain = entry.as_dict()
@@ -161,12 +145,7 @@ WIDTH = 40
 
 @contextmanager
 def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
-    """Give what a run tells what happens, which shows it.
-
-    Args:
-        console: Where.
-        lines: Write each item that ended to stdout, as a line of JSON.
-    """
+    """Give what a run tells what happens, which shows it."""
     if not console.is_live():
         yield _lines(console, lines=lines)
         return

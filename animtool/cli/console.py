@@ -18,17 +18,11 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 @dataclass(slots=True)
 class Console:
-    """Where a command's words go.
+    """Where a command's words go."""
 
-    Attributes:
-        verbosity: -1 errors only, 0 the usual, 1 notes and timings too.
-        json_log: Write each line on stderr as a JSON object.
-        debug: Let a Python traceback through.
-    """
-
-    verbosity: int = 0
-    json_log: bool = False
-    debug: bool = False
+    verbosity: int = 0  # -1 errors only, 0 the usual, 1 notes and timings too
+    json_log: bool = False  # write each line on stderr as a JSON object
+    debug: bool = False  # let a Python traceback through
 
     def result(self, *lines: str) -> None:
         """Write lines of a result to stdout; what is in them makes no other line."""
@@ -82,12 +76,7 @@ class Console:
     def progress(
         self, label: str, *, stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Give a function that shows the share done; None where nobody looks.
-
-        Args:
-            label: What is being done.
-            stdout: Whether a result goes to stdout, which may be the same terminal.
-        """
+        """Give a function that shows the share done; None where nobody looks."""
         if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return

@@ -39,13 +39,7 @@ _HEEDED = frozenset(
 
 
 def match_command(console: Console, given: Mapping[str, Any], source: Any) -> None:
-    """Write the targets of a take, and say what they are.
-
-    Args:
-        console: Where to say it.
-        given: The command's parameters.
-        source: What the take's file is.
-    """
+    """Write the targets of a take, and say what they are."""
     _check(given)
     as_json = given["report_format"] == "json"
     output = given["output"]

@@ -79,13 +79,7 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
 def _described(
     path: Path, given: dict[str, Any], used: set[str]
 ) -> tuple[Any, Callable[[Any], list[str]]]:
-    """Return what a file holds, and what says it in words.
-
-    Args:
-        path: The file.
-        given: Options of the command.
-        used: Gets the names of variables of scenes.
-    """
+    """Return what a file holds, and what says it in words."""
     from animtool.cli import info_summary
     from animtool.scene.sources import SourceOptions, is_usd
 

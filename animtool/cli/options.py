@@ -64,11 +64,7 @@ def _distance(text: str) -> float:
 
 
 def count_or_auto(text: str) -> int | None:
-    """Return a number from 1 up; None for ``auto``.
-
-    Raises:
-        ValueError: It is neither.
-    """
+    """Return a number from 1 up; None for ``auto``."""
     if text == "auto":
         return None
     if not text.isdigit() or not int(text):

@@ -45,18 +45,7 @@ def skipped(
     output: Path,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
-    """Return whether ``--skip-existing`` leaves everything as it is, and say so.
-
-    Args:
-        console: Where it is said.
-        command: Name of the command, for the report.
-        given: Its options.
-        output: What it is called by.
-        outputs: Gives the files that would be written; asked only where it matters.
-
-    Raises:
-        click.UsageError: ``--overwrite`` is given too.
-    """
+    """Return whether ``--skip-existing`` leaves everything as it is, and say so."""
     if not given["skip_existing"]:
         return False
     if given["overwrite"]:
@@ -72,11 +61,7 @@ def skipped(
 
 
 def goes_to_stdout(output: Path | None, given: Mapping[str, Any]) -> bool:
-    """Return whether the output is ``-``.
-
-    Raises:
-        click.UsageError: The report goes there too.
-    """
+    """Return whether the output is ``-``."""
     if str(output) != "-":
         return False
     if given["report_format"] == "json":

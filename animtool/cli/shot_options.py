@@ -37,19 +37,7 @@ def timeline_shot(
     start: Fraction | None,
     fps: Fraction | None = None,
 ) -> Cut | None:
-    """Return the shot and its media where a path is that of a timeline, else None.
-
-    Args:
-        console: Where to report what the timeline leaves out.
-        path: The timeline, or other motion.
-        given: The command's parameters, ``shot`` and ``handles`` among them.
-        start: First frame of the shot; None is as the timeline says.
-        fps: Rate of the shot where the timeline states none.
-
-    Raises:
-        FormatError: The timeline is malformed, or media is missing.
-        OptionError: It has no shot of that name, or several and none is named.
-    """
+    """Return the shot and its media where a path is that of a timeline, else None."""
     from animtool.scene.sources import is_timeline
 
     if path is None or not is_timeline(path):
@@ -84,10 +72,6 @@ def bake_shot(
     """Return sources and output, those of the shot where the source is a timeline.
 
     ``shot`` of the given options becomes the shot's record; ``start`` is part of it.
-
-    Raises:
-        FormatError: The timeline is malformed, or media is missing.
-        OptionError: It has no shot of that name, or several and none is named.
     """
     from animtool.scene.sources import is_timeline
 

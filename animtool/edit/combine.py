@@ -26,10 +26,7 @@ from animtool.take import Take
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
     """Return the motion with rotation signs continuous along its frames.
 
-    Args:
-        motion: F frames, A joints that turn.
-        previous: Rotations of the frame before ``(A, 4)``; None keeps the signs of
-            the first frame.
+    ``previous`` ``(A, 4)``.
     """
     channel = motion.rotations
     if not channel.values.size:
@@ -55,16 +52,11 @@ class Operations:
 
 @dataclass(frozen=True, slots=True)
 class Strength:
-    """How much of the second motion counts, and where.
+    """How much of the second motion counts, and where."""
 
-    Attributes:
-        weights: [1] ``(F,)``.
-        steady: The weight never changes, in this block or another.
-        joints: Those that change; None is all, and shapes and controls with them.
-    """
-
-    weights: FloatArray
-    steady: bool = True
+    weights: FloatArray  # [1] ``(F,)``
+    steady: bool = True  # the weight never changes, in this block or another
+    # Those that change; None is all, and shapes and controls with them.
     joints: Sequence[int] | None = None
 
 
@@ -95,9 +87,6 @@ def combine(
 
     A motion without scales has scale 1, one without shape weights has 0; controls
     are changed only where both have some.
-
-    Raises:
-        OptionError: The numbers of shapes or controls differ (SCN017).
     """
     whole = strength.joints is None
 

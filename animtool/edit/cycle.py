@@ -40,19 +40,13 @@ BLOCK_FRAMES = 1024
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """A part of a take that ends as it began.
+    """A part of a take that ends as it began."""
 
-    Attributes:
-        first: Time code of its first frame.
-        last: Time code of the frame that shows the first pose again.
-        apart: How different the two are [m], see `animtool.edit.cycle`.
-        moved: How different from the first the frames between become [m], and no
-            less than a ten thousandth of the rig's size.
-    """
-
-    first: float
-    last: float
-    apart: float
+    first: float  # time code of its first frame
+    last: float  # time code of the frame that shows the first pose again
+    apart: float  # how different the two are [m], see `animtool.edit.cycle`
+    # How different from the first the frames between become [m], and no less than a ten
+    # thousandth of the rig's size.
     moved: float
 
     @property
@@ -112,12 +106,7 @@ def find_cycle(
 def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
-    """Return how well the two ends of a cycle agree.
-
-    Raises:
-        OptionError: A frame is outside the take (SCN013), or the cycle has no frame
-            (SCN018).
-    """
+    """Return how well the two ends of a cycle agree."""
     low, high = _ends(take.clock, first, last)
     if low >= high:
         raise _none(f"from frame {first} to {last}")

@@ -24,11 +24,7 @@ def exact(number: float, name: str) -> Fraction:
 
 
 def check_range(first: float | None, last: float | None) -> None:
-    """Refuse a range of frames that is reversed; None is the end of a take.
-
-    Raises:
-        OptionError: It is, or an end is not finite (SCN013).
-    """
+    """Refuse a range of frames that is reversed; None is the end of a take."""
     ends = [
         exact(end, name)
         for end, name in ((first, "first"), (last, "last"))
@@ -48,9 +44,6 @@ def frame_refusal(message: str, hint: str | None = None) -> OptionError:
 def frame_index(clock: Clock, frame: float, name: str) -> int:
     """Return the index of the frame nearest to a time code.
 
-    Raises:
-        OptionError: It lies outside the take (SCN013).
-
     >>> frame_index(Clock(Fraction(24), Fraction(1001), Fraction(1), 9), 1003, "first")
     2
     """
@@ -65,11 +58,7 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
 
 
 def check_count(count: int) -> None:
-    """Refuse a result of more than 10 million frames.
-
-    Raises:
-        OptionError: There would be more (SCN021).
-    """
+    """Refuse a result of more than 10 million frames."""
     if count > MAX_FRAMES:
         message = f"the take would have {count} frames, more than {MAX_FRAMES}"
         raise OptionError(Fault("SCN021", message))

@@ -49,21 +49,13 @@ OWN_CHANGE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class SeamBlend:
-    """A cycle within some frames, and how much of each correction its frames take.
+    """A cycle within some frames, and how much of each correction its frames take."""
 
-    Attributes:
-        length: Frames of the cycle, L.
-        before: Whether there is a frame before the cycle (1) or none (0).
-        behind: Whether there is one behind the frame that shows the first pose again.
-        pose: How much of the offset at the end [1] ``(L, 1, 1)``.
-        speed: How much of the missing speed [frame] ``(L, 1, 1)``.
-    """
-
-    length: int
-    before: int
-    behind: int
-    pose: FloatArray
-    speed: FloatArray
+    length: int  # frames of the cycle, L
+    before: int  # whether there is a frame before the cycle (1) or none (0)
+    behind: int  # whether there is one behind the frame that shows the first pose again
+    pose: FloatArray  # how much of the offset at the end [1] ``(L, 1, 1)``
+    speed: FloatArray  # how much of the missing speed [frame] ``(L, 1, 1)``
 
     @staticmethod
     def over(length: int, frames: int, before: int, behind: int) -> SeamBlend:
@@ -93,13 +85,7 @@ class SeamBlend:
 
 
 def closed_lines(values: FloatArray, blend: SeamBlend, onward: Onward) -> FloatArray:
-    """Return a cycle of vectors that runs into what comes after it ``(L, A, K)``.
-
-    Args:
-        values: The cycle, the frame behind it, and what the blend says is around.
-        blend: Over which frames.
-        onward: Takes values of this cycle to those of the next.
-    """
+    """Return a cycle of vectors that runs into what comes after it ``(L, A, K)``."""
     cycle = blend.cycle(values)
     start, end = blend.ends(values)
     missing = _missing_speed(
@@ -135,11 +121,7 @@ def _missing_speed(
 ) -> FloatArray:
     """Return the speed ``(A, K)`` [a frame] that the end of a cycle lacks.
 
-    Args:
-        starting: Steps at the start of the next cycle.
-        ending: Steps at the end of this one.
-        steps: From frame to frame of the cycle ``(L, A, K)``.
-        blend: Which frames the steps are between.
+    ``steps`` ``(L, A, K)``.
     """
     around = blend.before + blend.behind
     if around:
@@ -159,10 +141,7 @@ def mapped_numbers(
 ) -> Transforms:
     """Return transforms with a function applied to everything that is a number.
 
-    Args:
-        track: Whose they are.
-        known: The transforms, F of them.
-        function: From ``(F, A, K)`` with K = 4 for rotations alone.
+    ``function`` ``(F, A, K)``.
     """
 
     def numbers(values: FloatArray) -> FloatArray:

@@ -31,17 +31,12 @@ SAME_EFFECT = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """How values of each control look on its partner.
+    """How values of each control look on its partner."""
 
-    Attributes:
-        partners: Index of each one's partner ``(C,)``.
-        signs: 1 where both go the same way, -1 where they go opposite ways ``(C,)``.
-        pivots: The values that stay where signs change ``(C,)``.
-    """
-
-    partners: IntArray
+    partners: IntArray  # index of each one's partner ``(C,)``
+    # 1 where both go the same way, -1 where they go opposite ways ``(C,)``.
     signs: FloatArray
-    pivots: FloatArray
+    pivots: FloatArray  # the values that stay where signs change ``(C,)``
 
     @staticmethod
     def of(
@@ -57,12 +52,8 @@ class ControlMirror:
         does to joints and shapes is nearer to what the other does when it goes back:
         a control that turns the head to the left above 0, to the right below it.
 
-        Args:
-            rig: Whose controls they are.
-            partners: Of the controls ``(C,)``.
-            joints: Partners of the joints ``(J,)``.
-            shapes: Partners of the shapes ``(S,)``.
-            normal: What the mirror multiplies directions by ``(3,)``.
+        ``partners`` ``(C,)``, ``joints`` ``(J,)``, ``shapes`` ``(S,)``, ``normal``
+        ``(3,)``.
         """
         # Axes of rotation turn the other way round.
         across = np.concatenate([-normal, normal])

@@ -31,26 +31,19 @@ BLOCK_FRAMES = 512
 
 @dataclass(frozen=True, slots=True)
 class SampleTimes:
-    """When to sample a take, exact.
+    """When to sample a take, exact."""
 
-    Attributes:
-        first: Time code of the first frame.
-        last: Time code of the last frame.
-        codes: Time code of every sample ``(N,)``, ascending; sub-frame samples may
-            lie before the first or behind the last frame.
-        frames: Frame of the source at or before each sample ``(N,)``.
-        fractions: How far on to the next, in [0, 1) ``(N,)``.
-        between: Number of samples of the source between whole frames of the result
-            that are not kept.
-        dropped: What the source lasts beyond the last whole frame [time codes].
-    """
-
-    first: Fraction
-    last: Fraction
+    first: Fraction  # time code of the first frame
+    last: Fraction  # time code of the last frame
+    # Time code of every sample ``(N,)``, ascending; sub-frame samples may lie before
+    # the first or behind the last frame.
     codes: FloatArray
-    frames: IntArray
-    fractions: FloatArray
+    frames: IntArray  # frame of the source at or before each sample ``(N,)``
+    fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
+    # Number of samples of the source between whole frames of the result that are not
+    # kept.
     between: int = 0
+    # What the source lasts beyond the last whole frame [time codes].
     dropped: Fraction = Fraction(0)
 
 
@@ -125,12 +118,7 @@ def _between(
 ) -> int:
     """Return how many samples lie between whole frames, and are not taken.
 
-    Args:
-        wanted: Frames of the result.
-        ahead: How far the frame 0 is after the first sample, above -1 [frame].
-        ratio: Samples from one frame to the next.
-        count: Number of samples.
-        taken: Indices of samples that are kept.
+    ``ahead`` [frame].
     """
     begin = max(wanted[0], math.ceil(-ahead))
     end = min(wanted[-1], math.floor((count - 1) / ratio - ahead))

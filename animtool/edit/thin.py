@@ -22,23 +22,14 @@ JOINING = 8
 
 @dataclass(frozen=True, slots=True)
 class Thinned:
-    """Which samples stay, and what leaving out the others does.
+    """Which samples stay, and what leaving out the others does."""
 
-    Attributes:
-        samples: Number of samples before.
-        kept: Indices of those that stay, ascending ``(N,)``.
-        error: Largest distance of a point from where it was [m].
-        joint: Index of the joint that carries it.
-        code: Time code of that.
-        weight_error: Largest error of a shape's weight [1].
-    """
-
-    samples: int
-    kept: IntArray
-    error: float
-    joint: int
-    code: float
-    weight_error: float
+    samples: int  # number of samples before
+    kept: IntArray  # indices of those that stay, ascending ``(N,)``
+    error: float  # largest distance of a point from where it was [m]
+    joint: int  # index of the joint that carries it
+    code: float  # time code of that
+    weight_error: float  # largest error of a shape's weight [1]
 
 
 def thin_samples(

@@ -16,18 +16,12 @@ from animtool.rig.skeleton import JointType, Rig
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A joint in the world, in every frame.
+    """A joint in the world, in every frame."""
 
-    Attributes:
-        position: Its origin ``(F, 3)`` [m].
-        rotation: The rotations of the joints down to it, without their scales
-            ``(F, 4)``.
-        linear: Linear part with scales ``(F, 3, 3)``; column c is its axis c.
-    """
-
-    position: FloatArray
+    position: FloatArray  # its origin ``(F, 3)`` [m]
+    # The rotations of the joints down to it, without their scales ``(F, 4)``.
     rotation: FloatArray
-    linear: FloatArray
+    linear: FloatArray  # linear part with scales ``(F, 3, 3)``; column c is its axis c
 
 
 def ancestors(rig: Rig, joint: int) -> list[int]:
@@ -99,15 +93,10 @@ ON_FRAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where samples lie: at or between two frames.
+    """Where samples lie: at or between two frames."""
 
-    Attributes:
-        frames: Frame at or before each sample ``(N,)``.
-        fractions: How far on to the next, in [0, 1) ``(N,)``.
-    """
-
-    frames: IntArray
-    fractions: FloatArray
+    frames: IntArray  # frame at or before each sample ``(N,)``
+    fractions: FloatArray  # how far on to the next, in [0, 1) ``(N,)``
 
     def blend(self, channel: Channel) -> Channel:
         """Return the channel at the places.
@@ -199,16 +188,11 @@ class Travel:
 
     ``translation`` becomes ``linear · translation + shift``, and ``rotation``
     becomes ``turn · rotation``. Joints that do not travel have identities.
-
-    Attributes:
-        turns: ``(J, 4)``.
-        linear: ``(J, 3, 3)``.
-        shifts: ``(J, 3)`` [m].
     """
 
-    turns: FloatArray
-    linear: FloatArray
-    shifts: FloatArray
+    turns: FloatArray  # ``(J, 4)``
+    linear: FloatArray  # ``(J, 3, 3)``
+    shifts: FloatArray  # ``(J, 3)`` [m]
 
 
 def traveller(
@@ -219,12 +203,6 @@ def traveller(
     It is the root where that moves. Else it is a free joint whose translation moves
     and which has joints above that stand still only: of several, the one with most
     joints below it, then the first. None where nothing travels.
-
-    Args:
-        rig: J joints.
-        motion: F frames.
-        root: Where to start.
-        below: Look below the root even where that moves.
     """
     if not below and (_slides(rig, motion, root) or _turns(motion, root)):
         return root

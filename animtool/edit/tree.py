@@ -23,11 +23,7 @@ from animtool.units import UpAxis
 
 
 def joint_index(rig: Rig, name: str, option: str) -> int:
-    """Return the index of a joint.
-
-    Raises:
-        OptionError: The rig has none of that name (SCN012).
-    """
+    """Return the index of a joint."""
     if name not in rig.names:
         raise _unknown(rig, name, option)
     return rig.index(name)
@@ -37,15 +33,6 @@ def joints_matching(
     rig: Rig, patterns: str | Sequence[str], *, children: bool = False
 ) -> list[int]:
     """Return the joints that names or glob patterns choose, ascending.
-
-    Args:
-        rig: J joints.
-        patterns: One or several, such as ``LeftArm`` or ``Left*``; letters must agree
-            in case.
-        children: Take everything below a chosen joint too.
-
-    Raises:
-        OptionError: A pattern matches no joint (SCN012).
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", -1)))
@@ -85,12 +72,7 @@ class Placing:
 
 
 def set_joint(take: Take, joint: int, place: Placing) -> Take:
-    """Return the take with a joint moved, its children left where they are.
-
-    Raises:
-        OptionError: The joint's scale is 0, or differs by axis where the joint is
-            turned, so that a child would be sheared (SCN020).
-    """
+    """Return the take with a joint moved, its children left where they are."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
@@ -160,9 +142,6 @@ def removed(take: Take, joint: int) -> Take:
     """Return the take without a joint that is at the origin of its parent, unturned.
 
     Its children hang from its parent and take over its scale and its rest pose.
-
-    Raises:
-        OptionError: Its scale differs by axis, or the rig refers to it (SCN020).
     """
     take = _unscaled(take, joint)
     rig = take.rig

@@ -39,13 +39,8 @@ def compare_weights(
     Shapes of ARKit's are the same however they are spelled. A shape that only one take
     has is a mismatch where its weight is ever other than 0.
 
-    Args:
-        first: A take.
-        second: Another, of the same rate.
-        frames: How many frames to compare.
-
-    Returns:
-        The largest difference, how many shapes were compared, and which only one has.
+    Returns the largest difference, how many shapes were compared, and which only one
+    has.
     """
     a, b = (_weights(take) for take in (first, second))
     names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]

@@ -32,34 +32,18 @@ NO_ARRAY = HeldArray(np.zeros(0))
 
 @dataclass(frozen=True, slots=True)
 class ArrayReader:
-    """Looks at arrays one at a time; what is wrong is noted in the document.
+    """Looks at arrays one at a time; what is wrong is noted in the document."""
 
-    Attributes:
-        document: The file.
-        roots: Folders that references may lead into.
-        archives: Opens the files, for as long as arrays are looked at.
-        paths: Where names of files lead that have been followed.
-    """
-
-    document: Document
-    roots: Sequence[Path]
-    archives: Archives
+    document: Document  # the file
+    roots: Sequence[Path]  # folders that references may lead into
+    archives: Archives  # opens the files, for as long as arrays are looked at
+    # Where names of files lead that have been followed.
     paths: dict[str, Path] = field(default_factory=dict)
 
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
     ) -> ArraySource:
-        """Return a reference, and note what is wrong with where it leads.
-
-        Args:
-            at: Where the reference stands.
-            text: As written, ``face.npz#smile``.
-            role: What the array is: ``points``, ``faces``, ``normals``, ``deltas``,
-                ``indices``, ``pins``, ``strands``, ``vertices`` or ``weights``; its
-                name where the text has none.
-            shape: That it must have, None for any length.
-            count: Of what its indices count; None where that is not known.
-        """
+        """Return a reference, and note what is wrong with where it leads."""
         name, key = split_reference(text, _KEYS.get(role, role))
         path = self.paths.get(name)
         path = path or referred(self.document, at, name, self.roots, "RIG021")
@@ -177,21 +161,14 @@ SLIP = 0.8
 
 @dataclass(frozen=True, slots=True)
 class AttachmentReader:
-    """Makes attachments one at a time; what is wrong is noted in the document.
+    """Makes attachments one at a time; what is wrong is noted in the document."""
 
-    Attributes:
-        document: The file.
-        arrays: Looks at the arrays that the file refers to.
-        vertices: Number of points of each mesh; None where it is not known.
-        check_joint: Notes a name that is no joint.
-        check_mesh: Notes a name that is no mesh.
-    """
-
-    document: Document
-    arrays: ArrayReader
+    document: Document  # the file
+    arrays: ArrayReader  # looks at the arrays that the file refers to
+    # Number of points of each mesh; None where it is not known.
     vertices: Mapping[str, int | None]
-    check_joint: Check
-    check_mesh: Check
+    check_joint: Check  # notes a name that is no joint
+    check_mesh: Check  # notes a name that is no mesh
 
     def attachment(self, at: Location, entry: AttachModel) -> Attachment:
         """Return an attachment; faults are noted in the document."""

@@ -29,17 +29,13 @@ FRAMES_AT_ONCE = 1024
 
 @dataclass(frozen=True, slots=True)
 class SolvedControls:
-    """Keys of controls that drive a rig's joints and shapes as given.
+    """Keys of controls that drive a rig's joints and shapes as given."""
 
-    Attributes:
-        values: Keyed value of every control, ``(F,)``.
-        kept: Controls whose value follows from what they drive, in the rig's order.
-        released: Controls that left their start value unexplained: what they drive
-            also moves by itself, or moves as no value of theirs makes it move.
-    """
-
-    values: dict[str, FloatArray]
+    values: dict[str, FloatArray]  # keyed value of every control, ``(F,)``
+    # Controls whose value follows from what they drive, in the rig's order.
     kept: tuple[str, ...]
+    # Controls that left their start value unexplained: what they drive also moves by
+    # itself, or moves as no value of theirs makes it move.
     released: tuple[str, ...]
 
 
@@ -256,13 +252,7 @@ class _Problem:
         *,
         turns: bool = False,
     ) -> FloatArray:
-        """Return wanted less driven, in tolerances ``(F, T)``; not finite is huge.
-
-        Args:
-            values: Of the controls at those frames.
-            frames: Of what is wanted.
-            turns: Leave out whole turns of angles.
-        """
+        """Return wanted less driven, in tolerances ``(F, T)``; not finite is huge."""
         driven = evaluate_controls(self.controls, values).targets
         rows = []
         with np.errstate(invalid="ignore", over="ignore"):

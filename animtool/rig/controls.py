@@ -15,21 +15,17 @@ from animtool.rig.expressions import Expression
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What a control adds to one target.
+    """What a control adds to one target."""
 
-    Attributes:
-        target: ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being
-            ``angle``, ``slide``, ``rotation.x|y|z`` (of a rotation vector) or
-            ``translation.x|y|z``.
-        expression: Of control names; None where there is a curve.
-        curve: Points (control value, target value), ascending, joined by straight
-            lines and held at the ends.
-        unit: What a value of 1 means: radians or metres of the file's unit, or 1.
-    """
-
+    # ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being ``angle``,
+    # ``slide``, ``rotation.x|y|z`` (of a rotation vector) or ``translation.x|y|z``.
     target: str
+    # Of control names; None where there is a curve.
     expression: Expression | None = None
+    # Points (control value, target value), ascending, joined by straight lines and held
+    # at the ends.
     curve: tuple[tuple[float, float], ...] = ()
+    # What a value of 1 means: radians or metres of the file's unit, or 1.
     unit: float = 1.0
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
@@ -42,21 +38,13 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A named value.
+    """A named value."""
 
-    Attributes:
-        name: A Python identifier, as expressions name it.
-        low: Least value that is meant; None is no limit.
-        high: Largest value that is meant.
-        default: Its value where nothing sets it.
-        drives: What it moves.
-    """
-
-    name: str
-    low: float | None = None
-    high: float | None = None
-    default: float = 0.0
-    drives: tuple[Drive, ...] = ()
+    name: str  # A Python identifier, as expressions name it
+    low: float | None = None  # least value that is meant; None is no limit
+    high: float | None = None  # largest value that is meant
+    default: float = 0.0  # its value where nothing sets it
+    drives: tuple[Drive, ...] = ()  # what it moves
 
 
 class ControlCycleError(ValueError):
@@ -75,9 +63,6 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
     """Return the controls' names, each behind those that its value depends on.
 
     A control depends on those that drive it, and on all that their expressions read.
-
-    Raises:
-        ControlCycleError: They depend on each other in a circle.
     """
     needs: dict[str, dict[str, None]] = {control.name: {} for control in controls}
     for control in controls:
@@ -97,16 +82,13 @@ def _reads(control: str, drive: Drive) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class DrivenValues:
-    """What controls come to.
+    """What controls come to."""
 
-    Attributes:
-        controls: Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
-        targets: What is added to each joint part or shape, by target.
-        reached: What each control came to before it was brought into its range.
-    """
-
+    # Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
     controls: dict[str, FloatArray]
+    # What is added to each joint part or shape, by target.
     targets: dict[str, FloatArray]
+    # What each control came to before it was brought into its range.
     reached: dict[str, FloatArray]
 
 

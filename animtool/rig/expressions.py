@@ -72,15 +72,10 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A checked expression.
+    """A checked expression."""
 
-    Attributes:
-        text: As written.
-        names: The control names that it reads, sorted.
-    """
-
-    text: str
-    names: tuple[str, ...]
+    text: str  # as written
+    names: tuple[str, ...]  # the control names that it reads, sorted
     _tree: ast.expr = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:

@@ -36,13 +36,6 @@ def bind_of(
 
     A joint that a mirror wrote has the reflection of the other's bind pose, unless
     the file gives it one of its own.
-
-    Args:
-        document: The file.
-        models: What it says, by joint.
-        found: Its joints.
-        units: What its numbers count.
-        inherited: The bind pose that the file adds to.
     """
     joints = {joint.name: joint for joint in found.joints}
     bind = dict(inherited)
@@ -108,16 +101,7 @@ MAX_SIDECARS = 8
 
 
 def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
-    """Return the rig of a rig file, and of what its ``from`` leads to.
-
-    Args:
-        path: The file.
-        above: The files whose ``from`` led here, the outermost first.
-
-    Raises:
-        FormatError: With every fault of the file, each with line and column.
-        OptionError: The project's settings are malformed.
-    """
+    """Return the rig of a rig file, and of what its ``from`` leads to."""
     return rig_of_document(read_document(Path(path)), above)
 
 

@@ -33,31 +33,23 @@ NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The rest skeleton of a take against that of a rig.
+    """The rest skeleton of a take against that of a rig."""
 
-    Attributes:
-        take_share: Share of the take's joints that the rig has. End joints that the
-            rig lacks are not counted.
-        rig_share: Share of the rig's joints that the take has.
-        joints: Matched joints below a root, of the rig ``(B,)``.
-        angles: By how much the frames of each differ [rad] ``(B,)``: the direction of
-            its bone in the frame of its parent, and where both rest in the same pose,
-            turned as a whole or not, its rest rotation.
-        lengths: By how much its bone's length differs once both rigs have one size
-            [1] ``(B,)``.
-        bones: How much each bone counts, 1 in total ``(B,)``.
-        size: Bone lengths of the take over those of the rig [1].
-        tilt: Angle between what is up in both rest poses [rad]; 0 where they are
-            different poses.
-    """
-
+    # Share of the take's joints that the rig has. End joints that the rig lacks are not
+    # counted.
     take_share: float
-    rig_share: float
-    joints: IntArray
+    rig_share: float  # share of the rig's joints that the take has
+    joints: IntArray  # matched joints below a root, of the rig ``(B,)``
+    # By how much the frames of each differ [rad] ``(B,)``: the direction of its bone in
+    # the frame of its parent, and where both rest in the same pose, turned as a whole
+    # or not, its rest rotation.
     angles: FloatArray
+    # By how much its bone's length differs once both rigs have one size [1] ``(B,)``.
     lengths: FloatArray
-    bones: FloatArray
-    size: float
+    bones: FloatArray  # how much each bone counts, 1 in total ``(B,)``
+    size: float  # bone lengths of the take over those of the rig [1]
+    # Angle between what is up in both rest poses [rad]; 0 where they are different
+    # poses.
     tilt: float
 
     @cached_property
@@ -95,13 +87,7 @@ class Fit:
 
 
 def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> Fit:
-    """Return how well a take's rest skeleton fits a rig.
-
-    Args:
-        take: The take's rig, with the up axis of the other.
-        rig: The rig that it is written onto.
-        source: Joint of the take for each joint of the rig ``(J,)``, -1 for none.
-        posed: Whether the take has a rest pose; without one only its bones count.
+    """Return how well a take's rest skeleton fits a rig: ``source`` ``(J,)``.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))

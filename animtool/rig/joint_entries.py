@@ -45,21 +45,14 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a file, and what its faults leave open about them.
+    """The joints of a file, and what its faults leave open about them."""
 
-    Attributes:
-        joints: Parents before children.
-        adrift: Names of those whose parent is not known.
-        mirrored: Names of those that another's ``mirror`` wrote.
-        untyped: Names of those whose type is not known.
-        unnamed: Whether there are more, of names that are not known.
-    """
-
-    joints: tuple[Joint, ...]
-    adrift: frozenset[str] = frozenset()
+    joints: tuple[Joint, ...]  # parents before children
+    adrift: frozenset[str] = frozenset()  # names of those whose parent is not known
+    # Names of those that another's ``mirror`` wrote.
     mirrored: frozenset[str] = frozenset()
-    untyped: frozenset[str] = frozenset()
-    unnamed: bool = False
+    untyped: frozenset[str] = frozenset()  # names of those whose type is not known
+    unnamed: bool = False  # whether there are more, of names that are not known
 
 
 @dataclass(slots=True)

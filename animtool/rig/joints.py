@@ -36,15 +36,10 @@ _WIDTH = {
 
 @dataclass(frozen=True, slots=True)
 class LocalTransforms:
-    """Local transforms of every joint, parent space.
+    """Local transforms of every joint, parent space."""
 
-    Attributes:
-        translations: ``(F, J, 3)`` [m].
-        rotations: Unit quaternions ``(F, J, 4)``.
-    """
-
-    translations: FloatArray
-    rotations: FloatArray
+    translations: FloatArray  # ``(F, J, 3)`` [m]
+    rotations: FloatArray  # unit quaternions ``(F, J, 4)``
 
 
 def coordinate_slices(rig: Rig) -> list[slice]:

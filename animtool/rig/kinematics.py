@@ -14,15 +14,11 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True)
 class WorldTransforms:
-    """Where every joint is.
+    """Where every joint is."""
 
-    Attributes:
-        positions: Joint origins ``(F, J, 3)`` [m], world.
-        linear: Linear parts ``(F, J, 3, 3)``: rotations, times scale where there
-            is any. Column c is the joint's axis c in the world.
-    """
-
-    positions: FloatArray
+    positions: FloatArray  # joint origins ``(F, J, 3)`` [m], world
+    # Linear parts ``(F, J, 3, 3)``: rotations, times scale where there is any. Column c
+    # is the joint's axis c in the world.
     linear: FloatArray
 
     @property

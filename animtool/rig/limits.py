@@ -28,18 +28,15 @@ class RangeLimit:
 
 @dataclass(frozen=True, slots=True)
 class BallLimit:
-    """Cone and twist of a ball joint, whose motion is swing · twist.
+    """Cone and twist of a ball joint, whose motion is swing · twist."""
 
-    Attributes:
-        swing: Half-angles of the cone [rad] about the two axes that follow the twist
-            axis in the cycle x, y, z; None is no limit.
-        twist: Least and largest turn about the axis [rad]; None is no limit, and
-            (0, 0) the joint of two degrees of freedom that cannot twist.
-        twist_axis: Unit axis in the joint's rest frame, along the bone as a rule.
-    """
-
+    # Half-angles of the cone [rad] about the two axes that follow the twist axis in the
+    # cycle x, y, z; None is no limit.
     swing: tuple[float, float] | None = None
+    # Least and largest turn about the axis [rad]; None is no limit, and (0, 0) the
+    # joint of two degrees of freedom that cannot twist.
     twist: tuple[float, float] | None = None
+    # Unit axis in the joint's rest frame, along the bone as a rule.
     twist_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     @property

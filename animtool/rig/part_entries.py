@@ -40,26 +40,17 @@ _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "co
 
 @dataclass(slots=True)
 class PartReader:
-    """Makes the parts of a rig of its file; faults are noted in the document.
+    """Makes the parts of a rig of its file; faults are noted in the document."""
 
-    Attributes:
-        document: The file.
-        model: Its content.
-        units: What its numbers count.
-        found: The rig's joints.
-        arrays: Looks at the arrays that the file refers to.
-        vertices: Number of points of each mesh, as far as known.
-        joints: The rig's joints, by name.
-        names: Of the rig's controls.
-    """
-
-    document: Document
-    model: RigModel
-    units: FileUnits
-    found: FileJoints
-    arrays: ArrayReader
+    document: Document  # the file
+    model: RigModel  # its content
+    units: FileUnits  # what its numbers count
+    found: FileJoints  # the rig's joints
+    arrays: ArrayReader  # looks at the arrays that the file refers to
+    # Number of points of each mesh, as far as known.
     vertices: dict[str, int] = field(default_factory=dict)
-    joints: dict[str, Joint] = field(init=False)
+    joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
+    # Of the rig's controls.
     names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -76,12 +67,7 @@ class PartReader:
     def shapes(
         self, meshes: Iterable[str], inherited: Iterable[str] = ()
     ) -> tuple[Shape, ...]:
-        """Return the blend shapes, their arrays looked at.
-
-        Args:
-            meshes: Names of the rig's meshes.
-            inherited: Names of the shapes that the rig has already.
-        """
+        """Return the blend shapes, their arrays looked at."""
         self._distinct("shapes", "shape")
         names = dict.fromkeys(
             [*inherited, *(shape.name for shape in self.model.shapes)]
@@ -136,13 +122,7 @@ class PartReader:
     def controls(
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
     ) -> tuple[Control, ...]:
-        """Return the controls, what they drive and read known, without circles.
-
-        Args:
-            shapes: Names of the rig's shapes.
-            inherited: Those that the rig has already; one of the same name in the file
-                takes the place of its own.
-        """
+        """Return the controls, what they drive and read known, without circles."""
         self._distinct("controls", "control")
         own = {control.name: i for i, control in enumerate(self.model.controls)}
         known = dict.fromkeys(shapes)
@@ -181,11 +161,7 @@ class PartReader:
                 self.document.add("RIG023", ("from",), message, hint)
 
     def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
-        """Return the chains, each tip below its root.
-
-        Args:
-            inherited: As for `controls`.
-        """
+        """Return the chains, each tip below its root."""
         self._distinct("ik", "chain")
         own = {chain.name for chain in self.model.ik}
         made = [chain for chain in inherited if chain.name not in own]
@@ -211,13 +187,7 @@ class PartReader:
     def attach(
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
     ) -> tuple[Attachment, ...]:
-        """Return the attachments, their arrays looked at.
-
-        Args:
-            meshes: The rig's.
-            inherited: As for `controls`. Cloth goes where the file has meshes, which
-                take the place of the rig's.
-        """
+        """Return the attachments, their arrays looked at."""
         self._distinct("attach", "attachment")
         counts = {mesh.name: self._count(mesh) for mesh in meshes}
         reader = AttachmentReader(
@@ -247,12 +217,7 @@ class PartReader:
         return self.arrays.rows(mesh.points)
 
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
-        """Return the colliders.
-
-        Args:
-            inherited: Those that the rig has already; those of a joint that the file
-                has some of are replaced.
-        """
+        """Return the colliders."""
         own = {entry.joint for entry in self.model.colliders}
         made = [collider for collider in inherited if collider.joint not in own]
         for i, entry in enumerate(self.model.colliders):

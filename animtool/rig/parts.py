@@ -17,17 +17,11 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ArrayRef:
-    """An array in an npz file.
+    """An array in an npz file."""
 
-    Attributes:
-        text: As its file spells it, ``face.npz#smile``.
-        path: The file, resolved.
-        key: Name of the array.
-    """
-
-    text: str
-    path: Path
-    key: str
+    text: str  # as its file spells it, ``face.npz#smile``
+    path: Path  # the file, resolved
+    key: str  # name of the array
 
     def load(self, archives: Archives | None = None) -> FloatArray:
         """Return the array, not to be written to.
@@ -45,13 +39,9 @@ class ArrayRef:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldArray:
-    """An array in memory, of a file that holds the whole rig.
+    """An array in memory, of a file that holds the whole rig."""
 
-    Attributes:
-        values: Finite.
-    """
-
-    values: FloatArray
+    values: FloatArray  # finite
 
     def load(self, _archives: Archives | None = None) -> FloatArray:
         """Return the array."""
@@ -82,19 +72,12 @@ class Subdivision(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Skin:
-    """How a mesh follows joints.
+    """How a mesh follows joints."""
 
-    Attributes:
-        method: ``linear`` or ``dual_quaternion``.
-        joints: Names of the joints that the indices count.
-        indices: ``(V, I)`` into ``joints``.
-        weights: ``(V, I)`` [1].
-    """
-
-    method: str
-    joints: tuple[str, ...]
-    indices: ArraySource
-    weights: ArraySource
+    method: str  # ``linear`` or ``dual_quaternion``
+    joints: tuple[str, ...]  # names of the joints that the indices count
+    indices: ArraySource  # ``(V, I)`` into ``joints``
+    weights: ArraySource  # ``(V, I)`` [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,17 +107,11 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Inbetween:
-    """What a shape adds at a weight between 0 and 1.
+    """What a shape adds at a weight between 0 and 1."""
 
-    Attributes:
-        at: The weight.
-        deltas: As those of its shape.
-        normals: Likewise; None leaves them.
-    """
-
-    at: float
-    deltas: ArraySource
-    normals: ArraySource | None = None
+    at: float  # the weight
+    deltas: ArraySource  # as those of its shape
+    normals: ArraySource | None = None  # likewise; None leaves them
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,24 +141,16 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class IkChain:
-    """A chain that reaches for a goal.
+    """A chain that reaches for a goal."""
 
-    Attributes:
-        name: Unique among the rig's chains.
-        root: Name of its first joint.
-        tip: Name of its last.
-        goal: ``position``, ``orientation`` or ``pose``.
-        pole_dir: Where its middle points, in the frame of the root joint's parent;
-            None leaves it open.
-        stretch: Share of its length that it may grow by.
-    """
-
-    name: str
-    root: str
-    tip: str
-    goal: str = "pose"
+    name: str  # unique among the rig's chains
+    root: str  # name of its first joint
+    tip: str  # name of its last
+    goal: str = "pose"  # ``position``, ``orientation`` or ``pose``
+    # Where its middle points, in the frame of the root joint's parent; None leaves it
+    # open.
     pole_dir: Vector | None = None
-    stretch: float = 0.0
+    stretch: float = 0.0  # share of its length that it may grow by
 
 
 class AttachKind(StrEnum):
@@ -194,24 +163,17 @@ class AttachKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What a simulation moves.
+    """What a simulation moves."""
 
-    Attributes:
-        name: Unique among the rig's attachments.
-        kind: One of `AttachKind`; any other names joints.
-        joints: Those that move; of strands the one that carries their roots; none of
-            cloth.
-        mesh: Name of the mesh that is cloth.
-        pins: Of cloth, the vertices that stay with the skin ``(N,)``; None is none.
-        points: Of strands ``(S, K, 3)`` in the rig's unit, where they are in the world
-            at bind time, each from root to tip.
-    """
-
-    name: str
-    kind: str
+    name: str  # unique among the rig's attachments
+    kind: str  # one of `AttachKind`; any other names joints
+    # Those that move; of strands the one that carries their roots; none of cloth.
     joints: tuple[str, ...] = ()
-    mesh: str = ""
+    mesh: str = ""  # name of the mesh that is cloth
+    # Of cloth, the vertices that stay with the skin ``(N,)``; None is none.
     pins: ArraySource | None = None
+    # Of strands ``(S, K, 3)`` in the rig's unit, where they are in the world at bind
+    # time, each from root to tip.
     points: ArraySource | None = None
 
 

@@ -44,16 +44,12 @@ _WAYS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class SidePairs:
-    """The partners of joints, or of other named parts.
+    """The partners of joints, or of other named parts."""
 
-    Attributes:
-        partners: Index of each one's partner ``(J,)``, its own where it has none.
-        left: Of the pairs that the names gave, indices of the left ones.
-        strays: Those whose names look left or right and that have no partner.
-    """
-
+    # Index of each one's partner ``(J,)``, its own where it has none.
     partners: IntArray
-    left: tuple[int, ...]
+    left: tuple[int, ...]  # of the pairs that the names gave, indices of the left ones
+    # Those whose names look left or right and that have no partner.
     strays: tuple[int, ...]
 
 
@@ -230,12 +226,6 @@ def mirrored_joint(
 
     A pin's axis keeps its sense such that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.
-
-    Args:
-        joint: The one that the file describes.
-        world: Its translation and rotation at rest, world space.
-        parent: Index of the new joint's parent.
-        parent_world: That one's translation and rotation.
     """
     pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
     limits = joint.limits

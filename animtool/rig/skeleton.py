@@ -49,17 +49,11 @@ class JointType(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """A pin or prismatic joint's coordinate as ``gain`` · another's + ``offset``.
+    """A pin or prismatic joint's coordinate as ``gain`` · another's + ``offset``."""
 
-    Attributes:
-        joint: Name of the pin or prismatic joint that it follows.
-        gain: In radians and metres of the two joints.
-        offset: [rad] or [m].
-    """
-
-    joint: str
-    gain: float = 1.0
-    offset: float = 0.0
+    joint: str  # name of the pin or prismatic joint that it follows
+    gain: float = 1.0  # in radians and metres of the two joints
+    offset: float = 0.0  # [rad] or [m]
 
 
 @dataclass(frozen=True, slots=True)

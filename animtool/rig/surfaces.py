@@ -15,81 +15,51 @@ from animtool.rig.skeleton import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceInbetween:
-    """What a shape adds at a weight between 0 and 1.
+    """What a shape adds at a weight between 0 and 1."""
 
-    Attributes:
-        at: The weight.
-        deltas: Of the shape's vertices ``(N, 3)`` [m].
-        normals: Likewise; None leaves them.
-    """
-
-    at: float
-    deltas: FloatArray
-    normals: FloatArray | None = None
+    at: float  # the weight
+    deltas: FloatArray  # of the shape's vertices ``(N, 3)`` [m]
+    normals: FloatArray | None = None  # likewise; None leaves them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShape:
-    """A blend shape of a surface.
+    """A blend shape of a surface."""
 
-    Attributes:
-        name: As the rig names it.
-        deltas: Added at weight 1 ``(N, 3)`` [m].
-        vertices: Which vertices they are for ``(N,)``; None is all of them.
-        normals: Added to the normals ``(N, 3)``; None leaves them.
-        inbetweens: Ascending by weight.
-    """
-
-    name: str
-    deltas: FloatArray
+    name: str  # as the rig names it
+    deltas: FloatArray  # added at weight 1 ``(N, 3)`` [m]
+    # Which vertices they are for ``(N,)``; None is all of them.
     vertices: IntArray | None = None
+    # Added to the normals ``(N, 3)``; None leaves them.
     normals: FloatArray | None = None
-    inbetweens: tuple[SurfaceInbetween, ...] = ()
+    inbetweens: tuple[SurfaceInbetween, ...] = ()  # ascending by weight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSkin:
-    """How a surface follows joints.
+    """How a surface follows joints."""
 
-    Attributes:
-        method: ``linear`` or ``dual_quaternion``.
-        joints: Names of the joints that the indices count.
-        indices: ``(V, I)`` into ``joints``.
-        weights: ``(V, I)`` [1].
-    """
-
-    method: str
-    joints: tuple[str, ...]
-    indices: IntArray
-    weights: FloatArray
+    method: str  # ``linear`` or ``dual_quaternion``
+    joints: tuple[str, ...]  # names of the joints that the indices count
+    indices: IntArray  # ``(V, I)`` into ``joints``
+    weights: FloatArray  # ``(V, I)`` [1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A mesh in memory.
+    """A mesh in memory."""
 
-    Attributes:
-        name: As the rig names it.
-        points: ``(V, 3)`` [m].
-        counts: Vertices of each face ``(N,)``.
-        indices: Vertices of all faces, one face behind the other.
-        normals: ``(V, 3)``; None where there are none.
-        geom_bind: World transform of the points at bind time ``(4, 4)``, for column
-            vectors, its translation in [m].
-        skin: None where it follows no joint.
-        shapes: Its blend shapes.
-        subdivision: By which rule it is refined.
-    """
-
-    name: str
-    points: FloatArray
-    counts: IntArray
-    indices: IntArray
-    normals: FloatArray | None
+    name: str  # as the rig names it
+    points: FloatArray  # ``(V, 3)`` [m]
+    counts: IntArray  # vertices of each face ``(N,)``
+    indices: IntArray  # vertices of all faces, one face behind the other
+    normals: FloatArray | None  # ``(V, 3)``; None where there are none
+    # World transform of the points at bind time ``(4, 4)``, for column vectors, its
+    # translation in [m].
     geom_bind: FloatArray
-    skin: SurfaceSkin | None
-    shapes: tuple[SurfaceShape, ...]
-    subdivision: Subdivision
+    skin: SurfaceSkin | None  # none where it follows no joint
+    shapes: tuple[SurfaceShape, ...]  # its blend shapes
+    subdivision: Subdivision  # by which rule it is refined
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
@@ -164,17 +134,11 @@ def _shape(shape: Shape, unit: float, archives: Archives) -> SurfaceShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strands:
-    """Strands in memory.
-
-    Attributes:
-        name: As the rig names them.
-        joint: Name of the joint that carries them as a whole.
-        points: ``(S, K, 3)`` [m], where they are in the world at bind time, each from
-            root to tip.
-    """
+    """Strands in memory."""
 
     name: str
-    joint: str
+    joint: str  # name of the joint that carries them as a whole
+    # ``(S, K, 3)`` [m], in the world at bind time, each from root to tip.
     points: FloatArray
 
 

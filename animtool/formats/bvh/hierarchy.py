@@ -247,11 +247,7 @@ class _Hierarchy:
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
-    """Read everything before the rows of numbers.
-
-    Raises:
-        FormatError: The header is malformed.
-    """
+    """Read everything before the rows of numbers."""
     hierarchy = _Hierarchy(lines)
     hierarchy.read()
     header = BvhHeader(hierarchy.joints)

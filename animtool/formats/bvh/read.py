@@ -107,11 +107,7 @@ def read_bvh(
 
 
 def read_bvh_rig(path: Path) -> Rig:
-    """Return the skeleton of a BVH file, in centimetres; its rows are not read.
-
-    Raises:
-        FormatError: The file cannot be read, or its header is malformed.
-    """
+    """Return the skeleton of a BVH file, in centimetres; its rows are not read."""
     return read_bvh(path).rig
 
 
@@ -119,14 +115,7 @@ _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
 def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
-    """Return a note about a skeleton whose size fits another unit better.
-
-    Args:
-        rig: The skeleton.
-        stated: The unit that the user gave; None is centimetres. A size that fits no
-            unit is then meant so.
-        path: Of the file.
-    """
+    """Return a note about a skeleton whose size fits another unit better."""
     size = rest_size(rig)
     low, high = LIKELY_METERS
     if len(rig.joints) < MIN_JOINTS or low <= size <= high:

@@ -62,13 +62,7 @@ class RowReader:
         self._beyond: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
-        """Yield the rows of the file.
-
-        Raises:
-            FormatError: The file changed since its header was read (IO004), a row is
-                malformed, there is none, or a channel has too many values that are
-                not finite.
-        """
+        """Yield the rows of the file."""
         held: list[FloatArray] = []
         for rows, lines in self._parsed():
             self._note_count(lines)
