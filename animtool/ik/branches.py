@@ -10,7 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL, Chain
-from animtool.ik.goals import Targets, rows_of
+from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, solve
@@ -63,8 +63,7 @@ class Stretch:
         rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
         chosen = replace(self.options, warm=False, restarts=0, iterations=DESCENT)
         found = self._solve(rows, frames, chosen)
-        lengths = found.positions / self.chain.length
-        misses = np.stack([lengths, found.orientations, found.aims, found.poles], -1)
+        misses = found.misses / by_unit(self.chain.length, 1.0)
         poses = self.chain.from_rig(found.coordinates)
         return poses, price(misses, found.converged)
 

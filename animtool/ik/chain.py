@@ -63,7 +63,7 @@ class Chain:
     numbers: FloatArray
     goals: IntArray  # node, root and middle of the limb, level ``(E, 4)``
     # Offset in the node's frame, of the joint and from the joint, aim axis, weights
-    # ``(E, 13)``.
+    # ``(E, 9 + K)``.
     goal_numbers: FloatArray
     # Node_from_joint quaternions ``(E, 4)`` of the goals' joints.
     goal_frames: FloatArray

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.ik.goals import Goal, Targets
+from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3
 from animtool.rig.joints import (
@@ -43,17 +43,16 @@ class Part:
         """Return the targets of all frames as seen from the part's first pose."""
         turn = so3.multiply(self.turns[:1], so3.conjugate(self.turns))
 
-        def points(given: FloatArray) -> FloatArray:
-            away = so3.rotate(turn, given[self.frames] - self.places)
-            return np.asarray(self.places[:1] + away)
-
-        return Targets(
-            points(np.asarray(targets.positions)),
-            so3.multiply(turn, np.asarray(targets.rotations)[self.frames]),
-            points(np.asarray(targets.aims)),
-            points(np.asarray(targets.poles)),
-            np.asarray(targets.weights)[self.frames],
-        )
+        given = rows_of(targets, self.frames)
+        parts = {}
+        for kind in KINDS:
+            values = np.asarray(getattr(given, kind.targets))
+            if kind.value is TargetValue.ROTATION:
+                parts[kind.targets] = so3.multiply(turn, values)
+            else:
+                away = so3.rotate(turn, values - self.places)
+                parts[kind.targets] = np.asarray(self.places[:1] + away)
+        return replace(given, **parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +120,7 @@ def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
     """Return the joints whose rotation matters: not those that turn about the point."""
     found: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
-        turned = goal.orientation > 0 or goal.aim > 0 or any(goal.offset)
-        found.update(path if turned else path[1:])
+        found.update(path[1:] if goal.pivots else path)
     return found
 
 

@@ -18,9 +18,9 @@ from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.documents.names import nearest
-from animtool.ik.goals import Goal
+from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
-from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
+from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.value_entries import ValueReader
 from animtool.ik.values import Still, Value
 from animtool.rates import parse_rate
@@ -134,28 +134,19 @@ class _Reader:
         root = self._root(at, model, joint, chain)
         spans = self._spans((*at, "hold"), model.hold)
         during = self._spans((*at, "during"), model.during)
-        values = {
-            "position": self.values.value(
-                (*at, "position"), model.position, "position"
-            ),
-            "orientation": self.values.value(
-                (*at, "orientation"), model.orientation, "orientation"
-            ),
-            "aim": None
-            if model.aim is None
-            else self.values.value((*at, "aim", "at"), model.aim.at, "at"),
-            "pole": self.values.value((*at, "pole"), model.pole, "pole"),
-        }
+        values = {kind.name: self._value(at, model, kind) for kind in KINDS}
         held = _held(values, chain) if spans else frozenset[str]()
         given = {part for part in PARTS if getattr(model, part) is not None}
-        if not given & {"position", "orientation", "aim"} and not model.hold:
+        if not given - {"pole"} and not model.hold:
             message = f"asks nothing of {model.effector!r}"
             hint = "give a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)
         weights = self._weights((*at, "weight"), model.weight, given | held)
-        axis = (0.0, 0.0, 1.0)
-        if model.aim is not None:
-            axis = self._axis((*at, "aim", "axis"), model.aim.axis)
+        axes = [
+            self._axis((*at, kind.name, "axis"), part.axis)
+            for kind in KINDS
+            if kind.axis and (part := getattr(model, kind.name)) is not None
+        ]
         if joint is None:
             return None
         x, y, z = (value * self.values.units.length for value in model.offset)
@@ -163,7 +154,7 @@ class _Reader:
         goal = Goal(
             joint,
             (x, y, z),
-            aim_axis=axis,
+            aim_axis=axes[0] if axes else (0.0, 0.0, 1.0),
             root=root,
             priority=model.priority,
             soft=model.soft,
@@ -182,6 +173,13 @@ class _Reader:
             place=self.document.place(at),
             during=tuple(during),
         )
+
+    def _value(self, at: Location, model: GoalModel, kind: GoalKind) -> Value | None:
+        """Return the value of a part of a goal; None where there is none."""
+        at, given, key = (*at, kind.name), getattr(model, kind.name), kind.name
+        if kind.axis and given is not None:
+            at, given, key = (*at, "at"), given.at, "at"
+        return self.values.value(at, given, key)
 
     def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:
         """Return the joint that is meant, and the chain whose tip it is."""

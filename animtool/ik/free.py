@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.ik.goals import Goal
+from animtool.ik.goals import Goal, GoalKind, TargetValue
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend
 from animtool.ik.values import smoothstep
@@ -41,7 +41,9 @@ class FreeEffector:
         linear = self.world.linear[:, self.rig.index(self.goal.joint)]
         return so3.align_signs(so3.split_scale(linear)[0])
 
-    def towards(self, part: str, values: FloatArray, shares: FloatArray) -> FloatArray:
+    def towards(
+        self, kind: GoalKind, values: FloatArray, shares: FloatArray
+    ) -> FloatArray:
         """Return targets on the way from where it is to where they are to be.
 
         Points go straight, rotations by the shortest arc; points that an axis or a
@@ -50,8 +52,8 @@ class FreeEffector:
         bends evenly: on the straight way its first degrees would take no time.
 
         Args:
-            part: ``position``, ``orientation``, ``aim`` or ``pole``.
-            values: The targets ``(F, 3)``, or of an orientation ``(F, 4)``.
+            kind: What is asked.
+            values: The targets, points ``(F, 3)`` or rotations ``(F, 4)``.
             shares: 0 where it is free, 1 at the targets ``(F,)``.
         """
         out = values.copy()
@@ -59,13 +61,13 @@ class FreeEffector:
         share = shares[rows]
         if not len(share):
             return out
-        if part == "orientation":
+        if kind.value is TargetValue.ROTATION:
             out[rows] = so3.slerp(self.turn()[rows], values[rows], share)
             return so3.align_signs(out)
-        if part == "position":
+        if not kind.directed:
             out[rows] = self._reaching(values, rows, share)
             return out
-        origins, directions = self._axis() if part == "aim" else self._bend(values)
+        origins, directions = self._axis() if kind.turning else self._bend(values)
         away = values[rows] - origins[rows]
         out[rows] = origins[rows] + swung(directions[rows], away, share)
         return out

@@ -1,8 +1,10 @@
-"""What may be asked of a joint, and where it should be."""
+"""What may be asked of a joint, and where it should be: the table of goals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from enum import Enum
+from itertools import accumulate
 
 import numpy as np
 
@@ -14,6 +16,112 @@ from animtool.similar import similar
 
 # Numbers beyond this have no square [m]; no character is so large.
 FARTHEST = 1e100
+
+
+class TargetValue(Enum):
+    """What a target of a goal is; the value is how many numbers it has."""
+
+    POINT = 3  # in the world [m]
+    ROTATION = 4  # quaternion x y z w
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoalKind:
+    """Something that may be asked of a joint; the kernel has a type for each."""
+
+    name: str  # its weight in `Goal`, and its key in targets files
+    targets: str  # where it should be, in `Targets`
+    value: TargetValue
+    rows: int  # residuals
+    metric: bool  # what it misses is a length [m], else an angle [rad]
+    turning: bool = True  # it matters how the joint is turned about its point
+    directed: bool = False  # of a target only the direction counts
+    axis: bool = False  # of the joint, which its value in targets files names too
+    pulls: bool = True  # cyclic coordinate descent heeds it
+    description: str = ""  # of its key in targets files
+    example: object = None  # of its value there
+    weight_description: str = ""
+    weight_example: object = 1.0
+
+
+# In the order of residuals, weights and misses, which is that of the kernel's types.
+KINDS = (
+    GoalKind(
+        "position",
+        "positions",
+        TargetValue.POINT,
+        rows=3,
+        metric=True,
+        turning=False,
+        description="Where the point is to be: three numbers, an array (F, 3), keys "
+        "or a prim.",
+        example="hands.npz#left",
+        weight_description="Of the position: a number from 0, or keys. Not given: 1.",
+        weight_example=10.0,
+    ),
+    GoalKind(
+        "orientation",
+        "rotations",
+        TargetValue.ROTATION,
+        rows=3,
+        metric=False,
+        directed=True,
+        description="How the joint is to be turned: [w, x, y, z], an array (F, 4) of "
+        "those, keys or a prim.",
+        example=[1.0, 0.0, 0.0, 0.0],
+        weight_description="Of the orientation, likewise.",
+        weight_example={"keys": [{"t": 1.0, "v": 0.0}, {"t": 12.0, "v": 1.0}]},
+    ),
+    GoalKind(
+        "aim",
+        "aims",
+        TargetValue.POINT,
+        rows=2,
+        metric=False,
+        directed=True,
+        axis=True,
+        description="An axis of the joint that points at something.",
+        example={"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]},
+        weight_description="Of the aim, likewise.",
+        weight_example=0.5,
+    ),
+    GoalKind(
+        "pole",
+        "poles",
+        TargetValue.POINT,
+        rows=1,
+        metric=False,
+        turning=False,
+        directed=True,
+        pulls=False,
+        description="The point towards which the middle of the limb lies, as a "
+        "`position`. Not given: with a start clip as it has it, else the chain's "
+        "`pole_dir`.",
+        example=[0.5, 1.0, -2.0],
+        weight_description="Of the pole, likewise.",
+        weight_example=0.1,
+    ),
+)
+PARTS = tuple(kind.name for kind in KINDS)
+# Where each target is in a row of the kernel's, and behind them what weights are
+# multiplied by.
+_ENDS = tuple(accumulate(kind.value.value for kind in KINDS))
+COLUMNS = {
+    kind.name: slice(end - kind.value.value, end)
+    for kind, end in zip(KINDS, _ENDS, strict=True)
+}
+WEIGHTS = slice(_ENDS[-1], _ENDS[-1] + len(KINDS))
+WEIGHT = {part: WEIGHTS.start + i for i, part in enumerate(PARTS)}
+METRIC = np.array([kind.metric for kind in KINDS], np.bool_)
+
+
+def by_unit(length: float, angle: float) -> FloatArray:
+    """Return a number for each kind ``(K,)``, by what it misses: lengths or angles.
+
+    >>> by_unit(1e-3, 0.1).tolist()
+    [0.001, 0.1, 0.1, 0.1]
+    """
+    return np.where(METRIC, length, angle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +164,24 @@ class Goal:
     stretch: float = 0.0
 
     @property
-    def weights(self) -> tuple[float, float, float, float]:
+    def weights(self) -> tuple[float, ...]:
         """Weights of position, orientation, aim and pole."""
-        return (self.position, self.orientation, self.aim, self.pole)
+        return tuple([getattr(self, part) for part in PARTS])
+
+    @property
+    def kinds(self) -> tuple[GoalKind, ...]:
+        """What it asks for."""
+        return tuple(kind for kind in KINDS if getattr(self, kind.name) > 0)
 
     @property
     def rows(self) -> int:
         """How many residuals it has."""
-        counts = zip((3, 3, 2, 1), self.weights, strict=True)
-        return sum(count for count, weight in counts if weight > 0)
+        return sum(kind.rows for kind in self.kinds)
+
+    @property
+    def pivots(self) -> bool:
+        """Whether its joint may turn about its own origin and miss nothing by it."""
+        return not any(self.offset) and not any(kind.turning for kind in self.kinds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +205,6 @@ class Targets:
     aims: ArrayLike | None = None
     poles: ArrayLike | None = None
     weights: ArrayLike | None = None
-
-
-# Where each part stands in a row of targets.
-_PLACES = {
-    "positions": slice(0, 3),
-    "rotations": slice(3, 7),
-    "aims": slice(7, 10),
-    "poles": slice(10, 13),
-    "weights": slice(13, 17),
-}
-PARTS = ("positions", "rotations", "aims", "poles")
 
 
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
@@ -157,35 +263,46 @@ def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
-    """Return targets side by side ``(B, E, 17)``; numbers nobody asks for are finite.
+    """Return targets side by side ``(B, E, W)``; numbers nobody asks for are finite.
 
     Raises:
         OptionError: What a goal asks for is missing or of another shape (IK010), not
             finite, or a weight is less than 0 (IK011), with every such fault.
     """
     faults: list[Fault] = []
-    parts = {
-        name: _shaped(name, getattr(targets, name), len(goals), place, faults)
-        for name, place in _PLACES.items()
-    }
-    found = {name: part for name, part in parts.items() if part is not None}
-    batches = {len(part) for part in found.values()}
+    places = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
+    parts = [
+        (columns, _shaped(name, getattr(targets, name), len(goals), columns, faults))
+        for name, columns in [*places, ("weights", WEIGHTS)]
+    ]
+    given = [(columns, part) for columns, part in parts if part is not None]
+    batches = {len(part) for _, part in given}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
-    packed = np.zeros((min(batches, default=1), len(goals), 17))
-    packed[:, :, 6] = packed[:, :, 13:] = 1.0
-    for name, part in found.items():
-        packed[:, :, _PLACES[name]] = part[: len(packed)]
+    packed = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
+    packed[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
+    for columns, part in given:
+        packed[:, :, columns] = part[: len(packed)]
     asked = _asked(goals, packed)
-    wanting = asked & [getattr(targets, name) is None for name in PARTS]
+    wanting = asked & [getattr(targets, kind.targets) is None for kind in KINDS]
     if faults or wanting.any() or not _is_plain(packed):
         faults += _value_faults(packed, asked, wanting)
         np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
-    for name in ("rotations", "aims", "poles"):
-        _bring_in(packed[:, :, _PLACES[name]])
+    for kind in KINDS:
+        if kind.directed:
+            _bring_in(packed[:, :, COLUMNS[kind.name]])
     return packed
+
+
+def _identities() -> list[int]:
+    """Return the columns of the scalars of rotations."""
+    return [COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
+
+
+def _is_rotation(kind: GoalKind) -> bool:
+    return kind.value is TargetValue.ROTATION
 
 
 def _bring_in(directions: FloatArray) -> None:
@@ -217,13 +334,18 @@ def _shaped(
 def _asked(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
     """Return which parts of which goals each problem asks for ``(B, E, 4)``."""
     own = np.array([goal.weights for goal in goals]) > 0
-    return np.asarray(own & (packed[:, :, 13:] > 0))
+    return np.asarray(own & (packed[:, :, WEIGHTS] > 0))
 
 
 def _is_plain(packed: FloatArray) -> bool:
     """Return whether there is nothing to look at in any part, asked for or not."""
-    turned = packed[:, :, 3:7].any(axis=2).all()
-    return bool(np.isfinite(packed).all() and turned and (packed[:, :, 13:] >= 0).all())
+    turned = all(
+        packed[:, :, COLUMNS[kind.name]].any(axis=2).all()
+        for kind in KINDS
+        if _is_rotation(kind)
+    )
+    weighed = (packed[:, :, WEIGHTS] >= 0).all()
+    return bool(np.isfinite(packed).all() and turned and weighed)
 
 
 def _value_faults(
@@ -231,24 +353,25 @@ def _value_faults(
 ) -> list[Fault]:
     """Return what is missing or no number where it is asked for ``(B, E, 4)``."""
     faults = []
-    weights = packed[:, :, 13:]
+    weights = packed[:, :, WEIGHTS]
     bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if bad.any():
         b, e = (int(i) for i in np.argwhere(bad)[0])
         message = f"weights[{b}, {e}] are no finite numbers from 0"
         faults.append(Fault("IK011", message))
-    for i, name in enumerate(PARTS):
+    for i, kind in enumerate(KINDS):
+        name = kind.targets
         if wanting[..., i].any():
             goal = int(np.argwhere(wanting[..., i])[0, 1])
             faults.append(Fault("IK010", f"goal {goal} asks for {name}"))
             continue
-        part = packed[:, :, _PLACES[name]]
+        part = packed[:, :, COLUMNS[kind.name]]
         bad = ~np.isfinite(part).all(axis=2)
-        if name == "rotations":
+        if _is_rotation(kind):
             bad |= ~part.any(axis=2)
         bad &= asked[..., i]
         if bad.any():
             b, e = (int(i) for i in np.argwhere(bad)[0])
-            what = "is no rotation" if name == "rotations" else "are no finite numbers"
+            what = "is no rotation" if _is_rotation(kind) else "are no finite numbers"
             faults.append(Fault("IK011", f"{name}[{b}, {e}] {what}"))
     return faults

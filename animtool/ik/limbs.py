@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.ik.chain import SLIDE, Chain
-from animtool.ik.goals import Goal
+from animtool.ik.goals import WEIGHT, Goal
 from animtool.rig.skeleton import Rig
 
 # Joints nearer than this share of the rig's size have one origin.
@@ -209,7 +209,7 @@ def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray
 class Extension:
     """How far the limbs of B problems go."""
 
-    sought: FloatArray  # targets ``(B, E, 17)``, packed, as far as the limbs extend
+    sought: FloatArray  # targets ``(B, E, W)``, packed, as far as the limbs extend
     scales: FloatArray  # what their bones are multiplied by ``(B, E)``
     eased: BoolArray  # where ease alone keeps one from its target ``(B, E)``
 
@@ -226,7 +226,7 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
 
     Args:
         limbs: Of E goals.
-        targets: As packed ``(B, E, 17)``, in shares of the problem's length.
+        targets: As packed ``(B, E, W)``, in shares of the problem's length.
 
     Limits of the method: the reach is that of the straight limb, or where a pin joins
     two bones of as straight a one as its limits let be; whatever other limits keep it
@@ -239,7 +239,7 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
     sought = targets.copy()
     for limb in limbs:
         e = limb.goal
-        asked = targets[:, e, 13] > 0
+        asked = targets[:, e, WEIGHT["position"]] > 0
         towards = targets[:, e, :3] - limb.origin
         distance = np.where(asked, np.linalg.norm(towards, axis=1), 0.0)
         extent = soft_distance(distance, limb.reach, limb.soft)

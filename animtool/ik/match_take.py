@@ -21,9 +21,10 @@ from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.chain import refuse_scales
+from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
-from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
+from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.ik.write import USUAL_EASE
 from animtool.maths import euler, so3
@@ -39,8 +40,6 @@ FEW = 12
 # Joints this near to their rest pose, in metres and radians, do not leave it.
 AT_REST = 1e-6
 MAX_NAMED = 8
-# What `match` finds, by the part of a goal.
-_FOUND = {"position": "positions", "orientation": "rotations", "pole": "poles"}
 # Targets of channels of their kinds.
 _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 
@@ -193,11 +192,10 @@ def _track(
 ) -> GoalTrack:
     goal = found.goals[e]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
-    for part, weight in zip(PARTS, goal.weights, strict=True):
-        if weight > 0:
-            rows = np.asarray(getattr(found.targets, _FOUND[part]))[:, e]
-            name = f"{chain.name}_{part}"
-            values[part] = maker.value(rows, name, rig.joints[rig.index(chain.tip)])
+    for kind in goal.kinds:
+        rows = np.asarray(getattr(found.targets, kind.targets))[:, e]
+        name = f"{chain.name}_{kind.name}"
+        values[kind.name] = maker.value(rows, name, rig.joints[rig.index(chain.tip)])
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), USUAL_EASE, frozenset[str]()
     )

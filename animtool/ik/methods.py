@@ -91,16 +91,19 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     if method == IkMethod.TWO_BONE:
         reason = misfit(problem)
         return reason and f"does not fit: {reason}"
-    goals = problem.goals
     plain = {IkMethod.CCD, IkMethod.FABRIK}
-    turned = any(goal.orientation > 0 or goal.aim > 0 for goal in goals)
+    kinds = [kind for goal in problem.goals for kind in goal.kinds]
     slides = _sliding(problem)
     levels = bool(problem.chain.goals[:, 3].any())
     rules = [
         (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "heeds no priorities"),
         (problem.rest_weight > 0, plain, "heeds no preference for a pose"),
-        (any(goal.pole > 0 for goal in goals), plain, "heeds no poles"),
-        (turned, {IkMethod.FABRIK}, "is for positions only"),
+        *((not kind.pulls, plain, f"heeds no {kind.targets}") for kind in kinds),
+        (
+            any(kind.turning for kind in kinds),
+            {IkMethod.FABRIK},
+            "is for positions only",
+        ),
         (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
     ]
     found = (why for holds, methods, why in rules if holds and method in methods)

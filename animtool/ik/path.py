@@ -9,7 +9,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL
-from animtool.ik.goals import Targets
+from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
 from animtool.ik.result import Jump
@@ -30,7 +30,7 @@ class Path:
 
     Attributes:
         problem: What was asked.
-        targets: ``(F, E, 17)``.
+        targets: ``(F, E, W)``.
         limbs: How far the limbs of eased and stretching goals go.
         drifts: Motion from frame to frame that is not to be evened out ``(F - 1, D)``.
         options: Tolerances.
@@ -76,8 +76,7 @@ class Path:
 
     def excesses(self, misses: FloatArray) -> FloatArray:
         """Return by how many tolerances each goal is missed ``(F, E)``."""
-        angle = self.options.angle_tolerance
-        tolerances = np.array([self.options.tolerance, angle, angle, angle])
+        tolerances = by_unit(self.options.tolerance, self.options.angle_tolerance)
         return np.asarray((misses / tolerances).max(axis=2, initial=0.0))
 
     def excess(self, misses: FloatArray) -> FloatArray:
@@ -143,16 +142,11 @@ def explained(path: Path, fps: float) -> FloatArray:
 def _by_targets(path: Path) -> FloatArray:
     """Return how far joints may go with their targets ``(F - 1,)``."""
     targets = path.targets
-    weighed = targets[:, :, 13:] > 0
+    weighed = targets[:, :, WEIGHTS] > 0
     asked = weighed[1:] & weighed[:-1]
     goals = np.array([goal.weights for goal in path.problem.goals]) > 0
     moves = np.stack(
-        [
-            _distances(targets[:, :, 0:3]),
-            so3.angle_between(targets[1:, :, 3:7], targets[:-1, :, 3:7]),
-            _distances(targets[:, :, 7:10]),
-            _distances(targets[:, :, 10:13]),
-        ],
+        [_moves(kind.value, targets[:, :, COLUMNS[kind.name]]) for kind in KINDS],
         axis=2,
     )
     most = np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
@@ -160,8 +154,11 @@ def _by_targets(path: Path) -> FloatArray:
     return np.asarray(MORE_THAN_TARGETS * (most + own))
 
 
-def _distances(points: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2))
+def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
+    """Return how far targets ``(F, E, W)`` move ``(F - 1, E)``, or turn [rad]."""
+    if value is TargetValue.ROTATION:
+        return so3.angle_between(targets[1:], targets[:-1])
+    return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
 
 
 def strain(path: Path, poses: FloatArray, allowed: FloatArray) -> float:

@@ -181,7 +181,7 @@ def moving_joints(
     for goal in goals:
         j = rig.index(goal.joint)
         # A joint does not move a point that it turns about.
-        pivots = goal.orientation <= 0 and goal.aim <= 0 and not any(goal.offset)
+        pivots = goal.pivots
         while j >= 0:
             joint = rig.joints[j]
             turns = joint.type in {JointType.PIN, JointType.BALL}

@@ -10,9 +10,9 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, Severity, counted, listed
+from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
-from animtool.ik.tracks import PARTS
 from animtool.quantities import angle_text, length_text
 
 # A goal that is off by more is missed, where nothing else is asked [m], [rad]: what
@@ -77,7 +77,7 @@ def goal_reports(
         angle_tolerance: Of orientations, aims and poles [rad].
     """
     times = solved.take.clock.times
-    limits = np.array([tolerance, *[angle_tolerance] * 3])
+    limits = by_unit(tolerance, angle_tolerance)
     found = []
     yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
     for e, track in enumerate(solved.tracks.goals):
@@ -123,8 +123,8 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
             MissedSpan(
                 float(times[first]),
                 float(times[end - 1]),
-                float(run[:, 0].max()),
-                float(run[:, 1:].max()),
+                float(run[:, METRIC].max()),
+                float(run[:, ~METRIC].max()),
                 float(times[worst]),
                 solved.statuses[worst],
             )

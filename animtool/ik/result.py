@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import Clock
+from animtool.ik.goals import PARTS
 from animtool.ik.problem import Problem
 from animtool.ik.tangent import frames_on_limits
 from animtool.maths import so3
@@ -73,10 +74,8 @@ class IkResult:
         descents: Starts tried ``(B,)``.
         seconds: Time of each ``(B,)`` [s], 0 of a closed form; the one part that
             differs between runs.
-        positions: What each goal misses ``(B, E)`` [m]; 0 where it asks for none.
-        orientations: ``(B, E)`` [rad].
-        aims: ``(B, E)`` [rad].
-        poles: ``(B, E)`` [rad].
+        misses: What each goal misses of its position [m], orientation, aim and pole
+            [rad] ``(B, E, 4)``; 0 of what it does not ask for.
         reached: Which goals are, within the tolerances ``(B, E)``.
         stretches: What the bones of each goal's limb are multiplied by ``(B, E)``: 1
             where none stretch.
@@ -89,13 +88,30 @@ class IkResult:
     iterations: IntArray
     descents: IntArray
     seconds: FloatArray
-    positions: FloatArray
-    orientations: FloatArray
-    aims: FloatArray
-    poles: FloatArray
+    misses: FloatArray
     reached: BoolArray
     stretches: FloatArray
     jumps: tuple[Jump, ...] = ()
+
+    @property
+    def positions(self) -> FloatArray:
+        """What each goal misses of its position ``(B, E)`` [m]; 0 if it has none."""
+        return self.misses[:, :, PARTS.index("position")]
+
+    @property
+    def orientations(self) -> FloatArray:
+        """What each goal misses of its orientation ``(B, E)`` [rad]."""
+        return self.misses[:, :, PARTS.index("orientation")]
+
+    @property
+    def aims(self) -> FloatArray:
+        """What each goal misses of its aim ``(B, E)`` [rad]."""
+        return self.misses[:, :, PARTS.index("aim")]
+
+    @property
+    def poles(self) -> FloatArray:
+        """What each goal misses of its pole ``(B, E)`` [rad]."""
+        return self.misses[:, :, PARTS.index("pole")]
 
     @property
     def converged(self) -> BoolArray:

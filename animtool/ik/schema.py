@@ -5,10 +5,10 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Len
-from pydantic import Field
+from pydantic import Field, create_model
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
@@ -21,6 +21,7 @@ from animtool.documents.fields import (
     Vector,
     Whole,
 )
+from animtool.ik.goals import KINDS, TargetValue
 
 Weight = Annotated[Real, Field(ge=0)]
 
@@ -92,30 +93,36 @@ class AimModel(FileModel):
     )
 
 
-class WeightsModel(FileModel):
+_VALUES = {TargetValue.POINT: Vector, TargetValue.ROTATION: Quaternion}
+
+
+def _with_kinds(base: type[FileModel], *, weights: bool) -> type[FileModel]:
+    """Return a model with a key for each kind of goal: its weight, or its target."""
+    fields: dict[str, Any] = {}
+    for kind in KINDS:
+        target = AimModel if kind.axis else _VALUES[kind.value] | str | ValueModel
+        fields[kind.name] = (
+            (Weight | CurveModel if weights else target) | None,
+            Field(
+                default=None,
+                description=kind.weight_description if weights else kind.description,
+                examples=[kind.weight_example if weights else kind.example],
+            ),
+        )
+    return create_model(base.__name__, __base__=base, **fields)
+
+
+if TYPE_CHECKING:
+    _Weights = FileModel
+else:
+    _Weights = _with_kinds(FileModel, weights=True)
+
+
+class WeightsModel(_Weights):
     """How much each part of a goal counts."""
 
-    position: Weight | CurveModel | None = Field(
-        default=None,
-        description="Of the position: a number from 0, or keys. Not given: 1.",
-        examples=[10.0],
-    )
-    orientation: Weight | CurveModel | None = Field(
-        default=None,
-        description="Of the orientation, likewise.",
-        examples=[{"keys": [{"t": 1.0, "v": 0.0}, {"t": 12.0, "v": 1.0}]}],
-    )
-    aim: Weight | CurveModel | None = Field(
-        default=None, description="Of the aim, likewise.", examples=[0.5]
-    )
-    pole: Weight | CurveModel | None = Field(
-        default=None, description="Of the pole, likewise.", examples=[0.1]
-    )
 
-
-class GoalModel(FileModel):
-    """What one effector is to reach."""
-
+class _Effector(FileModel):
     effector: Name = Field(
         description="A chain of the rig's `ik`, whose tip is meant, or a joint.",
         examples=["arm_l"],
@@ -131,30 +138,17 @@ class GoalModel(FileModel):
         description="The point that reaches, in the joint's frame.",
         examples=[[0.08, 0.0, 0.0]],
     )
-    position: Vector | str | ValueModel | None = Field(
-        default=None,
-        description="Where the point is to be: three numbers, an array (F, 3), keys "
-        "or a prim.",
-        examples=["hands.npz#left"],
-    )
-    orientation: Quaternion | str | ValueModel | None = Field(
-        default=None,
-        description="How the joint is to be turned: [w, x, y, z], an array (F, 4) of "
-        "those, keys or a prim.",
-        examples=[[1.0, 0.0, 0.0, 0.0]],
-    )
-    aim: AimModel | None = Field(
-        default=None,
-        description="An axis of the joint that points at something.",
-        examples=[{"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]}],
-    )
-    pole: Vector | str | ValueModel | None = Field(
-        default=None,
-        description="The point towards which the middle of the limb lies, as a "
-        "`position`. Not given: with a start clip as it has it, else the chain's "
-        "`pole_dir`.",
-        examples=[[0.5, 1.0, -2.0]],
-    )
+
+
+if TYPE_CHECKING:
+    _Asked = _Effector
+else:
+    _Asked = _with_kinds(_Effector, weights=False)
+
+
+class GoalModel(_Asked):
+    """What one effector is to reach."""
+
     weight: Weight | WeightsModel = Field(
         default=1.0,
         description="How much it counts where not all can be reached: one number, or "

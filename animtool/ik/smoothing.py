@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.goals import Targets
+from animtool.ik.goals import Targets, by_unit
 from animtool.ik.path import Path, path_of
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import IkOptions
@@ -90,9 +90,6 @@ def at_poses(
         result,
         coordinates=chain.into_rig(poses, result.coordinates),
         statuses=statuses,
-        positions=misses[:, :, 0] * chain.length,
-        orientations=misses[:, :, 1],
-        aims=misses[:, :, 2],
-        poles=misses[:, :, 3],
+        misses=misses * by_unit(chain.length, 1.0),
         reached=path.excesses(misses) <= 1,
     )

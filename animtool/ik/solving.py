@@ -9,7 +9,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.goals import Targets, pack
+from animtool.ik.goals import Targets, by_unit, pack
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
 from animtool.ik.problem import Problem, rest_pose
@@ -142,17 +142,14 @@ def solve(
         found.reports[:, 1],
         found.reports[:, 2],
         found.seconds,
-        found.misses[:, :, 0] * chain.length,
-        found.misses[:, :, 1],
-        found.misses[:, :, 2],
-        found.misses[:, :, 3],
+        found.misses * by_unit(chain.length, 1.0),
         reached,
         asked.limbs.scales,
     )
 
 
 def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
-    """Return targets of a problem's goals as its chain takes them ``(B, E, 17)``."""
+    """Return targets of a problem's goals as its chain takes them ``(B, E, W)``."""
     packed = pack(targets, problem.goals)
     chain = problem.chain
     _kernels.place_ik_targets(packed, chain.goal_frames, chain.length)
@@ -182,10 +179,6 @@ class _Asked:
         """Return some of the problems."""
         targets, limbs = self.targets[rows], self.limbs[rows]
         return _Asked(targets, limbs, self.starts[rows], self.wished[rows])
-
-
-def _tolerances(options: IkOptions) -> list[float]:
-    return [options.tolerance, *[options.angle_tolerance] * 3]
 
 
 def _explain(found: _Found, asked: _Asked, reached: BoolArray) -> None:
@@ -226,7 +219,8 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
 
 def _met(found: _Found, options: IkOptions) -> BoolArray:
     """Return which goals are reached ``(B, E)``."""
-    return np.asarray((found.misses <= _tolerances(options)).all(axis=2), np.bool_)
+    tolerances = by_unit(options.tolerance, options.angle_tolerance)
+    return np.asarray((found.misses <= tolerances).all(axis=2), np.bool_)
 
 
 def _settle(problem: Problem, asked: _Asked, options: IkOptions, found: _Found) -> None:

@@ -125,7 +125,7 @@ def gathered_take(
         tracks,
         results[0].problem,
         asked > 0,
-        np.concatenate([_misses(one) for one in results]),
+        np.concatenate([one.misses for one in results]),
         tuple(status for one in results for status in one.statuses),
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
@@ -133,8 +133,3 @@ def gathered_take(
         tuple(jump for one in results for jump in one.jumps),
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
     )
-
-
-def _misses(result: IkResult) -> FloatArray:
-    parts = (result.positions, result.orientations, result.aims, result.poles)
-    return np.stack(parts, axis=-1)

@@ -12,7 +12,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import Part
-from animtool.ik.goals import Goal, Targets, rows_of
+from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.problem import Problem, build, rest_faults
 from animtool.ik.result import IkResult
@@ -167,7 +167,7 @@ class TakeRun:
                 continue
             goals[e] = replace(track.goal, pole=1.0)
             point = _pole(self.rig, track, self.world, part.frames.start)
-            poles[:, e], weights[:, e, 3] = point, 1.0
+            poles[:, e], weights[:, e, PARTS.index("pole")] = point, 1.0
         if goals == self.goals:
             return part.coordinates[0], 0.0
         leaning = self._problem(part, goals)

@@ -13,7 +13,7 @@ from animtool._types import FloatArray
 from animtool.clock import MAX_FRAMES, Clock
 from animtool.errors import Fault, OptionError, counted
 from animtool.ik.free import FreeEffector
-from animtool.ik.goals import Goal, Targets
+from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
 from animtool.ik.values import (
     Frames,
     Keyed,
@@ -29,9 +29,6 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Rig
 
-# Of a goal, in the order of the weights.
-PARTS = ("position", "orientation", "aim", "pole")
-_WIDTHS = {"position": 3, "orientation": 4, "aim": 3, "pole": 3}
 # Frames a second where nothing says.
 USUAL_RATE = Fraction(24)
 
@@ -161,34 +158,31 @@ class TargetTracks:
         times = clock.times
         frames = Frames(times, clock.fps)
         shape = (len(times), len(self.goals))
-        parts = {part: np.zeros((*shape, _WIDTHS[part])) for part in PARTS}
-        parts["orientation"][..., 3] = 1.0
-        weights = np.ones((*shape, 4))
+        parts = {kind.targets: np.zeros((*shape, kind.value.value)) for kind in KINDS}
+        for kind in KINDS:
+            if kind.value is TargetValue.ROTATION:
+                parts[kind.targets][..., 3] = 1.0
+        weights = np.ones((*shape, len(KINDS)))
         for e, track in enumerate(self.goals):
             still = FreeEffector(rig, track.goal, world)
             away = FreeEffector(rig, track.goal, free[e]) if free else still
             asked = np.ones(len(times))
             if track.during:
                 asked = hold_shares(times, track.during, track.ease).max(axis=0)
-            for i, part in enumerate(PARTS):
+            for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
-                value, weight = _part(track, part, frames, still)
-                parts[part][:, e] = away.towards(part, value, asked)
+                value, weight = _part(track, kind, frames, still)
+                parts[kind.targets][:, e] = away.towards(kind, value, asked)
                 weights[:, e, i] = weight * (asked > 0)
-        return Targets(
-            parts["position"],
-            parts["orientation"],
-            parts["aim"],
-            parts["pole"],
-            weights,
-        )
+        return Targets(**parts, weights=weights)
 
 
 def _part(
-    track: GoalTrack, part: str, frames: Frames, pose: FreeEffector
+    track: GoalTrack, kind: GoalKind, frames: Frames, pose: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return where a part of a goal is ``(F, W)``, and how much it counts ``(F,)``."""
+    part = kind.name
     weight = np.ones(len(frames.times))
     if part in track.weights:
         # A curve of keys above 0 may dip below between them.
@@ -197,7 +191,7 @@ def _part(
     if value is not None:
         free = value.at(frames)
     else:
-        free = pose.turn() if part == "orientation" else pose.place()
+        free = pose.turn() if kind.value is TargetValue.ROTATION else pose.place()
     if not track.spans or part not in track.held:
         return free, weight
     shares = hold_shares(frames.times, track.spans, track.ease)

@@ -13,6 +13,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.ik.chain import BALL, PIN, Chain
+from animtool.ik.goals import COLUMNS, PARTS, WEIGHT
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
@@ -37,7 +38,8 @@ def misfit(problem: Problem) -> str | None:
     nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
         return "there is more than one goal"
-    if not goal.position > 0 or goal.orientation > 0 or goal.aim > 0:
+    asked = {kind.name for kind in goal.kinds}
+    if "position" not in asked or not asked <= {"position", "pole"}:
         return "the goal is not a position, with a pole or without"
     if problem.rest_weight > 0:
         return "a pose is preferred"
@@ -84,7 +86,7 @@ def solve_limb(
         problem: One that `fits`.
         starts: ``(B, C)``: the side to which a pin bends, and the way a limb without
             pole is turned.
-        targets: ``(B, 1, 17)``, that misses are told of.
+        targets: ``(B, 1, W)``, that misses are told of.
         sought: The same, brought into reach where extension eases out.
         scales: What the bones are multiplied by ``(B, 1)``.
 
@@ -106,23 +108,24 @@ def solve_limb(
     tip = _tip(chain, q, upper, lower)
     _turn_shoulder(chain, q, tip, towards)
     if poled.any():
-        pole = targets[:, 0, 10:13] - base
+        pole = targets[:, 0, COLUMNS["pole"]] - base
         _turn_to_pole(chain, q, upper, towards, np.where(poled[:, None], pole, 0.0))
     q[~placed] = starts[~placed]
-    misses = np.zeros((len(q), 1, 4))
+    misses = np.zeros((len(q), 1, len(PARTS)))
     reached = so3.rotate(_world(chain, q), tip)
     away = np.linalg.norm(targets[:, 0, :3] - base - reached, axis=1)
-    misses[:, 0, 0] = np.where(placed, away, 0.0)
+    misses[:, 0, PARTS.index("position")] = np.where(placed, away, 0.0)
     if poled.any():
         angle = _angle_about(reached, so3.rotate(_world(chain, q), upper), pole)
-        misses[:, 0, 3] = np.where(poled, np.abs(angle), 0.0)
+        misses[:, 0, PARTS.index("pole")] = np.where(poled, np.abs(angle), 0.0)
     return LimbSolution(q, misses, np.where(placed, valid, ~poled))
 
 
 def wanted(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Return where the limb's position and its pole are asked for ``(B,)`` each."""
     goal = problem.goals[0]
-    return goal.position * targets[:, 0, 13] > 0, goal.pole * targets[:, 0, 16] > 0
+    placed, poled = (targets[:, 0, WEIGHT[part]] for part in ("position", "pole"))
+    return goal.position * placed > 0, goal.pole * poled > 0
 
 
 def _unlimited(numbers: FloatArray) -> bool:

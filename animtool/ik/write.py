@@ -11,9 +11,9 @@ from animtool._types import FloatArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.write import curve_lines
 from animtool.documents.names import flow, number, scaled, text
-from animtool.ik.goals import Goal
+from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel
-from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
+from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.units import unit_name
 

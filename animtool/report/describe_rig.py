@@ -8,7 +8,6 @@ from pathlib import Path
 
 from animtool.errors import Fault
 from animtool.ik.file import load_targets
-from animtool.ik.tracks import PARTS
 from animtool.rates import rate_label
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import arkit_name
@@ -139,7 +138,7 @@ def describe_targets(path: Path) -> TargetsDescription:
     goals = tuple(
         GoalDescription(
             track.name,
-            tuple(part for part in PARTS if track.goal.weights[PARTS.index(part)]),
+            tuple(kind.name for kind in track.goal.kinds),
             track.spans,
         )
         for track in tracks.goals

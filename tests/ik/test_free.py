@@ -16,7 +16,7 @@ from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 from animtool._types import FloatArray
 from animtool.clock import Clock
 from animtool.ik.free import FreeEffector, swung
-from animtool.ik.goals import Goal, Targets
+from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.maths import so3
@@ -25,6 +25,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.start import rest_take
 from animtool.take import Take
 
+POSITION, _, _, POLE = KINDS
 FIRST, LAST, EASE = 14, 26, 6
 VALUES = (
     "position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, {t: 40, v: [0.5, 0.5, 0.3]}]}, "
@@ -148,7 +149,7 @@ def test_limbs_that_bend_and_those_that_hang_from_others_go_straight() -> None:
     there, share = np.full((40, 3), 0.3), np.full(40, 0.5)
     for root in ("hip_l", None):
         free = FreeEffector(take.rig, Goal("ankle_l", root=root), take.world())
-        found = free.towards("position", there, share)
+        found = free.towards(POSITION, there, share)
         assert_allclose(found, (free.place() + there) / 2, atol=1e-12)
 
 
@@ -157,7 +158,7 @@ def test_a_pole_begins_where_the_limb_bends() -> None:
     goal = Goal("ankle_l", root="hip_l", pole=1.0)
     free = FreeEffector(take.rig, goal, take.world())
     far = np.tile([0.0, 0.5, 9.0], (40, 1))
-    found = free.towards("pole", far, np.full(40, 1e-12))
+    found = free.towards(POLE, far, np.full(40, 1e-12))
     root, knee, tip = (point_of(take, f"{j}_l") for j in ("hip", "knee", "ankle"))
     sides = [np.cross(tip - root, point - root) for point in (found, knee)]
     units = [side / np.linalg.norm(side, axis=1, keepdims=True) for side in sides]

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from animtool.errors import Fault, listed
-from animtool.ik.tracks import PARTS, GoalTrack
+from animtool.ik.tracks import GoalTrack
 from animtool.ik.values import Keyed, Rows, Span, Still, Value
 from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.targets import TargetsSubject
@@ -48,7 +48,8 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
     pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
     for first, i in sorted(pairs)[:MAX_PAIRS]:
         one, two = goals[first], goals[i]
-        parts = [part for part in PARTS if _asks(one, part) and _asks(two, part)]
+        kinds = [kind for kind in one.goal.kinds if kind in two.goal.kinds]
+        parts = [kind.name for kind in kinds]
         if not parts or not _meet(one.during, two.during):
             continue
         if all(_equal(one.values, two.values, part) for part in parts):
@@ -63,10 +64,6 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
 
 def _effector(goal: GoalTrack) -> tuple[object, ...]:
     return goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-
-
-def _asks(goal: GoalTrack, part: str) -> bool:
-    return goal.goal.weights[PARTS.index(part)] > 0
 
 
 def _meet(one: Sequence[Span], two: Sequence[Span]) -> bool:
@@ -103,7 +100,7 @@ def weightless(subject: TargetsSubject) -> Iterator[Fault]:
                     pass
                 case _:
                     continue
-            if _asks(goal, part):
+            if getattr(goal.goal, part) > 0:
                 message = f"the {part} of {goal.name!r} has the weight 0 throughout"
                 hint = f"leave the {part} out"
                 at = ("goals", i, "weight", part)
