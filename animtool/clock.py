@@ -202,17 +202,11 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class FrameSpan:
-    """First and last frame, as reports print them.
+    """First and last frame, as reports print them."""
 
-    Attributes:
-        first: Time code of the first frame.
-        last: Time code of the last frame.
-        fps: Time codes a second.
-    """
-
-    first: Fraction
-    last: Fraction
-    fps: Fraction
+    first: Fraction  # time code of the first frame
+    last: Fraction  # time code of the last frame
+    fps: Fraction  # time codes a second
 
     def __str__(self) -> str:
         """Return the span as people read it.

@@ -24,23 +24,18 @@ MAX_ARRAY_MB = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """What a project sets for every command.
+    """What a project sets for every command."""
 
-    Attributes:
-        start: Time code of the first frame, often 1001; None leaves it at 1.
-        roots: Folders that files of the project may refer into: the one that the
-            settings are in, and those they name.
-        validate: What `animtool validate` makes of it, as written.
-        max_array_mb: The most that is read of one archive of arrays [MB]; None is
-            1000.
-        path: The file that says so; None where there is none.
-    """
-
+    # Time code of the first frame, often 1001; None leaves it at 1.
     start: Fraction | None = None
+    # Folders that files of the project may refer into: the one that the settings are
+    # in, and those they name.
     roots: tuple[Path, ...] = ()
+    # What `animtool validate` makes of it, as written.
     validate: Mapping[str, Any] = field(default_factory=dict)
+    # The most that is read of one archive of arrays [MB]; None is 1000.
     max_array_mb: int | None = None
-    path: Path | None = None
+    path: Path | None = None  # the file that says so; None where there is none
 
 
 def find_config(path: Path) -> Config:

@@ -38,15 +38,10 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class FoundFile:
-    """A file that was meant.
+    """A file that was meant."""
 
-    Attributes:
-        path: The file, spelled as its folder was.
-        base: The folder that was searched; of a named file its own.
-    """
-
-    path: Path
-    base: Path
+    path: Path  # the file, spelled as its folder was
+    base: Path  # the folder that was searched; of a named file its own
 
 
 class Places:

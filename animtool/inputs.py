@@ -18,17 +18,11 @@ from animtool.errors import Fault, FormatError
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """What tells, without reading it, that a file is not the one it was.
+    """What tells, without reading it, that a file is not the one it was."""
 
-    Attributes:
-        size: In bytes.
-        changed: When its content last changed, by the clock of its disk [ns].
-        inode: Which file of its disk it is.
-    """
-
-    size: int
-    changed: int
-    inode: int
+    size: int  # in bytes
+    changed: int  # when its content last changed, by the clock of its disk [ns]
+    inode: int  # which file of its disk it is
 
     @classmethod
     def of(cls, path: Path) -> FileState | None:
@@ -46,16 +40,13 @@ class FileState:
 
 @dataclass(slots=True)
 class Inputs:
-    """What a piece of work looked at.
+    """What a piece of work looked at."""
 
-    Attributes:
-        states: By absolute path, what the file was when it was first looked at.
-        opened: Those of them that were not only brought in by a USD layer.
-        replaced: Those of them that were another file when they were looked at again.
-    """
-
+    # By absolute path, what the file was when it was first looked at.
     states: dict[Path, FileState | None] = field(default_factory=dict)
+    # Those of them that were not only brought in by a USD layer.
     opened: set[Path] = field(default_factory=set)
+    # Those of them that were another file when they were looked at again.
     replaced: set[Path] = field(default_factory=set)
 
     def note(

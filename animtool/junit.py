@@ -13,25 +13,16 @@ from animtool.quantities import escaped, escaped_lines
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:
-    """One test case: a file.
+    """One test case: a file."""
 
-    Attributes:
-        name: The file.
-        outcome: What became of it.
-        code: Of what is wrong.
-        message: What is wrong, in a line.
-        text: All of it.
-        said: What there is to say beside that.
-        seconds: How long it took; None says nothing of it.
-    """
-
-    name: str
+    name: str  # the file
+    # What became of it.
     outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
-    code: str = ""
-    message: str = ""
-    text: str = ""
-    said: str = ""
-    seconds: float | None = None
+    code: str = ""  # of what is wrong
+    message: str = ""  # what is wrong, in a line
+    text: str = ""  # all of it
+    said: str = ""  # what there is to say beside that
+    seconds: float | None = None  # how long it took; None says nothing of it
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:

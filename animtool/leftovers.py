@@ -50,19 +50,13 @@ def new_temporary(final: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFile:
-    """A file of a set, while the set gets its names.
+    """A file of a set, while the set gets its names."""
 
-    Attributes:
-        final: Its name.
-        temporary: The name that it was written under.
-        state: Inode, size [byte] and time of change [ns] of what was written.
-        old: Where the replaced file is kept; unused where there is none.
-    """
-
-    final: Path
-    temporary: Path
+    final: Path  # its name
+    temporary: Path  # the name that it was written under
+    # Inode, size [byte] and time of change [ns] of what was written.
     state: tuple[int, int, int]
-    old: Path
+    old: Path  # where the replaced file is kept; unused where there is none
 
     def take_back(self) -> None:
         """Undo: the replaced file has its name again, and a new one is gone.
@@ -95,14 +89,10 @@ class Journal:
 
     The set is complete as soon as one of them is gone. Each names files of its own
     folder only, so that one that came with other people's files reaches no others.
-
-    Attributes:
-        name: Of the file in each folder.
-        folders: Of the set.
     """
 
-    name: str
-    folders: tuple[Path, ...]
+    name: str  # of the file in each folder
+    folders: tuple[Path, ...]  # of the set
     _handles: list[int] = field(default_factory=list, compare=False, repr=False)
 
     @classmethod

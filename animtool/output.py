@@ -205,16 +205,13 @@ def _is_one(path: Path, other: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Files that get their names together.
+    """Files that get their names together."""
 
-    Attributes:
-        files: Those that are whole, and wait for their names.
-        after: What is to be done when they have them.
-        ahead: New files that have theirs already.
-    """
-
+    # Those that are whole, and wait for their names.
     files: list[Whole] = field(default_factory=list)
+    # What is to be done when they have them.
     after: list[Callable[[], object]] = field(default_factory=list)
+    # New files that have theirs already.
     ahead: list[Path] = field(default_factory=list)
 
 

@@ -33,15 +33,10 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where an output leads.
+    """Where an output leads."""
 
-    Attributes:
-        path: What the user calls it.
-        final: The file, links followed.
-    """
-
-    path: Path
-    final: Path
+    path: Path  # what the user calls it
+    final: Path  # the file, links followed
 
 
 def target(path: Path) -> Target:
@@ -92,18 +87,12 @@ def _check_kind(path: Path, found: os.stat_result) -> None:
 
 @dataclass(slots=True)
 class Whole:
-    """A file that is written.
+    """A file that is written."""
 
-    Attributes:
-        path: What the user calls it.
-        final: Where it belongs.
-        temporary: Where it is.
-        state: Inode, size [byte] and time of change [ns], once it is sealed.
-    """
-
-    path: Path
-    final: Path
-    temporary: Path
+    path: Path  # what the user calls it
+    final: Path  # where it belongs
+    temporary: Path  # where it is
+    # Inode, size [byte] and time of change [ns], once it is sealed.
     state: tuple[int, int, int] = (0, 0, 0)
 
     def seal(self) -> None:

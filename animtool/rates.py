@@ -36,18 +36,13 @@ class RateKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """A frame rate chosen for a printed frame time.
+    """A frame rate chosen for a printed frame time."""
 
-    Attributes:
-        fps: Frames a second, exact.
-        kind: ``reprinted``: the reciprocal rounds to what is printed; ``nearest``:
-            the closest usual rate; ``printed``: the printed number taken as it is.
-        rivals: Other integer rates that would have printed the same.
-    """
-
-    fps: Fraction
+    fps: Fraction  # frames a second, exact
+    # ``reprinted``: the reciprocal rounds to what is printed; ``nearest``: the closest
+    # usual rate; ``printed``: the printed number taken as it is.
     kind: RateKind
-    rivals: tuple[int, ...] = ()
+    rivals: tuple[int, ...] = ()  # other integer rates that would have printed the same
 
 
 def rate_from_frame_time(text: str) -> RateChoice:

@@ -148,19 +148,13 @@ def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
 
 @dataclass(frozen=True, slots=True)
 class ListedReader:
-    """A reader as `animtool plugins` lists it.
+    """A reader as `animtool plugins` lists it."""
 
-    Attributes:
-        suffix: Of the files.
-        source: ``animtool``, or the object that an entry point names.
-        opens: What such files are opened as; empty where it cannot be loaded.
-        about: What they are, or why it cannot be loaded.
-    """
-
-    suffix: str
-    source: str
+    suffix: str  # of the files
+    source: str  # ``animtool``, or the object that an entry point names
+    # What such files are opened as; empty where it cannot be loaded.
     opens: tuple[str, ...]
-    about: str
+    about: str  # what they are, or why it cannot be loaded
 
 
 def listed_readers() -> list[ListedReader]:

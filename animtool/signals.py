@@ -88,17 +88,11 @@ class TerminatedError(BaseException):
 
 @dataclass(slots=True)
 class _Obeyed:
-    """How far the process is with its end.
+    """How far the process is with its end."""
 
-    Attributes:
-        number: The signal that is obeyed; 0 is none so far.
-        late: Whether all is written, so that signals come too late.
-        installed: Whether this module's handler is in place.
-    """
-
-    number: int = 0
-    late: bool = False
-    installed: bool = False
+    number: int = 0  # the signal that is obeyed; 0 is none so far
+    late: bool = False  # whether all is written, so that signals come too late
+    installed: bool = False  # whether this module's handler is in place
 
 
 _obeyed = _Obeyed()

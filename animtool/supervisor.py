@@ -43,15 +43,10 @@ CRASHES = {getattr(signal, name) for name in _CRASHES if hasattr(signal, name)}
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """How a child ended that did not end by itself.
+    """How a child ended that did not end by itself."""
 
-    Attributes:
-        number: The signal that ended it.
-        path: The file that it read, as the user named it; empty is none.
-    """
-
-    number: int
-    path: str = ""
+    number: int  # the signal that ended it
+    path: str = ""  # the file that it read, as the user named it; empty is none
 
     @property
     def name(self) -> str:
@@ -80,21 +75,14 @@ def crash_fault(path: str, number: int) -> Fault:
 
 @dataclass(slots=True)
 class _Notes:
-    """What a child notes in memory that it shares with its parent.
+    """What a child notes in memory that it shares with its parent."""
 
-    Attributes:
-        shared: Its length, then JSON.
-        listed: Its length, then what was read of stdin; length 0 is nothing yet.
-        path: The file that is being read; empty is none.
-        folders: Where outputs go.
-        said: Whether a result was printed or a file was named, which a second run
-            would repeat.
-    """
-
-    shared: mmap.mmap
+    shared: mmap.mmap  # its length, then JSON
+    # Its length, then what was read of stdin; length 0 is nothing yet.
     listed: mmap.mmap
-    path: str = ""
-    folders: list[str] = field(default_factory=list)
+    path: str = ""  # the file that is being read; empty is none
+    folders: list[str] = field(default_factory=list)  # where outputs go
+    # Whether a result was printed or a file was named, which a second run would repeat.
     said: bool = False
 
     def write(self) -> None:
@@ -131,18 +119,14 @@ def _got(memory: mmap.mmap) -> bytes | None:
 
 @dataclass(slots=True)
 class _State:
-    """What this process knows of supervision.
+    """What this process knows of supervision."""
 
-    Attributes:
-        notes: Where it notes; None is nowhere: nobody supervises it.
-        crashed: Files that crashed a child, and the signals that ended it.
-        read: Files that are being read, the latest last.
-        listener: Told of the file that is being read; None: nobody wants to know.
-    """
-
-    notes: _Notes | None = None
+    notes: _Notes | None = None  # where it notes; None is nowhere: nobody supervises it
+    # Files that crashed a child, and the signals that ended it.
     crashed: dict[str, int] = field(default_factory=dict)
+    # Files that are being read, the latest last.
     read: list[str] = field(default_factory=list)
+    # Told of the file that is being read; None: nobody wants to know.
     listener: Callable[[str], object] | None = None
 
 

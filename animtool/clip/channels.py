@@ -134,11 +134,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Refuse targets that a rig has not.
-
-    Raises:
-        OptionError: With a fault for each.
-    """
+    """Refuse targets that a rig has not."""
     found = [target_kind(target, rig) for target in targets]
     faults = [fault for fault in found if isinstance(fault, Fault)]
     if faults:

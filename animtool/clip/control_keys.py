@@ -109,15 +109,7 @@ def fit_controls(
 ) -> FittedControls:
     """Return sparse keys of controls that move joints and shapes within tolerances.
 
-    Args:
-        take: F frames.
-        rig: Its rig.
-        solved: Keyed value of every control ``(F,)``.
-        own: Translations and rotations of joints that have keys of their own, which
-            make up for what the controls' keys are off.
-        bounds: Of every joint, how far its points may be off ``(J,)`` [m]; half of it
-            is used.
-        weight_tolerance: Likewise of the shapes' weights [1].
+    ``solved`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
     held = [name for name in defaults if (solved[name] != defaults[name]).any()]
@@ -212,14 +204,7 @@ def driven_pose(
     exact: Motion,
     own: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
-    """Return a motion with the joints that controls move as they move them.
-
-    Args:
-        motion: As the take has it.
-        found: What the controls' keys give, on a rig that is else at rest.
-        exact: What the exact controls give.
-        own: Translations and rotations that have keys of their own: they stay.
-    """
+    """Return a motion with the joints that controls move as they move them."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         of_take: Channel = getattr(motion, name)

@@ -152,17 +152,8 @@ def wanted_of_joints(
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Return what controls would have to add to joints, and what they cannot.
 
-    Args:
-        rig: J joints.
-        motions: Theirs.
-        targets: What controls drive: ``joint/NAME.PART``; others are left out.
-        near: What is driven where controls are as they are thought to be; rotation
-            vectors beyond half a turn are read nearest to it.
-        same: What is rounding.
-
-    Returns:
-        The value of each target ``(F or 1,)``, and the targets of joints that also
-        move in ways that no control drives.
+    Returns the value of each target ``(F or 1,)``, and the targets of joints that also
+    move in ways that no control drives.
     """
     wanted: dict[str, FloatArray] = {}
     keyed: set[str] = set()
@@ -212,15 +203,7 @@ def joint_tracks(
     fitted: Mapping[str, FloatArray],
     same: Same,
 ) -> list[Track]:
-    """Return tracks of what joints do beyond what controls and mimics make them do.
-
-    Args:
-        rig: J joints.
-        motions: Theirs.
-        driven: What controls add to targets, by target: it says what needs keys.
-        fitted: What the controls' keys add: the samples are relative to it.
-        same: What is rounding.
-    """
+    """Return tracks of what joints do beyond what controls and mimics make them do."""
     made: dict[int, list[Track]] = {}
     coordinates: dict[str, FloatArray] = {}
     last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
@@ -268,11 +251,7 @@ class _OneJoint:
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def tracks(self, expected: FloatArray) -> Iterator[Track]:
-        """Yield the tracks, translation first.
-
-        Args:
-            expected: Coordinate without keys ``(F or 1,)``.
-        """
+        """Yield the tracks, translation first: ``expected`` ``(F or 1,)``."""
         yield from self._shift(expected)
         yield from self._turn(expected)
 

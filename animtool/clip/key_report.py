@@ -42,15 +42,7 @@ def channel_errors(
     found: Motion,
     controls: Mapping[str, FloatArray],
 ) -> tuple[ChannelError, ...]:
-    """Return the largest error of each channel of a clip.
-
-    Args:
-        clip: The clip.
-        rig: Its rig.
-        take: What it was made of.
-        found: The clip sampled at the take's frames.
-        controls: What its controls should be ``(F,)``.
-    """
+    """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
     sampled = {}
     if found.controls is not None:
@@ -106,15 +98,7 @@ def key_notices(
     tracks: Sequence[Track],
     driven: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
-    """Return notes on where a take departs from what its rig can do by itself.
-
-    Args:
-        rig: J joints.
-        joints: Their motion.
-        solved: Its controls.
-        tracks: Keys of joints and shapes besides the controls'.
-        driven: What the controls add to targets.
-    """
+    """Return notes on where a take departs from what its rig can do by itself."""
     found = [
         *_released(solved),
         *_on_top(rig, tracks, driven),

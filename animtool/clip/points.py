@@ -133,10 +133,7 @@ class Budget:
     def tighten(self, frames: ArrayLike, wanted: ArrayLike, *, spread: bool) -> None:
         """Fit the segments around some frames again, the others stay.
 
-        Args:
-            frames: Where the error is too large, ascending ``(N,)`` [frame].
-            wanted: What it should be there ``(N,)``, in the unit of the samples.
-            spread: Whether a key behind such a segment may move.
+        ``frames`` ``(N,)`` [frame], ``wanted`` ``(N,)``.
         """
         at, limits = np.asarray(frames), np.asarray(wanted) / self.tolerance
         starts = self.keys.frames

@@ -75,13 +75,7 @@ class Reduction:
 
 
 def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) -> Motion:
-    """Return the motion that the keys give.
-
-    Args:
-        reduction: From `animtool.clip.reduce.reduce_motion`.
-        frames: Where, counted from 0, fractions allowed ``(N,)`` [frame]; None is
-            every frame of the take. Outside, the first and last keys hold.
-    """
+    """Return the motion that the keys give: ``frames`` ``(N,)`` [frame]."""
     at = np.asarray(
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
@@ -131,11 +125,6 @@ def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
 
     Keys are Hermite ones, their tangents slopes a frame: each segment is the cubic
     that was fitted. Rotations are Euler angles, a pin's is one angle.
-
-    Args:
-        reduction: Keys in metres and degrees, frames from 0.
-        rig: Whose joints its channels name.
-        name: What the clip is called.
     """
     clock = reduction.clock
     last = clock.start + (clock.count - 1) * clock.step

@@ -87,15 +87,8 @@ def sample_values(
 ) -> Sampled:
     """Return the motion that values of targets give a rig, as `sample_channels` does.
 
-    Args:
-        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
-            rotations as quaternions.
-        rig: Its rig.
-        times: Of the values, which notices name.
-        clamp: Bring controls into their ranges and joints into their limits.
-
-    Raises:
-        FormatError: An expression of the rig has no value at some frame (CLIP015).
+    ``keyed``: values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
+    rotations as quaternions.
     """
     count = len(times)
     notices: list[ClipNotice] = []

@@ -87,13 +87,7 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
 
 
 def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[Track]:
-    """Return a track for whatever moves or is not at rest.
-
-    Args:
-        rig: J joints.
-        motion: Theirs.
-        rest: One frame that needs no track.
-    """
+    """Return a track for whatever moves or is not at rest."""
     return in_order(_tracks(rig, motion, rest))
 
 

@@ -75,15 +75,7 @@ class StoredArray:
 
 
 def read_head(file: Source, where: str) -> StoredArray:
-    """Return the head of an array; nothing behind it is read.
-
-    Args:
-        file: At its beginning.
-        where: What to call it in messages.
-
-    Raises:
-        ArrayError: It is none of an array of numbers or of a text.
-    """
+    """Return the head of an array; nothing behind it is read."""
     start = file.read(len(MAGIC) + 2)
     version = tuple(start[len(MAGIC) :])
     width = _WIDTHS.get(version)  # type: ignore[arg-type]
@@ -218,12 +210,7 @@ class Archive:
         return key in self._members
 
     def head(self, key: str, kinds: str = "fiub") -> StoredArray:
-        """Return how an array stands in the archive, its length checked.
-
-        Args:
-            key: Its name.
-            kinds: Of numpy's types that it may have; else those of numbers.
-        """
+        """Return how an array stands in the archive, its length checked."""
         if key not in self._heads:
             info = self._member(key)
             where = f"{self._path.name}#{key}"

@@ -72,14 +72,6 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
 
     Where only the version's name changes, so does one word of the text; else the file
     is written anew, without its comments.
-
-    Args:
-        path: A rig, clip or scene.
-        table: Steps from each version to the next, by kind.
-
-    Raises:
-        FormatError: It cannot be read, is of no kind that is known, or of a version
-            that no step leads on from.
     """
     path = Path(path)
     document, before = read_document(path), read_text(path)

@@ -21,11 +21,7 @@ def split_reference(text: str, default: str) -> tuple[str, str]:
 
 
 def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
-    """Return the file that a name means, seen from a folder.
-
-    Raises:
-        ValueError: It leads out of the roots.
-    """
+    """Return the file that a name means, seen from a folder."""
     try:
         path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -64,13 +60,7 @@ def referred(
 
 
 def _way_out(path: Path, name: str, written: bool) -> str:
-    """Return what to do about a reference that leads out of the project.
-
-    Args:
-        path: The file that it is in.
-        name: As written.
-        written: It is to be written.
-    """
+    """Return what to do about a reference that leads out of the project."""
     folder = path.resolve().parent
     try:
         target = (folder / name).resolve()

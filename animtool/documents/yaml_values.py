@@ -71,16 +71,7 @@ class ReadValues(NamedTuple):
 
 
 def read_values(text: str, path: Path) -> ReadValues:
-    """Return what a text holds.
-
-    Args:
-        text: YAML, or JSON where the path says so.
-        path: Where it is from, for messages.
-
-    Raises:
-        FormatError: It is no YAML, or holds an anchor, alias or tag, or a key that
-            stands twice; with every such fault.
-    """
+    """Return what a text holds."""
     marks = sum(map(text.count, _MARKS))
     if marks > MAX_MARKS:
         message = f"holds {marks} separators of values, more than {MAX_MARKS}"
@@ -160,9 +151,6 @@ def _joined(escape: re.Match[str]) -> str:
 
 def plain_scalar(text: str) -> Any:
     """Return what a scalar without quotes means, by the core schema of YAML 1.2.
-
-    Raises:
-        OverflowError: It is a number of more digits than Python reads.
 
     >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
     (0.001, 'no', None)

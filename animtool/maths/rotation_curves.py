@@ -25,13 +25,8 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     The first keeps its sign. Neighbours exactly half a turn apart keep their signs
     relative to each other.
 
-    Args:
-        keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
-            curves.
-        count: How many there must be; a letter where any number will do.
-
-    Raises:
-        ValueError: The shape is another one, or a key is zero or not finite.
+    ``keys``: quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
+    curves.
 
     >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
     [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
@@ -109,11 +104,7 @@ def squad_by_velocities(
     Neighbours of other lengths then join with one velocity. At even times and with
     central differences these are Shoemake's points.
 
-    Args:
-        ends: Unit quaternions at u = 0 and 1 ``(2, ..., 4)``.
-        velocities: In the body frames there, times the segment's length
-            ``(2, ..., 3)`` [rad].
-        u: ``(...)`` [1].
+    ``ends`` ``(2, ..., 4)``, ``velocities`` ``(2, ..., 3)`` [rad], ``u`` ``(...)`` [1].
 
     >>> ends = so3.from_axis_angle([0, 0, 1], [0.0, 1.0])
     >>> np.allclose(squad_by_velocities(ends, [[0, 0, 1], [0, 0, 1]], 1), ends[1])

@@ -241,9 +241,8 @@ def split_scale(linear: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
     A mirror becomes a negative scale on all three axes. Shear is left out.
 
-    Returns:
-        Unit quaternions ``(..., 4)``, and scales ``(..., 3)``: the lengths of the
-        columns.
+    Returns unit quaternions ``(..., 4)``, and scales ``(..., 3)``: the lengths of the
+    columns.
 
     >>> rotation, scale = split_scale(np.diag([2.0, 1.0, -1.0]))
     >>> rotation.tolist(), scale.tolist()

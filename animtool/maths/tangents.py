@@ -145,9 +145,7 @@ def catmull_rom_controls(
     in its knots. Before the first point and behind the last, the path is mirrored in
     that point. A point that coincides with the next has no handles between them.
 
-    Args:
-        points: ``(K, D)``.
-        alpha: As in `catmull_rom_spatial`.
+    ``points`` ``(K, D)``.
 
     >>> ins, outs = catmull_rom_controls([[0], [3], [6]], 0.5)
     >>> ins.ravel().tolist(), outs.ravel().tolist()

@@ -65,9 +65,7 @@ def displaced_points(
 def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
     """Return unit normals of the faces about each point ``(F, V, 3)``, by area.
 
-    Args:
-        surface: Its faces.
-        points: ``(F, V, 3)``.
+    ``points`` ``(F, V, 3)``.
     """
     corners = triangulated(surface.counts, surface.indices)
     a, b, c = (points[:, corners[:, k]] for k in range(3))

@@ -92,16 +92,7 @@ def prepare_shapes(
 ) -> PreparedShapes:
     """Return shapes ready to be evaluated on a mesh.
 
-    Args:
-        shapes: S shapes, in the order that weights will have.
-        points: ``(V, 3)`` without any shape.
-        normals: ``(V, 3)``; None where they are not wanted.
-
-    Raises:
-        FormatError: All that is wrong: offsets that do not fit their vertices
-            (SKIN001), a vertex that is not there (SKIN002), an offset that is not
-            finite (SKIN003), an inbetween at 0, 1 or at another's weight (SKIN006).
-        ValueError: Points or normals of another shape.
+    ``points`` ``(V, 3)``, ``normals`` ``(V, 3)``.
 
     >>> smile = ShapeDeltas("smile", [[0.0, 2.0, 0.0]], indices=[1])
     >>> made = prepare_shapes([smile], np.zeros((2, 3)))
@@ -134,12 +125,7 @@ def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     A shape is piecewise linear through nothing at 0, its offsets at 1 and its
     inbetweens; the first and the last piece go on beyond, as in UsdSkel.
 
-    Args:
-        shapes: S shapes.
-        weights: ``(F, S)`` [1], products of combined shapes included.
-
-    Raises:
-        ValueError: As many weights as shapes are needed.
+    ``weights`` ``(F, S)`` [1].
     """
     values = as_floats(weights, ("F", len(shapes.names)), "weights")
     parts = [
@@ -156,13 +142,7 @@ def blend_points(
 
     Shapes that do not show in any of the frames cost nothing.
 
-    Args:
-        shapes: S shapes.
-        weights: ``(F, S)`` [1], products of combined shapes included.
-        out: ``(F, V, 3)``, filled in and returned in place of a new array.
-
-    Raises:
-        ValueError: As many weights as shapes are needed, or another ``out``.
+    ``weights`` ``(F, S)`` [1], ``out`` ``(F, V, 3)``.
     """
     return _blend(shapes.points, column_weights(shapes, weights), out)
 
@@ -172,14 +152,7 @@ def blend_normals(
 ) -> FloatArray:
     """Return the normals of a mesh under its shapes ``(F, V, 3)``, not normalised.
 
-    Args:
-        shapes: S shapes, prepared with normals.
-        weights: ``(F, S)`` [1], products of combined shapes included.
-        out: ``(F, V, 3)``, filled in and returned in place of a new array.
-
-    Raises:
-        ValueError: The shapes were prepared without normals, or have another number
-            of weights, or another ``out``.
+    ``weights`` ``(F, S)`` [1], ``out`` ``(F, V, 3)``.
     """
     if shapes.normals is None:
         raise ValueError("the shapes were prepared without normals")

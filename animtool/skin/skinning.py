@@ -87,18 +87,7 @@ class PreparedSkin:
 def prepare_skin(
     binding: Binding, vertices: int, *, most: int | None = None
 ) -> PreparedSkin:
-    """Return a binding ready to be evaluated, with the joints that it needs only.
-
-    Args:
-        binding: As files have it.
-        vertices: Number of vertices of the mesh.
-        most: Keep so many of the strongest influences of a vertex; None keeps all.
-
-    Raises:
-        FormatError: What `read_influences` refuses, a joint order that names no joint
-            of the skeleton (SKIN002), matrices of another shape (SKIN001), not finite
-            (SKIN003) or singular (SKIN005).
-    """
+    """Return a binding ready to be evaluated, with the joints that it needs only."""
     bind = np.asarray(binding.bind, np.float64)
     geom = np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
     geom = geom.astype(np.float64)
@@ -138,16 +127,8 @@ def skin_points(
     below 1e-10 leaves the blend, so that a point which follows no other stays at its
     bind place.
 
-    Args:
-        skin: Of V vertices.
-        points: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames.
-        world: Of the skeleton's J joints.
-        out: ``(F, V, 3)``, filled in and returned in place of a new array. Not to
-            overlap the points.
-
-    Raises:
-        FormatError: A joint's transform is not finite (SKIN003).
-        ValueError: Arrays of another shape.
+    ``points``: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames;
+    ``out`` ``(F, V, 3)``.
     """
     source = as_floats(points, ("F", skin.vertices, 3), "points")
     return _skin(skin, skin.influences, source, world, out, normals=False)
@@ -167,18 +148,8 @@ def skin_normals(
     dual quaternions turn by the blended rotation, after the inverse stretch. One that
     a joint of zero scale leaves without direction is zero.
 
-    Args:
-        skin: Of V vertices.
-        normals: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames.
-        world: Of the skeleton's J joints.
-        vertices: The vertex of each normal ``(N,)``, for normals of face corners;
-            None is one a vertex.
-        out: ``(F, N, 3)``, filled in and returned in place of a new array. Not to
-            overlap the normals.
-
-    Raises:
-        FormatError: A joint's transform is not finite (SKIN003).
-        ValueError: Arrays of another shape.
+    ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames;
+    ``vertices`` ``(N,)``; ``out`` ``(F, N, 3)``.
     """
     influences = skin.influences if vertices is None else skin.influences.rows(vertices)
     source = as_floats(normals, ("F", influences.vertices, 3), "normals")

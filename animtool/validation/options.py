@@ -110,15 +110,7 @@ def _longest(code: str, beginnings: Iterable[str]) -> int:
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
-    """Refuse codes that none begins with.
-
-    Args:
-        options: As given.
-        path: The settings that say so.
-
-    Raises:
-        OptionError: With a fault for each (VAL005).
-    """
+    """Refuse codes that none begins with."""
     faults = []
     for given in (*options.select, *options.ignore, *options.severity):
         if given and any(code.startswith(current_codes(given)) for code in RULES):
@@ -139,12 +131,7 @@ _LISTS = ("select", "ignore")
 
 
 def settings_of(path: Path) -> ValidateOptions:
-    """Return what the project of a file sets.
-
-    Raises:
-        OptionError: The settings are malformed (CFG001 to CFG003), or name a code
-            that there is none of (VAL005).
-    """
+    """Return what the project of a file sets."""
     config = find_config(path)
     return _options(config.validate, str(config.path))
 

@@ -126,16 +126,7 @@ PROFILES: dict[str, Profile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile by its name, or of a file.
-
-    Args:
-        name: One of `PROFILES`, or a YAML, JSON or TOML file.
-        folder: That a file's path is relative to; None is the current one.
-
-    Raises:
-        OptionError: There is no such profile or file (VAL009), the file is malformed
-            (VAL008), or names a code that there is none of (VAL005).
-    """
+    """Return the levels of a profile by its name, or of a file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name

@@ -186,11 +186,7 @@ def findings_in(opened: Opened) -> list[Fault]:
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
-    """Return what one rule finds in a file, its own errors not caught.
-
-    Raises:
-        AnimtoolError: The file cannot be opened as what the rule looks at.
-    """
+    """Return what one rule finds in a file, its own errors not caught."""
     opened = open_file(path)
     if opened.kind not in rule.kinds:
         kinds = ", ".join(sorted(rule.kinds))

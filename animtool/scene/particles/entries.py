@@ -42,14 +42,7 @@ PLACES: dict[str, type[Any]] = {
 def read_particles(
     document: Document, at: Location, model: ParticlesModel, roots: Sequence[Path]
 ) -> ParticleSetup | None:
-    """Return the particles of an entry; None where what is noted leaves none.
-
-    Args:
-        document: Where faults are noted.
-        at: Place of the entry.
-        model: What it says.
-        roots: Folders that files may be in.
-    """
+    """Return the particles of an entry; None where what is noted leaves none."""
     reader = _Reader(document, roots)
     particles = reader.particles(at, model)
     characters = reader.characters((*at, "characters"), model.characters)

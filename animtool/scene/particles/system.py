@@ -77,13 +77,7 @@ class ParticleSetup:
 def open_particles(
     members: Sequence[SceneSystem], opening: Opening
 ) -> list[RunningParticles]:
-    """Return particles at their beginning; characters are read now.
-
-    Raises:
-        FormatError: The file of a character is malformed.
-        OptionError: A character has no colliders (SIM020), or something makes no
-            sense.
-    """
+    """Return particles at their beginning; characters are read now."""
     setup, whole = _whole(members, opening)
     return [RunningParticles(ParticleRun(whole, -setup.preroll))]
 
@@ -91,12 +85,7 @@ def open_particles(
 def particle_trial(
     members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
 ) -> ParticleTrial:
-    """Return particles that can be simulated in several ways.
-
-    Raises:
-        FormatError: The file of a character is malformed.
-        OptionError: As `open_particles`.
-    """
+    """Return particles that can be simulated in several ways."""
     (member,) = members
     setup = cast(ParticleSetup, member.setup)
     opened = rebuild()
@@ -115,13 +104,7 @@ def _whole(
     opening: Opening,
     options: IntegrateOptions | None = None,
 ) -> tuple[ParticleSetup, Particles]:
-    """Return particles with the characters and surfaces that they run into.
-
-    Args:
-        members: One system.
-        opening: What it may ask for.
-        options: How they are simulated; None is as the file says.
-    """
+    """Return particles with the characters and surfaces that they run into."""
     (member,) = members
     setup = cast(ParticleSetup, member.setup)
     given = setup.particles

@@ -160,15 +160,7 @@ class SystemPrims:
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
-    """Return what is to become of the systems of a scene.
-
-    Args:
-        scene: It has systems, and no source.
-        options: Those of the scene among them.
-
-    Raises:
-        OptionError: It says no range (SCN061), or an option is for characters (SCN062).
-    """
+    """Return what is to become of the systems of a scene."""
     _check(scene, options)
     fps = options.fps or FPS
     frames, own = options.frame_range, scene.bake.frame_range
@@ -231,18 +223,7 @@ def plan_with_take(
     They are below the character's model, so that both are in one world wherever that
     stands: in its unit, turned to its up axis.
 
-    Args:
-        scene: It has both.
-        paths: The character's prims.
-        target: The rig of a layer.
-        fps: Time codes a second.
-        start: Time code of the take's first frame.
-        meters_per_unit: Of what is below the model [m].
-        up: Its up axis.
-        tracks: Things beside the character.
-
-    Raises:
-        FormatError: A system has the place of something else (SCN068).
+    ``meters_per_unit`` [m].
     """
     unit, axis = (meters_per_unit, up) if target is None else (target.unit, target.up)
     metadata = StageMetadata(

@@ -27,16 +27,11 @@ MAX_TIMES = 100_000
 
 @dataclass(frozen=True, slots=True)
 class OnJoint:
-    """A joint of a character.
+    """A joint of a character."""
 
-    Attributes:
-        file: A clip or a scene.
-        joint: Its name.
-        place: Of the entry that names it.
-    """
-
-    file: Path
-    joint: str
+    file: Path  # A clip or a scene
+    joint: str  # its name
+    # Of the entry that names it.
     place: Place | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
@@ -48,11 +43,7 @@ class OnJoint:
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time.
-
-        Raises:
-            OptionError: It is not there (SIM053).
-        """
+        """Return where it is over time."""
         found = characters.of(self.file)
         _check(self.fault(found.rig), self.place)
         return joint_poses(found.world, found.rig.index(self.joint), found.times)
@@ -60,18 +51,12 @@ class OnJoint:
 
 @dataclass(frozen=True, slots=True)
 class OnVertex:
-    """A vertex of a character's mesh.
+    """A vertex of a character's mesh."""
 
-    Attributes:
-        file: A clip or a scene.
-        mesh: Name of the mesh.
-        vertex: Its number.
-        place: Of the entry that names it.
-    """
-
-    file: Path
-    mesh: str
-    vertex: int
+    file: Path  # A clip or a scene
+    mesh: str  # name of the mesh
+    vertex: int  # its number
+    # Of the entry that names it.
     place: Place | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
@@ -87,11 +72,7 @@ class OnVertex:
         return Fault("SIM053", message, where="vertex")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time; it never turns.
-
-        Raises:
-            OptionError: It is not there (SIM053).
-        """
+        """Return where it is over time; it never turns."""
         found = characters.of(self.file)
         _check(self.fault(found.rig), self.place)
         # The next block stands where the last one did.
@@ -110,29 +91,18 @@ def _check(fault: Fault | None, place: Place | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class OnPrim:
-    """A prim of a USD file.
+    """A prim of a USD file."""
 
-    Attributes:
-        file: The file.
-        prim: Path of the prim.
-        frame: Time code that comes at 0 s; None is the first.
-    """
-
-    file: Path
-    prim: str
-    frame: float | None = None
+    file: Path  # the file
+    prim: str  # path of the prim
+    frame: float | None = None  # time code that comes at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
         """Return where it is over time."""
         return self.over_time()
 
     def over_time(self) -> Poses:
-        """Return where it is over time, the frame of 0 s among its times.
-
-        Raises:
-            FormatError: The file is no USD.
-            OptionError: It has no such prim, or none that is placed (SCN048, SCN049).
-        """
+        """Return where it is over time, the frame of 0 s among its times."""
         from animtool.usd.props import PropRequest, open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)

@@ -12,23 +12,15 @@ from animtool.sim.colliders import Collider, Sheet
 
 @dataclass(frozen=True, slots=True)
 class CharacterCollider:
-    """A character in motion: the capsules of its rig, or a mesh.
+    """A character in motion: the capsules of its rig, or a mesh."""
 
-    Attributes:
-        file: A clip or a scene.
-        restitution: Share of the speed into the surface that comes back [1].
-        friction: Coulomb's coefficient [1].
-        margin: Distance that is kept; of a mesh half its thickness [m].
-        mesh: Name of the rig's mesh that is met in place of capsules; None is these.
-        closed: Whether the mesh is met from outside alone.
-    """
-
-    file: Path
-    restitution: float
-    friction: float
-    margin: float
+    file: Path  # A clip or a scene
+    restitution: float  # share of the speed into the surface that comes back [1]
+    friction: float  # coulomb's coefficient [1]
+    margin: float  # distance that is kept; of a mesh half its thickness [m]
+    # Name of the rig's mesh that is met in place of capsules; None is these.
     mesh: str | None = None
-    closed: bool = False
+    closed: bool = False  # whether the mesh is met from outside alone
 
     def problems(self) -> list[tuple[str, str]]:
         """Return names of what makes no sense, and why."""
@@ -38,24 +30,14 @@ class CharacterCollider:
         return [("margin", why)]
 
     def colliders(self, characters: CharacterMotions) -> list[Collider]:
-        """Return the capsules that are met.
-
-        Raises:
-            FormatError: The file is malformed.
-            OptionError: Its rig has none (SIM020).
-        """
+        """Return the capsules that are met."""
         if self.mesh is not None:
             return []
         material = self.restitution, self.friction, self.margin
         return characters.of(self.file).colliders(material)
 
     def sheets(self, characters: CharacterMotions) -> list[Sheet]:
-        """Return the mesh that is met.
-
-        Raises:
-            FormatError: The file is malformed.
-            OptionError: Its rig has no such mesh (SIM053).
-        """
+        """Return the mesh that is met."""
         if self.mesh is None:
             return []
         from animtool.scene.systems.character_skin import SkinMotion
@@ -68,12 +50,7 @@ class CharacterCollider:
 def character_colliders(
     met: Sequence[CharacterCollider], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
-    """Return the capsules and the meshes of characters, each once.
-
-    Raises:
-        FormatError: A file is malformed.
-        OptionError: A rig has no capsules (SIM020), or no such mesh (SIM053).
-    """
+    """Return the capsules and the meshes of characters, each once."""
     ones: dict[tuple[Path, str | None], CharacterCollider] = {}
     for one in met:
         ones.setdefault((one.file, one.mesh), one)

@@ -22,31 +22,16 @@ from animtool.units import UpAxis
 
 @dataclass(frozen=True, slots=True)
 class CharacterMotion:
-    """A character over its F frames, y up; before the first and behind the last held.
+    """A character over its F frames, y up; held before the first and after the last."""
 
-    Attributes:
-        path: Its file.
-        rig: Its rig.
-        motion: Poses, and weights of shapes.
-        world: Of its joints.
-        times: Of the frames, the first at 0 s ``(F,)`` [s].
-    """
-
-    path: Path
-    rig: Rig
-    motion: Motion
-    world: WorldTransforms
-    times: FloatArray
+    path: Path  # its file
+    rig: Rig  # its rig
+    motion: Motion  # poses, and weights of shapes
+    world: WorldTransforms  # of its joints
+    times: FloatArray  # of the frames, the first at 0 s ``(F,)`` [s]
 
     def colliders(self, material: tuple[float, float, float]) -> list[Collider]:
-        """Return the capsules of its rig over its frames.
-
-        Args:
-            material: Restitution, friction and margin [m].
-
-        Raises:
-            OptionError: Its rig has none (SIM020).
-        """
+        """Return the capsules of its rig over its frames: ``material`` [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
             hint = "particles run into the capsules that its rig file lists"
@@ -65,11 +50,7 @@ class CharacterMotions:
     found: dict[Path, CharacterMotion] = field(default_factory=dict)
 
     def of(self, path: Path) -> CharacterMotion:
-        """Return the character of a clip or a scene.
-
-        Raises:
-            FormatError: The file is malformed.
-        """
+        """Return the character of a clip or a scene."""
         if path not in self.found:
             self.found[path] = _read(path)
         return self.found[path]
@@ -80,12 +61,7 @@ def _read(path: Path) -> CharacterMotion:
 
 
 def motion_of(path: Path, take: Take) -> CharacterMotion:
-    """Return a take as systems see it, the first frame at 0 s.
-
-    Args:
-        path: What the character is called by.
-        take: Of any up axis.
-    """
+    """Return a take as systems see it, the first frame at 0 s."""
     if take.rig.up is not UpAxis.Y:
         take = reorient(TakeStream.of(take), UpAxis.Y).collect()
     world = forward(take.rig, *take.motion.dense())
@@ -95,11 +71,7 @@ def motion_of(path: Path, take: Take) -> CharacterMotion:
 
 
 def open_take(path: Path) -> TakeStream:
-    """Return the take of a clip, or of a scene with its passes.
-
-    Raises:
-        FormatError: The file is malformed.
-    """
+    """Return the take of a clip, or of a scene with its passes."""
     if not is_named(path, "scene"):
         return open_source(path)
     from animtool.scene.file import load_scene

@@ -49,11 +49,7 @@ class CharacterWatch:
         self._codes.append(codes)
 
     def motion(self, path: Path) -> CharacterMotion | None:
-        """Return the whole motion, when all is read; None where it is not wanted.
-
-        Args:
-            path: What it is called by.
-        """
+        """Return the whole motion, when all is read; None where it is not wanted."""
         stream = self._stream
         if stream is None:
             return None

@@ -100,12 +100,7 @@ def read_spec(
 
 
 def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[SimulationRun]:
-    """Return a system at its beginning; characters are read now.
-
-    Raises:
-        FormatError: The file of a character is malformed.
-        OptionError: Something makes no sense.
-    """
+    """Return a system at its beginning; characters are read now."""
     (member,) = members
     setup = cast(SpecSetup, member.setup)
     return [_run(member, opening, setup.spec.step)]

@@ -281,13 +281,7 @@ class EntryReader:
     def array(
         self, at: Location, text: str, default: str
     ) -> npt.NDArray[np.float64] | None:
-        """Return the array that a reference names; None, and a fault, where none is.
-
-        Args:
-            at: Place of the reference.
-            text: Such as ``hair.npz#points``.
-            default: Name of the array where the reference says none.
-        """
+        """Return the array that a reference names; None, and a fault, where none is."""
         name, key = split_reference(text, default)
         path = self.input(at, name)
         if path is None:

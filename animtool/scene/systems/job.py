@@ -21,15 +21,7 @@ def system_job(
     meters_per_unit: float,
     up: UpAxis,
 ) -> SimulatedJob:
-    """Return what is to be written of systems.
-
-    Args:
-        systems: What is simulated, y up; some only because others need it.
-        model: Path of the prim above theirs.
-        metadata: What the layer states.
-        meters_per_unit: Unit of what is below the model [m].
-        up: Its up axis.
-    """
+    """Return what is to be written of systems: ``meters_per_unit`` [m]."""
     turn = up_from_up(up, UpAxis.Y)
     written = [system for system in systems if system.written]
     return SimulatedJob(

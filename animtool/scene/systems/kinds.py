@@ -12,19 +12,12 @@ from animtool.documents.document import Document, Location
 
 @dataclass(frozen=True, slots=True)
 class SystemFacts:
-    """A system in numbers, before it is simulated.
+    """A system in numbers, before it is simulated."""
 
-    Attributes:
-        counts: What it is made of, by kind.
-        method: Its solver, or its integrator.
-        step: The longest that it takes [s]; None leaves it to the method.
-        colliders: Of its own, meshes of files among them; those of characters are not
-            counted.
-    """
-
-    counts: dict[str, int]
-    method: str
-    step: float | None
+    counts: dict[str, int]  # what it is made of, by kind
+    method: str  # its solver, or its integrator
+    step: float | None  # the longest that it takes [s]; None leaves it to the method
+    # Of its own, meshes of files among them; those of characters are not counted.
     colliders: int
 
 
@@ -78,32 +71,22 @@ SystemReader: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class SystemKind:
-    """A kind of system, its parts as ``module:object``.
+    """A kind of system, its parts as ``module:object``."""
 
-    Attributes:
-        spec: The model of its keys.
-        description: What it is, for the schema.
-        example: An entry of it.
-        reader: Returns its setup from the keys of an entry; None where faults leave
-            none.
-        opener: Returns systems that are simulated as one at their beginnings.
-        trial: Returns systems that are simulated as one as what can be simulated in
-            several ways.
-        joiner: Notes what keeps systems that are joined from being one; empty where
-            particles cannot be joined.
-        surface: Whether it has faces, which others may run into.
-        build: Of kinds that `derived` reads and runs: from the spec and a `SimContext`
-            to a `Simulation`.
-    """
-
-    spec: str
-    description: str
-    example: dict[str, Any]
+    spec: str  # the model of its keys
+    description: str  # what it is, for the schema
+    example: dict[str, Any]  # an entry of it
+    # Returns its setup from the keys of an entry; None where faults leave none.
     reader: str
-    opener: str
+    opener: str  # returns systems that are simulated as one at their beginnings
+    # Returns systems that are simulated as one, to be simulated in several ways.
     trial: str
+    # Notes what keeps systems that are joined from being one; empty where particles
+    # cannot be joined.
     joiner: str = ""
-    surface: bool = False
+    surface: bool = False  # whether it has faces, which others may run into
+    # Of kinds that `derived` reads and runs: from the spec and a `SimContext` to a
+    # `Simulation`.
     build: str = ""
 
 

@@ -71,13 +71,7 @@ def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
-    """Note names of systems that there are none of, and joints that cannot be.
-
-    Args:
-        document: Where faults are noted.
-        systems: Those of the scene that could be read.
-        names: Of all, those of the others among them.
-    """
+    """Note names of systems that there are none of, and joints that cannot be."""
     sound = len(systems) == len(names)
     for system in systems:
         setup = system.setup
@@ -95,14 +89,7 @@ def check_links(
 def check_names(
     document: Document, at: Location, wanted: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Note names of systems for an output that there are none of.
-
-    Args:
-        document: Where faults are noted.
-        at: Place of the list of names.
-        wanted: The names.
-        names: Of all systems.
-    """
+    """Note names of systems for an output that there are none of."""
     known = sorted({*names})
     for i, name in enumerate(wanted):
         if name not in names:

@@ -22,33 +22,19 @@ KEPT = 4
 
 @dataclass(frozen=True, slots=True)
 class MovingMesh:
-    """A mesh that goes, turns and changes shape as its file says.
+    """A mesh that goes, turns and changes shape as its file says."""
 
-    Attributes:
-        file: The USD file.
-        prim: Path of the mesh.
-        frame: Time code that comes at 0 s; None is the first.
-        radius: Half its thickness [m].
-        closed: Whether it is met from outside alone.
-        restitution: Share of the speed into the surface that comes back [0, 1].
-        friction: Coulomb's coefficient [1].
-    """
-
-    file: Path
-    prim: str
-    frame: float | None = None
-    radius: float = 0.005
-    closed: bool = False
+    file: Path  # the USD file
+    prim: str  # path of the mesh
+    frame: float | None = None  # time code that comes at 0 s; None is the first
+    radius: float = 0.005  # half its thickness [m]
+    closed: bool = False  # whether it is met from outside alone
+    # Share of the speed into the surface that comes back [0, 1].
     restitution: float = 0.0
-    friction: float = 0.0
+    friction: float = 0.0  # coulomb's coefficient [1]
 
     def sheet(self) -> Sheet:
-        """Return it as what particles run into.
-
-        Raises:
-            FormatError: The file is no USD.
-            OptionError: It has no such mesh, or the mesh makes no sense (SIM051).
-        """
+        """Return it as what particles run into."""
         from animtool.usd.prims import open_mesh
 
         source = open_mesh(self.file, self.prim, UpAxis.Y)
@@ -84,11 +70,7 @@ class _Motion:
         self._kept: OrderedDict[float, FloatArray] = OrderedDict()
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m].
-
-        Raises:
-            OptionError: It has other points than at first, or makes no sense (SIM051).
-        """
+        """Return its points ``(N, 3)`` at a time [s] [m]."""
         code = self._start + t * self._source.fps
         code = min(max(code, self._first), self._last)
         if code not in self._kept:

@@ -44,18 +44,7 @@ class SystemRun:
         own: CharacterMotion | None = None,
         progress: Progress = None,
     ) -> None:
-        """Begin.
-
-        Args:
-            systems: Those of a scene.
-            last: The last time that will be asked for [s].
-            own: The scene's own character, where one asks for it.
-            progress: Called with the share done, 0 to 1.
-
-        Raises:
-            FormatError: Something makes no sense, at the place of its system, or one
-                takes too many steps (SCN091).
-        """
+        """Begin: ``last`` [s]."""
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
@@ -97,16 +86,7 @@ class SystemRun:
     def rows(
         self, codes: Sequence[Fraction], first: Fraction, fps: Fraction
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system that is written is then.
-
-        Args:
-            codes: Ascending.
-            first: That at 0 s.
-            fps: Time codes a second.
-
-        Raises:
-            ToleranceError: A system blew up.
-        """
+        """Yield every time code with what each system that is written is then."""
         times = [float((code - first) / fps) for code in codes]
         self._foresee(times)
         show = None if self._phases is None else self._phases.last()

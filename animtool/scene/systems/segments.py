@@ -43,20 +43,7 @@ def segments_of(
     The system is simulated with those that it needs, over the frames of the take; the
     scene's own character is the take as it is.
 
-    Args:
-        systems: Those of the scene.
-        path: The scene's file, which its own character is called by.
-        take: F frames, of any up axis, which the result has too.
-        name: Of the system.
-        particle: The name of a place with one particle, or a number.
-        progress: Called with the share done, 0 to 1.
-        lead: How long the systems begin before the take, whose first pose is held [s].
-
-    Raises:
-        OptionError: There is no such system or particle, or the system is no rope and
-            no strands (SIM192).
-        FormatError: A system makes no sense, at its place.
-        ToleranceError: A system blew up.
+    ``lead`` [s].
     """
     index = _index(systems, name)
     numbers = simulated_with(systems, [index])

@@ -62,31 +62,22 @@ class Tearable(RunningSystem, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SystemProgress:
-    """Where systems tell how far they are.
+    """Where systems tell how far they are."""
 
-    Attributes:
-        phases: Of what comes before the first frame.
-        times: Of the simulation itself.
-    """
-
-    phases: Phases
-    times: TimeProgress
+    phases: Phases  # of what comes before the first frame
+    times: TimeProgress  # of the simulation itself
 
 
 @dataclass
 class Opening:
-    """What systems that are opened may ask for.
+    """What systems that are opened may ask for."""
 
-    Attributes:
-        last: The last time that will be asked for [s].
-        characters: Characters in motion, each read once.
-        opened: Systems that are open, by name.
-        progress: Where they tell how far they are; None where nobody looks.
-    """
-
-    last: float
+    last: float  # the last time that will be asked for [s]
+    # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
+    # Systems that are open, by name.
     opened: dict[str, RunningSystem] = field(default_factory=dict)
+    # Where they tell how far they are; None where nobody looks.
     progress: SystemProgress | None = None
 
     def phase(self) -> Progress:
@@ -114,10 +105,6 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """Give faults that have no file the place of systems that are simulated as one.
 
     That is of the first that has the key that a fault names, else of the first.
-
-    Raises:
-        FormatError: What an `OptionError` said.
-        ToleranceError: What was said by one.
     """
 
     def put(fault: Fault) -> Fault:
@@ -140,15 +127,7 @@ def open_systems(
 ) -> list[RunningSystem]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
-    Args:
-        systems: Those of a scene.
-        last: The last time that will be asked for [s].
-        own: The scene's own character, where one asks for it.
-        progress: Where they tell how far they are.
-
-    Raises:
-        FormatError: Something makes no sense, at the place of its system.
-        ToleranceError: A system blew up at once.
+    ``last`` [s].
     """
     opening = Opening(last, _characters(own), progress=progress)
     return _opened(systems, opening)
@@ -182,13 +161,7 @@ def system_trials(
 ) -> list[tuple[SceneSystem, Trial]]:
     """Return what can be simulated in several ways, with the first system of each.
 
-    Args:
-        systems: Those of a scene.
-        times: When to look, ascending ``(F,)`` [s].
-        own: The scene's own character, where one asks for it.
-
-    Raises:
-        FormatError: Something makes no sense, at the place of its system.
+    ``times`` ``(F,)`` [s].
     """
     last, characters = float(times[-1]), _characters(own)
     found = []

@@ -25,16 +25,7 @@ def predicted_tears(
     topology: what will tear must be known before anything is written. Systems that
     these do not need are left out, and do not change them.
 
-    Args:
-        systems: Those of a scene.
-        wanted: Numbers of those that may tear.
-        times: When they are to be drawn, ascending [s].
-        own: The scene's own character, where one asks for it.
-        progress: Called with the share done, 0 to 1.
-
-    Raises:
-        FormatError: Something makes no sense, at the place of its system.
-        ToleranceError: A system blew up.
+    ``times`` [s].
     """
     numbers = simulated_with(systems, wanted)
     opened = open_systems([systems[i] for i in numbers], times[-1], own)

@@ -28,17 +28,11 @@ SHORTEST = 1e-150
 
 @dataclass(frozen=True, slots=True)
 class Births:
-    """The first N particles that an emitter makes.
+    """The first N particles that an emitter makes."""
 
-    Attributes:
-        times: When ``(N,)`` [s].
-        keys: Which of the emitter's they are ``(N,)``.
-        missed: How many more there would be, for which there is no room.
-    """
-
-    times: FloatArray
-    keys: IntArray
-    missed: int = 0
+    times: FloatArray  # when ``(N,)`` [s]
+    keys: IntArray  # which of the emitter's they are ``(N,)``
+    missed: int = 0  # how many more there would be, for which there is no room
 
 
 @dataclass(frozen=True)

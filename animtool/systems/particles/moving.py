@@ -30,17 +30,11 @@ NOTABLE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Particles at the end of a step.
+    """Particles at the end of a step."""
 
-    Attributes:
-        state: Positions, then velocities ``(2, N, 3)``.
-        checkpoint: What the method takes along.
-        contacts: What they met; None where there is nothing to meet.
-    """
-
-    state: FloatArray
-    checkpoint: Checkpoint
-    contacts: Contacts | None
+    state: FloatArray  # positions, then velocities ``(2, N, 3)``
+    checkpoint: Checkpoint  # what the method takes along
+    contacts: Contacts | None  # what they met; None where there is nothing to meet
 
 
 class Mover:
@@ -82,16 +76,7 @@ class Mover:
     ) -> Moved:
         """Return particles after a step.
 
-        Args:
-            particles: Who they are.
-            state: At its begin ``(2, N, 3)``.
-            checkpoint: What the method took along so far, None where others lived.
-            now: Its begin [s].
-            until: Its end [s].
-
-        Raises:
-            OptionError: What moves them is no number at the begin (SIM003).
-            ToleranceError: It blew up (SIM102), or the method could not go on.
+        ``state`` ``(2, N, 3)``, ``now`` [s], ``until`` [s].
         """
         system = particle_system(self._setup, self._colliders, particles, state)
         begin = checkpoint or Checkpoint(now, system.state)

@@ -21,22 +21,14 @@ _NONE = np.zeros((2, 0, 3))
 
 @dataclass(frozen=True, slots=True)
 class ParticleRunState:
-    """Where a simulation stands at the end of a step, so that it can be gone on with.
+    """Where a simulation stands at the end of a step, to go on from."""
 
-    Attributes:
-        steps: Taken since the beginning.
-        particles: Who lives.
-        state: Positions, then velocities ``(2, N, 3)``.
-        born: How many were born so far.
-        missed: How many were not, for want of room.
-        checkpoint: What the method takes along, as long as the same particles live.
-    """
-
-    steps: int
-    particles: ParticleState
-    state: FloatArray
-    born: int = 0
-    missed: int = 0
+    steps: int  # taken since the beginning
+    particles: ParticleState  # who lives
+    state: FloatArray  # positions, then velocities ``(2, N, 3)``
+    born: int = 0  # how many were born so far
+    missed: int = 0  # how many were not, for want of room
+    # What the method takes along, as long as the same particles live.
     checkpoint: Checkpoint | None = None
 
 

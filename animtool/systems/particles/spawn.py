@@ -26,13 +26,7 @@ def spawned(
 ) -> FloatArray:
     """Return particles at the end of the step that they are born in.
 
-    Args:
-        setup: What moves them.
-        colliders: What they run into.
-        particles: Who they are.
-        born: Positions, velocities at birth ``(2, N, 3)``.
-        t0: Begin of the step [s].
-        t1: Its end [s].
+    ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
     """
     done = _moved(setup, particles, born, t1 - particles.births)
     if not colliders.meet:

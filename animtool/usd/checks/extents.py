@@ -145,10 +145,7 @@ def _compare(
 def bounds_apart(extents: FloatArray, bounds: FloatArray, *, exact: bool) -> FloatArray:
     """Return how far extents are from bounds beyond the tolerance, at most 0 if not.
 
-    Args:
-        extents: ``(F, 2, 3)``, or one for all.
-        bounds: ``(F, 2, 3)``.
-        exact: Whether they must be equal; else it is enough to hold them.
+    ``extents`` ``(F, 2, 3)``, ``bounds`` ``(F, 2, 3)``.
     """
     gaps = np.stack([extents[:, 0] - bounds[:, 0], bounds[:, 1] - extents[:, 1]])
     off = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))

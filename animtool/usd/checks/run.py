@@ -101,11 +101,7 @@ def check_layer(path: Path | str) -> list[Fault]:
 
 
 def check_stage(stage: Any) -> list[Fault]:
-    """Return what our own checks find on a stage.
-
-    Args:
-        stage: A `Usd.Stage`.
-    """
+    """Return what our own checks find on a stage."""
     return _distinct(_faults(Subject(stage)))
 
 

@@ -46,9 +46,7 @@ class Sampled:
 def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
     """Say at which samples something is, by a mask or by their numbers.
 
-    Args:
-        sampled: F samples.
-        bad: Which of them: a mask ``(F,)``, or ascending numbers.
+    ``bad`` ``(F,)``.
     """
     which = np.flatnonzero(bad) if bad.dtype == np.bool_ else bad
     if not sampled.animated:

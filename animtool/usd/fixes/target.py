@@ -63,11 +63,7 @@ class Target:
     layer: Any  # its root `Sdf.Layer`
 
     def prim(self, fault: Fault) -> Any:
-        """Return the prim of a finding.
-
-        Raises:
-            NotFixableError: It is missing, or within an instance.
-        """
+        """Return the prim of a finding."""
         path = Sdf.Path(fault.where or "")
         prim = self.stage.GetPrimAtPath(path.GetPrimPath()) if path else None
         if not prim:
@@ -77,11 +73,7 @@ class Target:
         return prim
 
     def attribute(self, fault: Fault) -> Any:
-        """Return the spec in the root layer that gives an attribute its values.
-
-        Raises:
-            NotFixableError: Another file gives them.
-        """
+        """Return the spec in the root layer that gives an attribute its values."""
         self.prim(fault)
         attr = self.stage.GetAttributeAtPath(fault.where)
         if not attr:
@@ -94,11 +86,7 @@ class Target:
         raise NotFixableError("the attribute has no value")
 
     def prim_spec(self, prim: Any) -> Any:
-        """Return the spec of a prim in the root layer.
-
-        Raises:
-            NotFixableError: Another file defines the prim.
-        """
+        """Return the spec of a prim in the root layer."""
         stack = prim.GetPrimStack()
         own = [spec for spec in stack if spec.layer == self.layer]
         if own:
@@ -107,11 +95,7 @@ class Target:
         return stack[0]
 
     def require_own(self, spec: Any) -> None:
-        """Refuse a spec of another file.
-
-        Raises:
-            NotFixableError: It is one; the text names the file.
-        """
+        """Refuse a spec of another file."""
         if spec.layer != self.layer:
             name = spec.layer.GetDisplayName()
             raise NotFixableError(f"the value is in {name}; fix that file")

@@ -188,13 +188,7 @@ def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
 def renaming(
     value: Mapping[str, Any], key: str, new: Mapping[str, str]
 ) -> Iterator[Edit]:
-    """Yield the edits that rename entries of a list, wherever a rig file names them.
-
-    Args:
-        value: The file.
-        key: Of the list: ``joints``, ``meshes`` or ``shapes``.
-        new: Names by the old ones.
-    """
+    """Yield the edits that rename entries of a list, wherever a rig file names them."""
     for use in USES[key]:
         for at, name in _named(value, tuple(use.split("/")), ()):
             if use.endswith("{}"):

@@ -35,13 +35,6 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     """Return a file with what is wrong mended as far as that is safe, in memory.
 
     A mend is kept where its finding is gone and none has come.
-
-    Args:
-        path: A rig, clip, scene or targets file, or a USD layer.
-        options: Which codes count.
-
-    Raises:
-        FormatError: It cannot be read, or is of no kind that is known.
     """
     plan = FileMend(path, _open_draft(path))
     options = options.with_profile(plan.after.opened.profile)
@@ -101,11 +94,7 @@ def is_package(path: Path) -> bool:
 
 
 def _open_draft(path: Path) -> Draft:
-    """Return a file as it is.
-
-    Raises:
-        FormatError: It cannot be read, or is of no kind that is known.
-    """
+    """Return a file as it is."""
     if is_layer(path):
         from animtool.validation.fixes.layers import LayerDraft
 

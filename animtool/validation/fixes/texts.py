@@ -88,11 +88,7 @@ def summed(opened: Opened, fault: Fault) -> Mend:
 
 
 def _free(path: Path, key: str) -> Path:
-    """Return a file beside another that is not there yet.
-
-    Raises:
-        NotMendedError: The key cannot be a part of its name.
-    """
+    """Return a file beside another that is not there yet."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
@@ -121,11 +117,7 @@ class TextDraft:
 
     @classmethod
     def read(cls, path: Path) -> TextDraft:
-        """Return a file as it is.
-
-        Raises:
-            FormatError: It cannot be read.
-        """
+        """Return a file as it is."""
         text = read_text(path)
         return cls(path, text, text)
 

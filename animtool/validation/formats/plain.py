@@ -69,13 +69,7 @@ _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 
 def text_report(report: Report, *, whole: bool = False) -> str:
-    """Return the findings, each with the line it is in, and a last line that counts.
-
-    Args:
-        report: What was found.
-        whole: Print findings that repeat one of their file too; those in lines of a
-            text are never repeats.
-    """
+    """Return the findings, each with the line it is in, and a last line that counts."""
     sources = Sources()
     counts = Counter(map(_kind, report.findings))
     printed: set[_Kind] = set()

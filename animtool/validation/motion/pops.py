@@ -19,9 +19,7 @@ def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     The prediction is the mean of the middle two of the two steps before and the two
     after, by component, so that one bad step does not spoil that of its neighbours.
 
-    Args:
-        steps: Vectors ``(S, N, 3)``.
-        cuts: Steps that are no motion ``(S,)``; they surprise by 0.
+    ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
     """
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
@@ -46,10 +44,7 @@ def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
 def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
     """Return the mean of the rows within reach, the nearest left out ``(S, N)``.
 
-    Args:
-        values: ``(S, N)``.
-        reach: How many rows before and after count.
-        gap: How many of them on either side do not, beside the row itself.
+    ``values`` ``(S, N)``.
     """
     count = len(values)
     total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
@@ -67,8 +62,7 @@ def around(values: FloatArray) -> FloatArray:
     frame makes two: of the ways to leave such a neighbour out, the one that leaves
     the least counts.
 
-    Args:
-        values: Surprises of steps ``(S, N)``.
+    ``values`` ``(S, N)``.
     """
     rows = np.pad(values, ((2, 2), (0, 0)))
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]

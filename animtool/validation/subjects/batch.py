@@ -9,9 +9,5 @@ from animtool.validation.subjects.subject import Opened
 
 
 def open_batch(document: Document) -> Opened:
-    """Return what a batch file asks for.
-
-    Raises:
-        FormatError: With every fault of the file.
-    """
+    """Return what a batch file asks for."""
     return Opened(Kind.BATCH, [], batch_of_document(document))

@@ -56,11 +56,7 @@ class TakeSubject:
 
 
 def open_bvh(path: Path) -> Opened:
-    """Return a BVH as its rules see it, every row read.
-
-    Raises:
-        FormatError: It is malformed, with every fault.
-    """
+    """Return a BVH as its rules see it, every row read."""
     take = open_source(path).collect()
     faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
     subject = TakeSubject(path, take)

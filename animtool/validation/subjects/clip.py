@@ -82,9 +82,6 @@ def open_clip_document(document: Document) -> Opened:
     """Return a clip file as its rules see it, on the rig that it names.
 
     Where it names none, what can be told without is checked, and that is noted.
-
-    Raises:
-        FormatError: With every fault of the file, and of its rig.
     """
     file = clip_of_document(document)
     if file.model.rig is None:

@@ -39,13 +39,7 @@ _OPENERS = {
 
 
 def open_file(path: Path) -> Opened:
-    """Return a file as rules look at it, with every fault of its reader.
-
-    Raises:
-        FormatError: It is not there, no YAML, or of no kind that is known, with every
-            fault.
-        OptionError: Its suffix is none that is checked (IO002).
-    """
+    """Return a file as rules look at it, with every fault of its reader."""
     reader = READERS.get(path.suffix.lower())
     if reader is BVH or reader is USD:
         return _open(Kind.BVH if reader is BVH else Kind.USD, path)
@@ -59,11 +53,7 @@ def open_file(path: Path) -> Opened:
 
 
 def open_document(document: Document) -> Opened:
-    """Return a file that a person wrote as rules look at it, as `open_file` does.
-
-    Raises:
-        FormatError: It is of no kind that is known.
-    """
+    """Return a file that a person wrote as rules look at it, as `open_file` does."""
     kind = Kind(version_of(document, STEPS)[0])
     opened = _open(kind, document)
     opened.document = document

@@ -99,10 +99,6 @@ class RigSubject(DocumentSubject):
 
 
 def open_rig(document: Document) -> Opened:
-    """Return a rig file as its rules see it.
-
-    Raises:
-        FormatError: With every fault of the file.
-    """
+    """Return a rig file as its rules see it."""
     rig = rig_of_document(document)
     return Opened(Kind.RIG, list(rig.notices), RigSubject(document, rig))

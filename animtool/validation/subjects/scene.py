@@ -70,11 +70,7 @@ class SceneSubject(DocumentSubject):
 
 
 def open_scene(document: Document) -> Opened:
-    """Return a scene file as its rules see it; its source is read, its passes done.
-
-    Raises:
-        FormatError: With every fault of the file.
-    """
+    """Return a scene file as its rules see it; its source is read, its passes done."""
     scene = scene_of_document(document)
     path = str(document.path)
     opened = Opened(Kind.SCENE)

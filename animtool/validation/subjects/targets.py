@@ -28,11 +28,7 @@ class TargetsSubject(DocumentSubject):
 
 
 def open_targets(document: Document) -> Opened:
-    """Return a targets file as its rules see it.
-
-    Raises:
-        FormatError: With every fault of the file.
-    """
+    """Return a targets file as its rules see it."""
     targets = targets_of_document(document, None)
     subject = TargetsSubject(document, targets)
     return Opened(Kind.TARGETS, list(targets.notices), subject)

@@ -14,19 +14,12 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Central(Force):
-    """Acceleration towards a centre.
+    """Acceleration towards a centre."""
 
-    Attributes:
-        centre: [m].
-        strength: Acceleration at one metre [m/s²]; below 0 it pushes.
-        power: Of the distance: -2 is that of gravity and of charges.
-        softening: Length that keeps it finite at the centre [m].
-    """
-
-    centre: Vector = (0.0, 0.0, 0.0)
-    strength: float = 1.0
-    power: float = -2.0
-    softening: float = 0.01
+    centre: Vector = (0.0, 0.0, 0.0)  # [m]
+    strength: float = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
+    power: float = -2.0  # of the distance: -2 is that of gravity and of charges
+    softening: float = 0.01  # length that keeps it finite at the centre [m]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -16,15 +16,10 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class Charges(Force):
-    """Coulomb's law between all particles, softened where they are close.
+    """Coulomb's law between all particles, softened where they are close."""
 
-    Attributes:
-        constant: Coulomb's [N m²/C²].
-        softening: Length that keeps it finite [m].
-    """
-
-    constant: float = 8.9875517862e9
-    softening: float = 0.01
+    constant: float = 8.9875517862e9  # coulomb's [N m²/C²]
+    softening: float = 0.01  # length that keeps it finite [m]
 
     pairs = True
 

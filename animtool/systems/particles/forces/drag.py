@@ -13,15 +13,10 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Drag(Force):
-    """Drag against the velocity, by the speed and by its square.
+    """Drag against the velocity, by the speed and by its square."""
 
-    Attributes:
-        linear: [kg/s].
-        quadratic: Half of density, area and coefficient together [kg/m].
-    """
-
-    linear: float = 0.0
-    quadratic: float = 0.0
+    linear: float = 0.0  # [kg/s]
+    quadratic: float = 0.0  # half of density, area and coefficient together [kg/m]
 
     drains = True
 

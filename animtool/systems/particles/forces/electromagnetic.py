@@ -13,15 +13,10 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Electromagnetic(Force):
-    """Lorentz's force ``q (E + v ^ B)`` of fields that are the same everywhere.
+    """Lorentz's force ``q (E + v ^ B)`` of fields that are the same everywhere."""
 
-    Attributes:
-        electric: Electric field [V/m].
-        magnetic: Magnetic flux density [T].
-    """
-
-    electric: Vector = (0.0, 0.0, 0.0)
-    magnetic: Vector = (0.0, 0.0, 0.0)
+    electric: Vector = (0.0, 0.0, 0.0)  # electric field [V/m]
+    magnetic: Vector = (0.0, 0.0, 0.0)  # magnetic flux density [T]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

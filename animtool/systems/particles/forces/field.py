@@ -18,17 +18,11 @@ from animtool.systems.particles.velocity_field import (
 
 @dataclass(frozen=True)
 class Field(Force):
-    """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge.
+    """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
 
-    Attributes:
-        x: [N].
-        y: [N].
-        z: [N].
-    """
-
-    x: str = "0"
-    y: str = "0"
-    z: str = "0"
+    x: str = "0"  # [N]
+    y: str = "0"  # [N]
+    z: str = "0"  # [N]
 
     @cached_property
     def expressions(self) -> tuple[Expression, ...]:

@@ -16,13 +16,10 @@ class Friction(Force):
     """A brake against the velocity, as of what slides on a table everywhere.
 
     Of surfaces that particles touch, the colliders have their own.
-
-    Attributes:
-        deceleration: [m/s²].
-        smooth: Speed below which it goes to 0, so that nothing is pushed back [m/s].
     """
 
-    deceleration: float = 0.0
+    deceleration: float = 0.0  # [m/s²]
+    # Speed below which it goes to 0, so that nothing is pushed back [m/s].
     smooth: float = 0.01
 
     drains = True

@@ -13,13 +13,9 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Gravity(Force):
-    """The same acceleration everywhere.
+    """The same acceleration everywhere."""
 
-    Attributes:
-        acceleration: [m/s²].
-    """
-
-    acceleration: Vector = (0.0, -9.81, 0.0)
+    acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -14,17 +14,11 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Propulsion(Force):
-    """A thrust along the velocity, or in a direction.
+    """A thrust along the velocity, or in a direction."""
 
-    Attributes:
-        thrust: [N]; below 0 it brakes.
-        direction: Of any length above 0; None is along the velocity.
-        duration: From birth on [s].
-    """
-
-    thrust: float = 0.0
-    direction: Vector | None = None
-    duration: float = math.inf
+    thrust: float = 0.0  # [N]; below 0 it brakes
+    direction: Vector | None = None  # of any length above 0; None is along the velocity
+    duration: float = math.inf  # from birth on [s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -13,19 +13,12 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Spring(Force):
-    """A spring to a point, or to where each particle was born.
+    """A spring to a point, or to where each particle was born."""
 
-    Attributes:
-        anchor: The point [m]; None is where each was born.
-        k: Stiffness [N/m].
-        rest: Length at which it pulls nobody [m].
-        kd: Damping against change of its length [kg/s].
-    """
-
-    anchor: Vector | None = None
-    k: float = 1.0
-    rest: float = 0.0
-    kd: float = 0.0
+    anchor: Vector | None = None  # the point [m]; None is where each was born
+    k: float = 1.0  # stiffness [N/m]
+    rest: float = 0.0  # length at which it pulls nobody [m]
+    kd: float = 0.0  # damping against change of its length [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -20,21 +20,13 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Turbulence(Force):
-    """Accelerations that swirl and go nowhere in the mean.
+    """Accelerations that swirl and go nowhere in the mean."""
 
-    Attributes:
-        strength: About the root mean square [m/s²].
-        size: Of the largest swirls [m].
-        change: How often a second they become others [1/s].
-        octaves: Sizes of swirls, each half of the one before and half as strong.
-        seed: Of what is random.
-    """
-
-    strength: float = 1.0
-    size: float = 1.0
-    change: float = 0.5
-    octaves: int = 2
-    seed: int = 0
+    strength: float = 1.0  # about the root mean square [m/s²]
+    size: float = 1.0  # of the largest swirls [m]
+    change: float = 0.5  # how often a second they become others [1/s]
+    octaves: int = 2  # sizes of swirls, each half of the one before and half as strong
+    seed: int = 0  # of what is random
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -13,13 +13,9 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Uniform(Force):
-    """The same force everywhere, whatever the mass.
+    """The same force everywhere, whatever the mass."""
 
-    Attributes:
-        push: [N].
-    """
-
-    push: Vector = (0.0, 0.0, 0.0)
+    push: Vector = (0.0, 0.0, 0.0)  # [N]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

@@ -13,13 +13,9 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Viscosity(Force):
-    """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls.
+    """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls."""
 
-    Attributes:
-        viscosity: Of the fluid [Pa s]; of water 1e-3, of air 1.8e-5.
-    """
-
-    viscosity: float = 1e-3
+    viscosity: float = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
 
     drains = True
 

@@ -13,15 +13,10 @@ from animtool.systems.particles.state import ParticleState
 
 @dataclass(frozen=True)
 class Wind(Force):
-    """Air that moves and takes particles along.
+    """Air that moves and takes particles along."""
 
-    Attributes:
-        velocity: Of the air [m/s].
-        drag: Of particles in it [kg/s].
-    """
-
-    velocity: Vector = (0.0, 0.0, 0.0)
-    drag: float = 0.0
+    velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
+    drag: float = 0.0  # of particles in it [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
