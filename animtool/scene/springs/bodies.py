@@ -14,7 +14,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
 from animtool.ranges import OF_ENTRY, range_faults
-from animtool.scene.springs.parts_schema import FamilyModel, LineFamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import Body, Family
@@ -49,41 +48,39 @@ def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
     return 1.0
 
 
-def families_of(reader: EntryReader, at: Location, model: Any) -> Families:
+def families_of(reader: EntryReader, at: Location, model: FileModel) -> Families:
     """Return the families of springs of an entry.
 
     One of impossible numbers is noted, and one without force stands in for it.
     """
-    names = list(type(model).model_fields)
-    found: dict[str, Family | None] = {}
-    for name in names:
-        given: FamilyModel | None = getattr(model, name)
-        found[name] = None if given is None else _family(reader, (*at, name), given)
+    entries = dict(model)
+    found = {
+        name: None if entry is None else _family(reader, (*at, name), dict(entry))
+        for name, entry in entries.items()
+    }
     if not any(found.values()):
         message = "it has no springs, and its particles fall apart"
-        hint = f"give it some of {', '.join(names)}"
+        hint = f"give it some of {', '.join(entries)}"
         reader.document.add("SIM050", at, message, hint)
     return found
 
 
-def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
-    axial = model.axial_stiffness if isinstance(model, LineFamilyModel) else None
-    # Springs of ropes and strands may have the axial one instead.
-    stiffness: float | None = getattr(model, "stiffness", None)
-    if not _has_one_stiffness(reader, at, stiffness, axial, model.rest):
+def _family(reader: EntryReader, at: Location, keys: dict[str, Any]) -> Family:
+    """Return a family; ropes and strands may have the axial stiffness instead."""
+    axial, stiffness = keys.get("axial_stiffness"), keys.pop("stiffness")
+    if not _has_one_stiffness(reader, at, stiffness, axial, keys["rest"]):
         return Family(0.0)
-    tear = math.inf if model.tear is None else model.tear
-    faults = range_faults(model, OF_ENTRY)
-    if model.rest == 0 and 0 < tear < math.inf:
+    keys.pop("ways", None)  # which diagonals they are
+    family = Family(stiffness or 0.0, **keys)
+    faults = range_faults(family, OF_ENTRY)
+    if family.rest == 0 and (family.tear or 0) > 0:
         message, hint = "springs of no length tear at once", "leave tear out"
         faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
         reader.document.add(
             fault.code, (*at, fault.where or ""), fault.message, fault.hint
         )
-    if faults:
-        return Family(0.0)
-    return Family(stiffness or 0.0, model.damping, model.ratio, tear, model.rest, axial)
+    return Family(0.0) if faults else family
 
 
 def _has_one_stiffness(

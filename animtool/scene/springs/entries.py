@@ -10,15 +10,7 @@ from typing import Any
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError
 from animtool.scene.springs.bodies import SpringBody, families_of, mass_of
-from animtool.scene.springs.parts_schema import WindModel
 from animtool.scene.springs.pins import read_pins
-from animtool.scene.springs.schema import (
-    ClothModel,
-    RopeModel,
-    SpringsModel,
-    StrandsModel,
-    VolumeModel,
-)
 from animtool.scene.springs.setup import (
     SpringSetup,
     contact_of,
@@ -34,6 +26,14 @@ from animtool.scene.springs.shaped_bodies import (
 from animtool.scene.systems.entries import EntryReader
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.springs.options import check_keeping_apart, check_options
+from animtool.systems.springs.spec import (
+    ClothModel,
+    RopeModel,
+    SpringsModel,
+    StrandsModel,
+    VolumeModel,
+)
+from animtool.systems.springs.spec_parts import WindModel
 
 _BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
     ClothModel: cloth_body,

@@ -9,11 +9,11 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
-from animtool.scene.springs.parts_schema import FaceWindModel, WindModel
 from animtool.scene.springs.pins import Pin
 from animtool.sim.colliders import Poses
 from animtool.systems.springs import Air, Pins, Targets
 from animtool.systems.springs.paths import over_knots
+from animtool.systems.springs.spec_parts import FaceWindModel, WindModel
 
 # What keeps a turn as small as it may be where points leave it open.
 LEAST_TURN = 1e-9

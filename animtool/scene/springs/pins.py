@@ -14,16 +14,16 @@ from animtool.documents.names import nearest
 from animtool.errors import AnimtoolError, Fault, listed
 from animtool.maths import so3
 from animtool.scene.springs.bodies import SpringBody
-from animtool.scene.springs.parts_schema import (
+from animtool.scene.systems.carriers import Carrier, OnJoint, OnPrim, OnVertex
+from animtool.scene.systems.character_motion import CharacterMotions, open_take
+from animtool.scene.systems.entries import EntryReader
+from animtool.sim.colliders import Poses
+from animtool.systems.springs.spec_parts import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
     PinModel,
 )
-from animtool.scene.systems.carriers import Carrier, OnJoint, OnPrim, OnVertex
-from animtool.scene.systems.character_motion import CharacterMotions, open_take
-from animtool.scene.systems.entries import EntryReader
-from animtool.sim.colliders import Poses
 from animtool.units import UpAxis
 
 # The first frame of what carries, in which it is when particles are bound to it.

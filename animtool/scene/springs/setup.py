@@ -14,18 +14,18 @@ from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError, counted
 from animtool.scene.entries import SceneSystem
 from animtool.scene.springs.bodies import SpringBody
-from animtool.scene.springs.parts_schema import (
-    FaceWindModel,
-    SelfContactModel,
-    WindModel,
-)
 from animtool.scene.springs.pins import Join, Pin, numbered
-from animtool.scene.springs.schema import SpringsModel
 from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.springs import SelfContact, Solver, SpringOptions
 from animtool.systems.springs.options import check_keeping_apart
+from animtool.systems.springs.spec import SpringsModel
+from animtool.systems.springs.spec_parts import (
+    FaceWindModel,
+    SelfContactModel,
+    WindModel,
+)
 
 _OPTIONS = ("solver", "step", "error", "stretch")
 _OWN = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
@@ -83,7 +83,7 @@ class SpringSetup:
         body = self.body.body
         particles = counted(len(body.positions), "particle")
         springs = counted(len(body.springs.rest), "spring")
-        solver, step = self.spec.solver, self.spec.step
+        solver, step = options_of(self.spec).solver, options_of(self.spec).step
         how = f"by {solver}" if step is None else f"by {solver} in steps of {step:g} s"
         return f"{particles} with {springs}, {how}"
 
@@ -97,8 +97,8 @@ class SpringSetup:
             "springs": len(body.springs.rest),
             drawn: len(shape.counts),
         }
-        spec = self.spec
-        return SystemFacts(counts, spec.solver, spec.step, self.around.count)
+        options = options_of(self.spec)
+        return SystemFacts(counts, str(options.solver), options.step, self.around.count)
 
 
 def wind_of(spec: SpringsModel) -> WindModel | None:
@@ -176,7 +176,7 @@ def _check_solver(document: Document, setups: Sequence[SpringSetup]) -> None:
         # One that wants it itself has been told.
         if contact_of(setup.spec) is None and _states(setup, "solver"):
             try:
-                check_keeping_apart(Solver(setup.spec.solver))
+                check_keeping_apart(Solver(options_of(setup.spec).solver))
             except OptionError as error:
                 fault, at = error.faults[0], (*setup.at, "solver")
                 document.add(fault.code, at, fault.message, fault.hint)

@@ -18,12 +18,6 @@ from animtool.scene.springs.bodies import (
     share_out,
     some_of,
 )
-from animtool.scene.springs.schema import (
-    ClothModel,
-    RopeModel,
-    StrandsModel,
-    VolumeModel,
-)
 from animtool.scene.springs.shapes import Curves, Faces
 from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import (
@@ -35,6 +29,12 @@ from animtool.systems.springs import (
     strand,
     surface,
     tetrahedra,
+)
+from animtool.systems.springs.spec import (
+    ClothModel,
+    RopeModel,
+    StrandsModel,
+    VolumeModel,
 )
 from animtool.units import UpAxis
 

@@ -15,7 +15,6 @@ from animtool.errors import Fault, Severity, counted, percent
 from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
-from animtool.scene.springs.parts_schema import FaceWindModel
 from animtool.scene.springs.paths import (
     Tie,
     Ties,
@@ -38,6 +37,7 @@ from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
+from animtool.systems.springs.spec_parts import FaceWindModel
 from animtool.systems.springs.trial import SpringTrial
 
 # Particles that are put together, or held, this far from where they are built are

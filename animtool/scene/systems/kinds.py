@@ -108,7 +108,7 @@ def _springs(
     model: str, description: str, example: dict[str, Any], *, surface: bool = False
 ) -> SystemKind:
     return SystemKind(
-        f"animtool.scene.springs.schema:{model}",
+        f"animtool.systems.springs.spec:{model}",
         description,
         {**example, "springs": {"structural": {"stiffness": 1000}}},
         "animtool.scene.springs.entries:read_springs",

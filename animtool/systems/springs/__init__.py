@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from animtool.systems.springs.body import Body as Body
-    from animtool.systems.springs.body import Family as Family
     from animtool.systems.springs.body import Springs as Springs
     from animtool.systems.springs.body import join as join
     from animtool.systems.springs.body import springs_between as springs_between
-    from animtool.systems.springs.options import Solver as Solver
     from animtool.systems.springs.options import SpringMotion as SpringMotion
-    from animtool.systems.springs.options import SpringOptions as SpringOptions
     from animtool.systems.springs.paths import Air as Air
     from animtool.systems.springs.paths import Pins as Pins
     from animtool.systems.springs.paths import Targets as Targets
+    from animtool.systems.springs.records import Family as Family
+    from animtool.systems.springs.records import SelfContact as SelfContact
+    from animtool.systems.springs.records import Solver as Solver
+    from animtool.systems.springs.records import SpringOptions as SpringOptions
     from animtool.systems.springs.resting import Rest as Rest
     from animtool.systems.springs.resting import find_rest as find_rest
-    from animtool.systems.springs.self_contact import SelfContact as SelfContact
     from animtool.systems.springs.shapes import Welded as Welded
     from animtool.systems.springs.shapes import block as block
     from animtool.systems.springs.shapes import rope as rope
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Air": "paths",
     "Body": "body",
-    "Family": "body",
+    "Family": "records",
     "Tearing": "tearing",
     "Pins": "paths",
-    "SelfContact": "self_contact",
-    "Solver": "options",
+    "SelfContact": "records",
+    "Solver": "records",
     "SpringMotion": "options",
-    "SpringOptions": "options",
+    "SpringOptions": "records",
     "SpringSystem": "system",
     "Springs": "body",
     "Targets": "paths",

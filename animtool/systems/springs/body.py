@@ -2,36 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
-
-
-@dataclass(frozen=True, slots=True)
-class Family:
-    """What springs of a kind have in common.
-
-    Attributes:
-        stiffness: Force over lengthening [N/m].
-        damping: Along the spring, force over speed [N s/m].
-        ratio: More of it, as a share of what a spring of this stiffness on the mean
-            mass of its ends is critical with [1]: c = 2 ratio √(k m).
-        tear: Lengthening over the length at rest beyond which a spring tears [1].
-        rest: Length at rest over the distance of the ends as built [1].
-        axial: Force over strain [N]: each spring's stiffness is this over its length at
-            rest, and `stiffness` is not used; None is by `stiffness`.
-    """
-
-    stiffness: float
-    damping: float = 0.0
-    ratio: float = 0.0
-    tear: float = math.inf
-    rest: float = 1.0
-    axial: float | None = None
+from animtool.systems.springs.records import Family
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +74,7 @@ def springs_between(
     >>> line = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     >>> springs_between([[0, 1]], Family(10.0), line, np.ones(2)).rest.tolist()
     [2.0]
-    >>> rod = Family(0.0, axial=30.0)
+    >>> rod = Family(0.0, axial_stiffness=30.0)
     >>> springs_between([[0, 1]], rod, line, np.ones(2)).stiffness.tolist()
     [15.0]
     """
@@ -106,12 +83,16 @@ def springs_between(
     lengths = gaps * family.rest if rest is None else np.asarray(rest, np.float64)
     lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
     stiffness = np.full(len(pairs), float(family.stiffness))
-    if family.axial is not None:
-        stiffness = np.divide(family.axial, lengths, out=stiffness, where=lengths > 0)
+    if family.axial_stiffness is not None:
+        stiffness = np.divide(
+            family.axial_stiffness, lengths, out=stiffness, where=lengths > 0
+        )
     critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
-    with np.errstate(invalid="ignore"):
-        limit = lengths * (1 + family.tear)
-    limit[np.isnan(limit)] = np.inf
+    limit = np.full(len(pairs), np.inf)
+    if family.tear is not None:
+        with np.errstate(invalid="ignore"):
+            limit = lengths * (1 + family.tear)
+        limit[np.isnan(limit)] = np.inf
     return Springs(
         pairs, lengths, stiffness, family.damping + family.ratio * critical, limit
     )

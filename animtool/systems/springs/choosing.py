@@ -13,11 +13,10 @@ from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.systems.springs.options import (
     MAX_SUBSTEPS,
-    Solver,
-    SpringOptions,
     check_keeping_apart,
     check_substeps,
 )
+from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.slopes import LoadedBody
 from animtool.systems.springs.solvers import SHORTEST
 from animtool.systems.springs.system import SpringSystem

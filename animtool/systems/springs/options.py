@@ -3,65 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError
-from animtool.ranges import above, range_faults
+from animtool.ranges import range_faults
 from animtool.sim.trajectory import Trajectory
+from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.self_contact import Through
 
 # Steps that a cell of time is divided into, at most.
 MAX_SUBSTEPS = 4096
-
-
-class Solver(StrEnum):
-    """What takes springs through time.
-
-    Attributes:
-        AUTO: The one that is expected to take least time: steps, times their cost.
-        SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
-        XPBD: Extended position based dynamics in small steps: stable with any, and
-            less accurate.
-        BDF2: Backward differences of two steps, for accuracy where springs are stiff.
-        IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
-    """
-
-    AUTO = "auto"
-    SYMPLECTIC_EULER = "symplectic_euler"
-    XPBD = "xpbd"
-    BDF2 = "bdf2"
-    IMPLICIT_EULER = "implicit_euler"
-
-
-@dataclass(frozen=True, slots=True)
-class SpringOptions:
-    """How to simulate springs.
-
-    Attributes:
-        solver: Of `Solver`.
-        step: The longest step [s]. None leaves it to the solver: as many steps in
-            each 1/240 s as it needs.
-        stretch: Of xpbd, most that a spring may be longer than at rest, over its
-            length at rest [1], where this is not mostly its own give under what it
-            bears; steps are halved where it is more.
-        error: Most error of positions [m]: the motion is made again in half the step
-            until two agree. None does not ask.
-        growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up; of xpbd it is not asked for.
-        longest: Length of a spring, in lengths at rest, from which on it has.
-    """
-
-    solver: Solver | str = Solver.AUTO
-    step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
-    stretch: Annotated[float, above(0, "SIM004")] = 0.01
-    error: Annotated[float | None, above(0, "SIM004", finite=True)] = None
-    growth: Annotated[float, above(0, "SIM004")] = 100.0
-    longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
 def check_options(options: SpringOptions) -> Solver:

@@ -4,51 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.ranges import above, or_more, range_faults
+from animtool.ranges import range_faults
 from animtool.systems.springs.body import Body
-
-
-@dataclass(frozen=True, slots=True)
-class SelfContact:
-    """How a surface keeps apart from itself: cloth in folds, rolls and layers.
-
-    At the end of each step, each particle is as far from each triangle as the cloth is
-    thick, and each edge three quarters of that from each other edge, on the side that
-    they were; Coulomb's friction takes from the way of one along the other. What one
-    gains in momentum the other loses. Pairs that are nearer at rest keep that distance;
-    along the surface they keep two thirds of it, so that the thickness is never more
-    than springs leave room for.
-
-    Limits of the method: what has gone through in spite of all, as where colliders
-    close in on it, is remembered and brought back, but cloth that begins in a tangle
-    stays in it (SIM166). Parts that go further over each other in one step than four
-    thicknesses may go through unseen (SIM165): with colliders or pins that fast, take
-    a shorter step.
-
-    Attributes:
-        thickness: Least distance [m].
-        friction: Coulomb's coefficient [1].
-        speed: With which what is nearer at the start comes apart [m/s]; it keeps none
-            of it.
-        rest: Where particles are at rest ``(N, 3)`` [m]; None is where the body begins.
-
-    References:
-        M. Müller, B. Heidelberger, M. Hennix, J. Ratcliff, Position Based Dynamics,
-        2007, sections 3.5 and 4.4. R. Bridson, R. Fedkiw, J. Anderson, Robust Treatment
-        of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
-    """
-
-    thickness: Annotated[float, above(0, "SIM045", finite=True)]
-    friction: Annotated[float, or_more(0, "SIM045", finite=True)] = 0.2
-    speed: Annotated[float, above(0, "SIM045", finite=True)] = 0.2
-    rest: ArrayLike | None = None
+from animtool.systems.springs.records import SelfContact
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:

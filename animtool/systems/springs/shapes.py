@@ -14,7 +14,8 @@ from animtool.maths.faces import (
     of_one_edge,
     triangulated,
 )
-from animtool.systems.springs.body import Body, Family, built
+from animtool.systems.springs.body import Body, built
+from animtool.systems.springs.records import Family
 
 
 @dataclass(frozen=True, slots=True)

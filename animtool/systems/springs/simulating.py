@@ -18,11 +18,10 @@ from animtool.systems.springs.choosing import Choice, choose, explicit_limit
 from animtool.systems.springs.options import (
     MAX_SUBSTEPS,
     Grid,
-    Solver,
     SpringMotion,
-    SpringOptions,
     check_options,
 )
+from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.self_contact import Through, through_notices
 from animtool.systems.springs.solvers import ADVANCE
 from animtool.systems.springs.system import SpringSystem

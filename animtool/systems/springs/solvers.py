@@ -12,7 +12,8 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.springs.options import Grid, Solver, SpringOptions
+from animtool.systems.springs.options import Grid
+from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.self_contact import Through
 from animtool.systems.springs.system import SpringSystem
 

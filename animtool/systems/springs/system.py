@@ -24,11 +24,8 @@ from animtool.systems.springs.checks import (
     start_notices,
 )
 from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
-from animtool.systems.springs.self_contact import (
-    SelfContact,
-    check_self_contact,
-    tangle_notices,
-)
+from animtool.systems.springs.records import SelfContact
+from animtool.systems.springs.self_contact import check_self_contact, tangle_notices
 from animtool.systems.springs.slopes import fastest
 
 # Of the speed of targets, where no step says over which time to take it [s].
@@ -78,7 +75,7 @@ class SpringSystem(SecondOrder):
             SIM020.
 
     >>> from animtool.systems.springs.shapes import rope
-    >>> from animtool.systems.springs.body import Family
+    >>> from animtool.systems.springs import Family
     >>> line = rope([0, 0, 0], [1, 0, 0], 3, Family(100.0), mass=0.5)
     >>> system = SpringSystem(line, pins=Pins([0]))
     >>> x, v = system.state

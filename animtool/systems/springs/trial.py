@@ -11,7 +11,8 @@ from animtool._types import FloatArray
 from animtool.sim.system import Energy
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
 from animtool.systems.springs.choosing import choose
-from animtool.systems.springs.options import Solver, SpringMotion, SpringOptions
+from animtool.systems.springs.options import SpringMotion
+from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulating import simulate_springs
 from animtool.systems.springs.system import SpringSystem
 

@@ -86,7 +86,7 @@ def test_a_rope_of_axial_stiffness_hangs_as_far_down_with_any_number_of_springs(
         [0, 0, 0],
         [0, 0, -length],
         count,
-        Family(0.0, axial=axial),
+        Family(0.0, axial_stiffness=axial),
         mass=mass / count,
         tip_mass=load,
     )

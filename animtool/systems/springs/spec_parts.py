@@ -4,36 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
-from animtool.ranges import above, or_more
+from animtool.documents.records import with_fields
+from animtool.ranges import or_more
 from animtool.systems.fields import (
     CharacterFile,
     FollowedPrimModel,
     OwnCharacter,
     TimedVector,
 )
+from animtool.systems.springs import Family, SelfContact
 
 
+@with_fields(SelfContact, "thickness", "friction", "speed", bounds=True)
 class SelfContactModel(FileModel):
     """How a surface keeps apart from itself, in folds and layers."""
-
-    thickness: Annotated[Real, Gt(0)] = Field(
-        description="Least distance of its particles from its faces [m], such as half "
-        "the length of an edge.",
-        examples=[0.01],
-    )
-    friction: Annotated[Real, Ge(0)] = Field(
-        default=0.2, description="Coulomb's coefficient.", examples=[0.4]
-    )
-    speed: Annotated[Real, Gt(0)] = Field(
-        default=0.2,
-        description="What is nearer at the start comes apart this fast [m/s].",
-        examples=[0.1],
-    )
 
 
 SelfContactField = Annotated[
@@ -45,47 +34,21 @@ SelfContactField = Annotated[
 ]
 
 
+@with_fields(Family, "stiffness", "damping", "ratio", "rest", "tear")
 class FamilyModel(FileModel):
     """What springs of a family have in common."""
-
-    stiffness: Annotated[Real, or_more(0, "SIM042")] = Field(
-        description="Force over lengthening [N/m].", examples=[1e4]
-    )
-    damping: Annotated[Real, or_more(0, "SIM042")] = Field(
-        default=0.0,
-        description="Along the spring: force over speed [N s/m].",
-        examples=[0.5],
-    )
-    ratio: Annotated[Real, or_more(0, "SIM042")] = Field(
-        default=0.0,
-        description="More of it, as a share of what one spring on its ends is "
-        "critical with.",
-        examples=[0.1],
-    )
-    rest: Annotated[Real, or_more(0, "SIM042")] = Field(
-        default=1.0,
-        description="Length at rest over the distance of the ends as built; 0 draws "
-        "them together.",
-        examples=[0.9],
-    )
-    tear: Annotated[Real | None, above(0, "SIM042")] = Field(
-        default=None,
-        description="Lengthening over the length at rest beyond which a spring tears. "
-        "Not given: never.",
-        examples=[0.5],
-    )
 
 
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
 
-    stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(  # type: ignore[assignment]
+    stiffness: Real | None = Field(
         default=None,
         description="Force over lengthening of each spring [N/m]. Not given: "
         "`axial_stiffness` is.",
         examples=[1e4],
     )
-    axial_stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(
+    axial_stiffness: Real | None = Field(
         default=None,
         description="In place of `stiffness`: force over strain [N], the same however "
         "many particles there are. A spring gets it divided by its length at rest.",

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
+from animtool.documents.records import with_fields
 from animtool.ranges import above, or_more
-from animtool.scene.springs.parts_schema import (
-    ClothSpringsModel,
-    FaceWindField,
-    LineSpringsModel,
-    PinModel,
-    SelfContactField,
-    VolumeSpringsModel,
-    WindModel,
-)
 from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
@@ -28,8 +20,19 @@ from animtool.systems.fields import (
     SystemColliderModel,
     UsdFile,
 )
+from animtool.systems.springs import SpringOptions
+from animtool.systems.springs.spec_parts import (
+    ClothSpringsModel,
+    FaceWindField,
+    LineSpringsModel,
+    PinModel,
+    SelfContactField,
+    VolumeSpringsModel,
+    WindModel,
+)
 
 
+@with_fields(SpringOptions, "solver", "step", "error", "stretch", before="preroll")
 class SpringsModel(FileModel):
     """What ropes, strands, cloth and volumes have in common."""
 
@@ -75,31 +78,6 @@ class SpringsModel(FileModel):
         description="Pins that go faster were put elsewhere, and take along what hangs "
         "on them [m/s].",
         examples=[500],
-    )
-    solver: Literal["auto", "symplectic_euler", "xpbd", "bdf2", "implicit_euler"] = (
-        Field(
-            default="auto",
-            description="What takes it through time; `auto` takes the cheapest that is "
-            "stable and near enough, and says why.",
-            examples=["xpbd"],
-        )
-    )
-    step: Real | None = Field(
-        default=None,
-        description="The longest step [s]. Not given: what the solver needs.",
-        examples=[0.002],
-    )
-    error: Real | None = Field(
-        default=None,
-        description="Most error of positions [m]: steps are halved until two motions "
-        "agree. Not given: it is not asked for.",
-        examples=[0.001],
-    )
-    stretch: Real = Field(
-        default=0.01,
-        description="Of `xpbd`: most that springs may be longer than at rest, where "
-        "this is not their own give.",
-        examples=[0.005],
     )
     preroll: Preroll = 0.0
     settle: bool = Field(

@@ -1,0 +1,187 @@
+"""What is said of springs and of how to simulate them: in Python, and in files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+from animtool._types import ArrayLike
+from animtool.options import Key
+from animtool.ranges import above, or_more
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """What springs of a kind have in common.
+
+    Attributes:
+        stiffness: Force over lengthening [N/m].
+        damping: Along the spring, force over speed [N s/m].
+        ratio: More of it, as a share of what a spring of this stiffness on the mean
+            mass of its ends is critical with [1]: c = 2 ratio √(k m).
+        tear: Lengthening over the length at rest beyond which a spring tears [1]; None
+            is never.
+        rest: Length at rest over the distance of the ends as built [1].
+        axial_stiffness: Force over strain [N]: each spring's stiffness is this over its
+            length at rest, and `stiffness` is not used; None is by `stiffness`.
+    """
+
+    stiffness: Annotated[
+        float, or_more(0, "SIM042"), Key("Force over lengthening [N/m].", 1e4)
+    ]
+    damping: Annotated[
+        float,
+        or_more(0, "SIM042"),
+        Key("Along the spring: force over speed [N s/m].", 0.5),
+    ] = 0.0
+    ratio: Annotated[
+        float,
+        or_more(0, "SIM042"),
+        Key(
+            "More of it, as a share of what one spring on its ends is critical with.",
+            0.1,
+        ),
+    ] = 0.0
+    tear: Annotated[
+        float | None,
+        above(0, "SIM042"),
+        Key(
+            "Lengthening over the length at rest beyond which a spring tears. "
+            "Not given: never.",
+            0.5,
+        ),
+    ] = None
+    rest: Annotated[
+        float,
+        or_more(0, "SIM042"),
+        Key(
+            "Length at rest over the distance of the ends as built; 0 draws them "
+            "together.",
+            0.9,
+        ),
+    ] = 1.0
+    axial_stiffness: Annotated[float | None, or_more(0, "SIM042")] = None
+
+
+class Solver(StrEnum):
+    """What takes springs through time.
+
+    Attributes:
+        AUTO: The one that is expected to take least time: steps, times their cost.
+        SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
+        XPBD: Extended position based dynamics in small steps: stable with any, and
+            less accurate.
+        BDF2: Backward differences of two steps, for accuracy where springs are stiff.
+        IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
+    """
+
+    AUTO = "auto"
+    SYMPLECTIC_EULER = "symplectic_euler"
+    XPBD = "xpbd"
+    BDF2 = "bdf2"
+    IMPLICIT_EULER = "implicit_euler"
+
+
+@dataclass(frozen=True, slots=True)
+class SpringOptions:
+    """How to simulate springs.
+
+    Attributes:
+        solver: Of `Solver`.
+        step: The longest step [s]. None leaves it to the solver: as many steps in
+            each 1/240 s as it needs.
+        stretch: Of xpbd, most that a spring may be longer than at rest, over its
+            length at rest [1], where this is not mostly its own give under what it
+            bears; steps are halved where it is more.
+        error: Most error of positions [m]: the motion is made again in half the step
+            until two agree. None does not ask.
+        growth: Energy gained, in those of the start and what may be supplied, from
+            which on a motion has blown up; of xpbd it is not asked for.
+        longest: Length of a spring, in lengths at rest, from which on it has.
+    """
+
+    solver: Annotated[
+        Solver | str,
+        Key(
+            "What takes it through time; `auto` takes the cheapest that is stable and "
+            "near enough, and says why.",
+            "xpbd",
+            choices=tuple(map(str, Solver)),
+        ),
+    ] = Solver.AUTO
+    step: Annotated[
+        float | None,
+        above(0, "SIM004", finite=True),
+        Key("The longest step [s]. Not given: what the solver needs.", 0.002),
+    ] = None
+    stretch: Annotated[
+        float,
+        above(0, "SIM004"),
+        Key(
+            "Of `xpbd`: most that springs may be longer than at rest, where this is "
+            "not their own give.",
+            0.005,
+        ),
+    ] = 0.01
+    error: Annotated[
+        float | None,
+        above(0, "SIM004", finite=True),
+        Key(
+            "Most error of positions [m]: steps are halved until two motions agree. "
+            "Not given: it is not asked for.",
+            0.001,
+        ),
+    ] = None
+    growth: Annotated[float, above(0, "SIM004")] = 100.0
+    longest: Annotated[float, above(1, "SIM004")] = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class SelfContact:
+    """How a surface keeps apart from itself: cloth in folds, rolls and layers.
+
+    At the end of each step, each particle is as far from each triangle as the cloth is
+    thick, and each edge three quarters of that from each other edge, on the side that
+    they were; Coulomb's friction takes from the way of one along the other. What one
+    gains in momentum the other loses. Pairs that are nearer at rest keep that distance;
+    along the surface they keep two thirds of it, so that the thickness is never more
+    than springs leave room for.
+
+    Limits of the method: what has gone through in spite of all, as where colliders
+    close in on it, is remembered and brought back, but cloth that begins in a tangle
+    stays in it (SIM166). Parts that go further over each other in one step than four
+    thicknesses may go through unseen (SIM165): with colliders or pins that fast, take
+    a shorter step.
+
+    Attributes:
+        thickness: Least distance [m].
+        friction: Coulomb's coefficient [1].
+        speed: With which what is nearer at the start comes apart [m/s]; it keeps none
+            of it.
+        rest: Where particles are at rest ``(N, 3)`` [m]; None is where the body begins.
+
+    References:
+        M. Müller, B. Heidelberger, M. Hennix, J. Ratcliff, Position Based Dynamics,
+        2007, sections 3.5 and 4.4. R. Bridson, R. Fedkiw, J. Anderson, Robust Treatment
+        of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
+    """
+
+    thickness: Annotated[
+        float,
+        above(0, "SIM045", finite=True),
+        Key(
+            "Least distance of its particles from its faces [m], such as half the "
+            "length of an edge.",
+            0.01,
+        ),
+    ]
+    friction: Annotated[
+        float, or_more(0, "SIM045", finite=True), Key("Coulomb's coefficient.", 0.4)
+    ] = 0.2
+    speed: Annotated[
+        float,
+        above(0, "SIM045", finite=True),
+        Key("What is nearer at the start comes apart this fast [m/s].", 0.1),
+    ] = 0.2
+    rest: ArrayLike | None = None

@@ -1,0 +1,73 @@
+"""Models of files whose keys are fields of a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+from pydantic import Field, ValidationError
+
+from animtool.documents.check import FileModel
+from animtool.documents.records import with_fields
+from animtool.options import Key
+from animtool.ranges import above, or_more
+
+
+@dataclass(frozen=True)
+class Cord:
+    mass: Annotated[float, above(0, "SIM040"), Key("Mass [kg].", 0.5)]
+    slack: Annotated[float | None, or_more(1, "SIM042"), Key("Slack.", 2)] = None
+    kind: Annotated[str, Key("Kind.", "silk", choices=("hemp", "silk"))] = "hemp"
+
+
+@with_fields(Cord, "kind", "mass", before="name")
+class CordModel(FileModel):
+    """A cord."""
+
+    ends: list[int] = Field(description="Its ends.", examples=[[0, 1]])
+    name: str = "cord"
+
+
+@with_fields(Cord, "mass", "slack", bounds=True)
+class BoundedModel(FileModel):
+    """A cord of sound numbers."""
+
+
+def test_fields_are_keys_with_their_defaults_and_texts() -> None:
+    fields = CordModel.model_fields
+    assert list(fields) == ["ends", "kind", "mass", "name"]
+    assert fields["mass"].is_required()
+    assert fields["kind"].get_default() == "hemp"
+    assert (fields["mass"].description, fields["mass"].examples) == (
+        "Mass [kg].",
+        [0.5],
+    )
+    assert (CordModel.__doc__, CordModel.__name__) == ("A cord.", "CordModel")
+
+
+@pytest.mark.parametrize(
+    ("model", "keys"),
+    [
+        (CordModel, {"ends": [], "mass": 1.0, "kind": "wire"}),
+        (CordModel, {"ends": [], "mass": "1"}),
+        (CordModel, {"ends": [], "mass": 1.0, "slack": 1.0}),
+        (BoundedModel, {"mass": 0.0}),
+        (BoundedModel, {"mass": 1.0, "slack": 0.5}),
+        (BoundedModel, {"mass": 1e300}),
+    ],
+)
+def test_what_is_no_value_of_a_field_is_refused(
+    model: type[FileModel], keys: dict[str, object]
+) -> None:
+    with pytest.raises(ValidationError):
+        model.model_validate(keys)
+
+
+def test_ranges_are_left_to_who_reads_the_file_unless_asked_for() -> None:
+    model = CordModel.model_validate({"ends": [], "mass": -1.0})
+    assert dict(model) == {"ends": [], "kind": "hemp", "mass": -1.0, "name": "cord"}
+    assert dict(BoundedModel.model_validate({"mass": 1.0})) == {
+        "mass": 1.0,
+        "slack": None,
+    }
