@@ -13,7 +13,14 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
-from animtool.systems.springs import SelfContact
+from animtool.systems.springs.body import Springs, gathered
+from animtool.systems.springs.network import (
+    Draws,
+    Paths,
+    spring_layers,
+    spring_network,
+)
+from animtool.systems.springs.records import SelfContact
 from animtool.systems.springs.self_contact import Through
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
@@ -178,23 +185,21 @@ class SheetStepper:
         masses = masses_of(network)
         self._inverse = 1.0 / masses
         self._inverse[network.held] = 0.0
-        self._ends, self._numbers = _springs(network, settings, masses, self._inverse)
+        self._springs = _springs(network, settings, masses, self._inverse)
         drawn = network.free if settings.frequency else network.free[:0]
-        self._drawn = drawn
-        weight = masses[drawn]
-        pulls = [
-            weight * settings.frequency**2,
-            weight * (2 * settings.damping * settings.frequency),
-        ]
-        self._pulls = np.stack(pulls, axis=1)
+        self._draws = Draws(
+            drawn,
+            masses[drawn] * settings.frequency**2,
+            masses[drawn] * (2 * settings.damping * settings.frequency),
+        )
         # Cloth feels the air by its triangles, other things by their speed alone.
         self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
         slowing = 0.0 if cloth else settings.drag
-        field = settings.gravity * down + slowing * self._wind
-        pressures = (AIR * settings.drag, AIR * settings.drag / 2) if cloth else (0, 0)
-        self._field = np.array([*field, *pressures], np.float64)
+        self._gravity = settings.gravity * down + slowing * self._wind
+        pressure = AIR * settings.drag if cloth else 0.0
+        self._pressures = pressure, pressure / 2
         self._drags = np.full(network.count, slowing)
-        self._torn = np.zeros(len(self._ends), np.uint8)
+        self._torn = np.zeros(len(self._springs.rest), np.uint8)
         self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
         self._layers: _kernels.SpringLayers | None = None
 
@@ -206,7 +211,8 @@ class SheetStepper:
         both = np.stack([state.positions, state.velocities])
         network = self._led(motions, span)
         if self._settings.thickness and self._layers is None:
-            self._layers = self._layered(network)
+            contact = SelfContact(self._settings.thickness, self._settings.friction)
+            self._layers = spring_layers(network, contact, self.network.points)
         found = _kernels.project_springs(
             network, both, self._torn, 0.0, 0, span / cells, cells,
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
@@ -217,33 +223,28 @@ class SheetStepper:
         self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
         return state
 
-    def _layered(self, network: _kernels.SpringNetwork) -> _kernels.SpringLayers:
-        """Return how cloth keeps apart from itself, as kernels take it."""
-        contact = SelfContact(self._settings.thickness, self._settings.friction)
-        return _kernels.SpringLayers(
-            network,
-            self.network.points,
-            contact.thickness,
-            contact.friction,
-            contact.speed,
-        )
-
     def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:
         """Return the network on its way through a frame."""
         held, drawn = (
             np.ascontiguousarray(motions.targets[:, rows])
-            for rows in (self.network.held, self._drawn)
+            for rows in (self.network.held, self._draws.particles)
         )
         if self._ready is not None and self._ready[:2] == (motions.cells, span):
             network = self._ready[2]
             network.lead(held, drawn)
             return network
-        network = _kernels.SpringNetwork(
-            self._inverse, self._drags, self._ends, self._numbers,
-            self.network.triangles, self._field,
-            np.linspace(0.0, span, motions.cells + 1), self.network.held, held,
-            self._drawn, self._pulls, drawn, self._wind[None, None],
-        )  # fmt: skip
+        knots = np.linspace(0.0, span, motions.cells + 1)
+        network = spring_network(
+            self._inverse,
+            self._drags,
+            self._springs,
+            self.network.triangles,
+            self._gravity,
+            self._pressures,
+            self.network.held,
+            self._draws,
+            Paths(knots, held, drawn, self._wind[None, None]),
+        )
         self._ready = motions.cells, span, network
         return network
 
@@ -272,9 +273,9 @@ def masses_of(network: Network) -> FloatArray:
 
 def _springs(
     network: Network, settings: Settings, masses: FloatArray, inverse: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Return ends ``(S, 2)`` and numbers ``(S, 4)`` of springs, as kernels take."""
-    ends, numbers = [], []
+) -> Springs:
+    """Return springs in the order in which kernels go through them."""
+    families = []
     for links, pull in (
         (network.stiff, STIFF),
         (network.shears, settings.shear),
@@ -282,11 +283,9 @@ def _springs(
     ):
         i, j = links.ends.T
         kept = (inverse[i] + inverse[j] > 0) & (pull > 0)
-        ends.append(links.ends[kept])
         stiffness = pull**2 * (masses[i] + masses[j])[kept] / 2
-        row = np.zeros((len(stiffness), 4))
-        row[:, 0], row[:, 1], row[:, 3] = links.rests[kept], stiffness, np.inf
-        numbers.append(row)
-    every = np.concatenate(ends)
-    order = _kernels.spring_order(every, network.count)
-    return np.ascontiguousarray(every[order]), np.concatenate(numbers)[order]
+        none, never = np.zeros_like(stiffness), np.full_like(stiffness, np.inf)
+        own = links.ends[kept], links.rests[kept], stiffness
+        families.append(Springs(*own, damping=none, limit=never))
+    every = gathered(families)
+    return every.select(_kernels.spring_order(every.ends, network.count))

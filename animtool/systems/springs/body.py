@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.systems.springs.records import Family
 
 
@@ -35,6 +35,10 @@ class Springs:
         """Return no springs."""
         empty = np.zeros(0)
         return Springs(np.zeros((0, 2), np.int64), empty, empty, empty, empty)
+
+    def select(self, rows: IntArray | BoolArray) -> Springs:
+        """Return some of them, by number in an order, or by a mask ``(S,)``."""
+        return Springs(*(getattr(self, each.name)[rows] for each in fields(self)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +105,8 @@ def springs_between(
 def gathered(springs: Sequence[Springs]) -> Springs:
     """Return springs of many families together."""
     every = [Springs.none(), *springs]
-    return Springs(
-        np.concatenate([each.ends for each in every]),
-        np.concatenate([each.rest for each in every]),
-        np.concatenate([each.stiffness for each in every]),
-        np.concatenate([each.damping for each in every]),
-        np.concatenate([each.limit for each in every]),
-    )
+    columns = ([getattr(each, f.name) for each in every] for f in fields(Springs))
+    return Springs(*map(np.concatenate, columns))
 
 
 def built(
@@ -143,12 +142,6 @@ def join(bodies: Sequence[Body]) -> Body:
     return Body(
         np.concatenate([np.zeros((0, 3)), *(body.positions for body in bodies)]),
         np.concatenate([np.zeros(0), *(body.masses for body in bodies)]),
-        Springs(
-            springs.ends + shifts[:, None].astype(np.int64),
-            springs.rest,
-            springs.stiffness,
-            springs.damping,
-            springs.limit,
-        ),
+        replace(springs, ends=springs.ends + shifts[:, None].astype(np.int64)),
         np.concatenate([np.zeros((0, 3), np.int64), *faces]),
     )

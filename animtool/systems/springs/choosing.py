@@ -53,7 +53,7 @@ def projected_rate(system: LoadedBody, stretch: float) -> float:
     free = ~system.fixed
     if not firm.any() or not free.any():
         return 0.0
-    holders = np.count_nonzero(system.fixed) + len(system.drawn) or len(free)
+    holders = np.count_nonzero(system.fixed) + len(system.draws.particles) or len(free)
     pull = float(np.linalg.norm(system.gravity))
     force = float(system.body.masses[free].sum()) * pull / holders
     ends = springs.ends[firm]

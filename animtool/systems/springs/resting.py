@@ -146,7 +146,7 @@ class _Place:
         # From the weight of a particle down to what is taken for rounding [1].
         self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
         self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
-        stiffest = np.append(system.body.springs.stiffness, system.draws[:, 0])
+        stiffest = np.append(system.body.springs.stiffness, system.draws.stiffness)
         self.typical = float(stiffest.max(initial=1.0))
 
     def moved(self, firm: float) -> _Place | None:

@@ -9,7 +9,8 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.system import Matrix
-from animtool.systems.springs.body import Body
+from animtool.systems.springs.body import Body, Springs
+from animtool.systems.springs.network import NO_DRAWS, Draws, Paths, spring_network
 
 
 class LoadedBody(Protocol):
@@ -32,12 +33,8 @@ class LoadedBody(Protocol):
         """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
 
     @property
-    def drawn(self) -> IntArray:
-        """Particles that are drawn to targets ``(A,)``."""
-
-    @property
-    def draws(self) -> FloatArray:
-        """Stiffness [N/m] and damping [N s/m] of these targets ``(A, 2)``."""
+    def draws(self) -> Draws:
+        """What draws particles to targets."""
 
     @property
     def gravity(self) -> FloatArray:
@@ -59,10 +56,10 @@ def fastest(system: LoadedBody) -> FloatArray | None:
     damping. The first motion bears all of that, the second only the drag.
     """
     springs = system.body.springs
-    stiffest = _largest(system, springs.stiffness, system.draws[:, 0])
+    stiffest = _largest(system, springs.stiffness, system.draws.stiffness)
     if stiffest == 0:
         return None
-    slowed = _largest(system, springs.damping, system.draws[:, 1])
+    slowed = _largest(system, springs.damping, system.draws.damping)
     slowed += float(system.drags.max(initial=0.0))
     omega = float(np.sqrt(stiffest))
     least = float(system.drags.min(initial=0.0))
@@ -76,7 +73,8 @@ def _largest(system: LoadedBody, pull: FloatArray, draws: FloatArray) -> float:
     rows = np.zeros(len(weights))
     np.add.at(rows, first, pull * (weights[first] + between))
     np.add.at(rows, second, pull * (weights[second] + between))
-    np.add.at(rows, system.drawn, draws * weights[system.drawn])
+    drawn = system.draws.particles
+    np.add.at(rows, drawn, draws * weights[drawn])
     return float(rows.max(initial=0.0))
 
 
@@ -143,8 +141,9 @@ def place_slopes(system: LoadedBody, t: float, x: FloatArray) -> Matrix:
 def _blocks(system: LoadedBody, t: float, x: FloatArray, v: FloatArray) -> _Blocks:
     blocks, eye, every = _Blocks(), np.eye(3), np.arange(len(x))
     _add_springs(blocks, system, x, v)
-    stiffness, damping = system.draws.T[:, :, None, None]
-    blocks.add(system.drawn, system.drawn, -stiffness * eye, -damping * eye)
+    drawn, *numbers = system.draws
+    stiffness, damping = (each[:, None, None] for each in numbers)
+    blocks.add(drawn, drawn, -stiffness * eye, -damping * eye)
     slowed = system.drags * np.where(system.fixed, 0.0, system.body.masses)
     blocks.add(every, every, np.zeros((len(x), 3, 3)), -slowed[:, None, None] * eye)
     if any(system.pressures):
@@ -180,20 +179,17 @@ def _add_air(
     blocks: _Blocks, system: LoadedBody, t: float, x: FloatArray, v: FloatArray
 ) -> None:
     triangles = system.body.triangles
-    apart = _kernels.SpringNetwork(
+    nowhere = np.zeros((1, 0, 3))
+    apart = spring_network(
         np.ones(triangles.size),
         np.zeros(triangles.size),
-        np.zeros((0, 2), np.int64),
-        np.zeros((0, 4)),
+        Springs.none(),
         np.arange(triangles.size).reshape(-1, 3),
-        np.array([0.0, 0.0, 0.0, *system.pressures]),
-        np.zeros(1),
+        np.zeros(3),
+        system.pressures,
         np.zeros(0, np.int64),
-        np.zeros((1, 0, 3)),
-        np.zeros(0, np.int64),
-        np.zeros((0, 2)),
-        np.zeros((1, 0, 3)),
-        system.wind(t)[None],
+        NO_DRAWS,
+        Paths(np.zeros(1), nowhere, nowhere, system.wind(t)[None]),
     )
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
     corners = [triangles[:, k] for k in range(3)]

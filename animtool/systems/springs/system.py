@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
@@ -16,12 +16,19 @@ from animtool.errors import Fault
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
-from animtool.systems.springs.body import Body, Springs
+from animtool.systems.springs.body import Body
 from animtool.systems.springs.checks import (
     check_body,
     check_limit,
     check_path,
     start_notices,
+)
+from animtool.systems.springs.network import (
+    NO_DRAWS,
+    Draws,
+    Paths,
+    spring_layers,
+    spring_network,
 )
 from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
 from animtool.systems.springs.records import SelfContact
@@ -115,8 +122,8 @@ class SpringSystem(SecondOrder):
         self.pinned: IntArray = np.asarray(held.particles, np.int64).reshape(-1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
         pin_path = _pin_path(body, held, self.pinned)
-        self.drawn, self.draws, target_path = _drawn(targets)
-        holders = np.append(self.pinned, self.drawn)
+        self.draws, target_path = _drawn(targets)
+        holders = np.append(self.pinned, self.draws.particles)
         self._ways = (pin_path, target_path)
         self.jumps = Teleports(body, holders, self._ways, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
@@ -150,24 +157,17 @@ class SpringSystem(SecondOrder):
         return self._staged[1]
 
     def _network(self, pins: Path, targets: Path) -> _kernels.SpringNetwork:
-        springs, order = self.body.springs, self.order
         knots, paths = over_knots([pins, targets, self._wind_path])
-        return _kernels.SpringNetwork(
+        return spring_network(
             self.inverse_masses,
             self.drags,
-            np.ascontiguousarray(springs.ends[order]),
-            np.stack(
-                [springs.rest, springs.stiffness, springs.damping, springs.limit], 1
-            )[order],
+            self.body.springs.select(self.order),
             self.body.triangles,
-            np.array([*self.gravity, *self.pressures]),
-            knots,
+            self.gravity,
+            self.pressures,
             self.pinned,
-            paths[0],
-            self.drawn,
             self.draws,
-            paths[1],
-            paths[2],
+            Paths(knots, *paths),
         )
 
     @cached_property
@@ -176,13 +176,7 @@ class SpringSystem(SecondOrder):
         contact = self.self_contact
         if contact is None:
             return None
-        return _kernels.SpringLayers(
-            self.network(0),
-            self._rest,
-            contact.thickness,
-            contact.friction,
-            contact.speed,
-        )
+        return spring_layers(self.network(0), contact, self._rest)
 
     @cached_property
     def order(self) -> IntArray:
@@ -242,23 +236,19 @@ class SpringSystem(SecondOrder):
             drag: What slows all motion, over mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
-        aims = _position(stage.targets, t)
+        aims, draws = _position(stage.targets, t), self.draws
         return SpringSystem(
             body,
             pins=Pins(self.pinned, _position(stage.pins, t)),
-            targets=Targets(self.drawn, aims, self.draws[:, 0], self.draws[:, 1]),
+            targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
         )
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
         """Return the same particles without some of their springs ``(S,)``."""
-        springs = self.body.springs
-        kept = {
-            each.name: getattr(springs, each.name)[~gone] for each in fields(springs)
-        }
         left = copy(self)
-        left.body = replace(self.body, springs=Springs(**kept))
+        left.body = replace(self.body, springs=self.body.springs.select(~gone))
         left._whole = np.zeros(len(left.body.springs.rest), np.uint8)
         left._staged = None
         left.__dict__.pop("order", None)
@@ -288,9 +278,10 @@ class SpringSystem(SecondOrder):
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
-        if len(self.drawn):
-            gaps = x[self.drawn] - _position(stage.targets, t)
-            potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
+        draws = self.draws
+        if len(draws.particles):
+            gaps = x[draws.particles] - _position(stage.targets, t)
+            potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
         return Energy(kinetic, potential, self._supply)
 
     @cached_property
@@ -399,9 +390,7 @@ def _pin_path(body: Body, pins: Pins, pinned: IntArray) -> Path:
     return check_path("pins", places, pins.times, len(pinned))
 
 
-def _blowing(
-    air: Air | None,
-) -> tuple[tuple[float, float], tuple[FloatArray, FloatArray]]:
+def _blowing(air: Air | None) -> tuple[tuple[float, float], Path]:
     """Return drag and lift over area and the square of speed, and the wind."""
     if air is None:
         return (0.0, 0.0), (np.zeros(1), np.zeros((1, 1, 3)))
@@ -411,22 +400,20 @@ def _blowing(
     return (pressure * air.drag, pressure * air.lift), path
 
 
-def _drawn(
-    targets: Targets | None,
-) -> tuple[IntArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """Return who is drawn ``(A,)``, how ``(A, 2)`` and along which path."""
+def _drawn(targets: Targets | None) -> tuple[Draws, Path]:
+    """Return what draws particles, and along which path."""
     if targets is None:
-        targets = Targets((), np.zeros((0, 3)), 0.0)
+        return NO_DRAWS, (np.zeros(1), np.zeros((1, 0, 3)))
     drawn = np.asarray(targets.particles, np.int64).reshape(-1)
     path = check_path("targets", targets.positions, targets.times, len(drawn))
-    numbers = [
+    stiffness, damping = (
         np.broadcast_to(np.asarray(value, np.float64), drawn.shape)
         for value in (targets.stiffness, targets.damping)
-    ]
-    return drawn, np.stack(numbers, axis=1), path
+    )
+    return Draws(drawn, stiffness, damping), path
 
 
-def _position(path: tuple[FloatArray, FloatArray], t: float) -> FloatArray:
+def _position(path: Path, t: float) -> FloatArray:
     times, places = path
     row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
     place: FloatArray = places[row]
@@ -436,12 +423,12 @@ def _position(path: tuple[FloatArray, FloatArray], t: float) -> FloatArray:
     return place
 
 
-def _speed(path: tuple[FloatArray, FloatArray]) -> float:
+def _speed(path: Path) -> float:
     times, places = path
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
     return float((steps / np.diff(times)[:, None]).max(initial=0.0))
 
 
-def _travel(path: tuple[FloatArray, FloatArray]) -> float:
+def _travel(path: Path) -> float:
     places = path[1]
     return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))

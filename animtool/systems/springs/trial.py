@@ -117,7 +117,7 @@ class SpringTrial:
     def _energies(self, motion: SpringMotion) -> list[Energy] | None:
         """Return energies, where nothing takes or brings any."""
         system = self._system
-        slowed = [system.drags, system.body.springs.damping, system.draws[:, 1]]
+        slowed = [system.drags, system.body.springs.damping, system.draws.damping]
         slowed.append(np.array(system.pressures))
         if (
             any(values.any() for values in slowed)
