@@ -174,7 +174,7 @@ OPENED = {
     "animtool.batch.work": "/proc",
     "animtool.leftovers": "/proc",
     "animtool.placing": "files that it writes, and their folders",
-    "animtool.scene.stats": "/proc and cgroups",
+    "animtool.scene.progress": "/proc and cgroups",
     "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
     "animtool.usd.dependencies": "layers that it has looked at",
     "animtool.usd.extents": "a layer in memory",

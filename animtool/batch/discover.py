@@ -29,7 +29,7 @@ from animtool.files import FoundFile, Places, files_meant
 from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
-from animtool.usd.forms import check_suffix
+from animtool.usd.jobs import check_suffix
 
 if TYPE_CHECKING:
     from animtool.scene.reading import Source

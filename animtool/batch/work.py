@@ -151,7 +151,7 @@ def _measured(reports: Sequence[OutputReport]) -> Measured:
 
 
 def _one_measured(report: OutputReport) -> Measured:
-    from animtool.scene.report import BakeReport
+    from animtool.scene.prims import BakeReport
 
     if isinstance(report, BakeReport):
         worst = report.worst

@@ -17,8 +17,8 @@ from animtool.cli.summary import (
 
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
-    from animtool.scene.report import BakeReport
-    from animtool.scene.stats import StageCost
+    from animtool.scene.prims import BakeReport
+    from animtool.scene.progress import StageCost
 
 
 def say_bake(

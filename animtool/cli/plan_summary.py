@@ -11,8 +11,8 @@ from animtool.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
-    from animtool.scene.report import BakeReport, MeshReport, TakeReport
-    from animtool.scene.stats import StageCost
+    from animtool.scene.prims import BakeReport, MeshReport, TakeReport
+    from animtool.scene.progress import StageCost
     from animtool.scene.steps import Step
 
 

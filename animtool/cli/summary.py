@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
     from animtool.clip.reduction import Reduction
     from animtool.scene.convert import ConvertReport
-    from animtool.scene.report import BakeReport, TakeReport
+    from animtool.scene.prims import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
 
 # Errors of channels that are not worth a line, in their units.

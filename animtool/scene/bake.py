@@ -1,20 +1,331 @@
-"""The bake: a source to a USD animation, planned and then run."""
+"""The bake: a source to a USD animation, checked and planned, and then run."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
-from animtool.errors import refuse_warnings
-from animtool.output import together
+from animtool.config import find_config
+from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
+from animtool.output import check_outputs, sparing_inputs, together
+from animtool.rates import rate_label
+from animtool.reorient import reorient
+from animtool.scene.frames import TakePlan
+from animtool.scene.option_checks import check_options, form_of, output_files
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import plan_bake
-from animtool.scene.prims import BakePlan, Draft, TakeRun
+from animtool.scene.prims import (
+    BakePlan,
+    BakeReport,
+    Draft,
+    OutputPrims,
+    TakeRun,
+    rig_paths,
+)
 from animtool.scene.progress import Progress, share_of
-from animtool.scene.reading import Source
-from animtool.scene.report import BakeReport
-from animtool.scene.sources import Opener, open_source
+from animtool.scene.reading import Source, found_sources
+from animtool.scene.sources import Opener, open_source, source_stem
+from animtool.take import TakeStream
+from animtool.usd.jobs import Form, check_suffix
+from animtool.usd.layers import check_prim_path
+from animtool.usd.names import legal_name
+
+if TYPE_CHECKING:
+    from animtool.scene.scene import Scene
+    from animtool.usd.target import JointMap, RigTarget
+
+
+def plan_bake(
+    source: Source | Sequence[Source],
+    output: Path | str | None,
+    options: BakeOptions | None = None,
+    *,
+    progress: Progress = None,
+    opener: Opener = open_source,
+) -> BakePlan:
+    """Check everything that can be checked before the work, and open the sources."""
+    alone = isinstance(source, str) or not isinstance(source, Sequence)
+    given = cast("Sequence[Source]", [source] if alone else source)
+    _check_count(len(given), options or BakeOptions())
+    path = None if output is None else Path(output)
+    reading = found_sources(given)
+    options, notices = reading.options(options or BakeOptions())
+    written = [scene.writing(scene.outputs[0]) for scene in reading.scenes.values()]
+    simulated = [scene for scene in written if scene.systems]
+    inputs, first = reading.inputs, reading.files[0]
+    outputs = check_output(path, options, inputs, first, simulated=bool(simulated))
+    kept = [path for scene in written for path in scene.kept]
+    check_outputs(kept, [*inputs, *outputs], overwrite=options.overwrite)
+    if simulated and len(given) > 1:
+        message = "what is simulated is no take of a library"
+        raise OptionError(Fault("SCN062", message, str(simulated[0].path)))
+    if simulated and not simulated[0].sources:
+        return plan_simulated(simulated[0], path, options, notices)
+    with sparing_inputs(outputs):
+        # Systems come after the take that they go along with.
+        shown = share_of(progress, 0, 2) if simulated else progress
+        streams = reading.open(options, shown, opener)
+    with ExitStack() as located:
+        for scene in reading.scenes.values():
+            located.enter_context(scene.located_props())
+        plan = plan_output(reading.files, streams, path, options, notices)
+    return with_systems(plan, simulated[0]) if simulated else plan
+
+
+def plan_simulated(
+    scene: Scene, path: Path | None, options: BakeOptions, notices: list[Fault]
+) -> BakePlan:
+    """Return what is to become of a scene that has no source.
+
+    path: the file to write; None is stdout.
+    """
+    from animtool.scene.systems.bake import plan_systems
+
+    systems = plan_systems(scene, options)
+    return BakePlan(
+        (),
+        path,
+        options,
+        Form.STAGE,
+        "it is simulated",
+        None,
+        systems.job.metadata.fps,
+        systems.job.metadata.first,
+        notices,
+        (systems,),
+    )
+
+
+def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
+    """Return the plan of a take with the systems of its scene."""
+    if not scene.systems:
+        return plan
+    if plan.form is Form.LIBRARY:
+        message = "a clip library has no place for what is simulated"
+        hint = "bake the systems in a scene of their own, or as: stage"
+        raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
+    from animtool.scene.systems.bake import plan_with_take
+
+    stream, options, target = plan.takes[0].stream, plan.options, plan.target
+    paths = rig_paths([stream.rig.name], target, options, plan.output)
+    rig = stream.rig if target is None else target.skeleton.rig
+    meters = rig.meters_per_unit
+    if target is None and options.to_units is not None:
+        meters = options.to_units.meters
+    systems = plan_with_take(
+        scene,
+        paths,
+        target,
+        fps=plan.fps,
+        start=plan.start,
+        meters_per_unit=meters,
+        up=rig.up,
+        tracks=stream.tracks,
+    )
+    return replace(plan, prims=(*plan.prims, systems), watch=systems.watch)
+
+
+def check_output(
+    path: Path | None,
+    options: BakeOptions,
+    inputs: list[Path],
+    source: Path,
+    *,
+    simulated: bool = False,
+) -> list[Path]:
+    """Return the files of an output that can be, before anything is read.
+
+    path: the file; None is stdout; simulated: whether systems are written.
+    """
+    check_options(options, to_stdout=path is None, simulated=simulated)
+    if path is None:
+        return []
+    check_suffix(path, source)
+    layer = [options.rig_layer] if options.rig_layer else []
+    outputs = output_files(path, options, simulated=simulated)
+    library = form_of(options) is Form.LIBRARY
+    # A library is added to; what may be replaced is one of its takes.
+    overwrite = options.overwrite or (library and path.exists())
+    check_outputs(outputs, inputs + layer, overwrite=overwrite)
+    if library and path.exists():
+        from animtool.usd.library import check_library
+
+        name = take_name(options, source)
+        check_library(path, name, options.prim_path, overwrite=options.overwrite)
+    return outputs
+
+
+def take_name(options: BakeOptions, source: Path) -> str:
+    """Return what a source is called in a clip library."""
+    return legal_name(options.take or source_stem(source))
+
+
+def plan_output(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    path: Path | None,
+    options: BakeOptions,
+    notices: list[Fault],
+) -> BakePlan:
+    """Return what is to become of sources that are open.
+
+    path: the file to write; None is stdout.
+    """
+    form = form_of(options)
+    target = None
+    reason = "a rig layer was named" if options.form is None else "asked for"
+    mappings: list[JointMap | None] = [None] * len(streams)
+    library = form is Form.LIBRARY
+    rig_layer = options.rig_layer
+    if library and path is not None and path.exists():
+        rig_layer = path
+    if rig_layer is not None:
+        from animtool.usd.target import open_target
+
+        target = open_target(rig_layer, options.prim_path)
+        notices += target.notices
+        streams = [reorient(stream, target.skeleton.rig.up) for stream in streams]
+        mappings = [_mapped(stream, target, options, notices) for stream in streams]
+    else:
+        if options.prim_path is not None:
+            check_prim_path(options.prim_path)
+        if options.form is None:
+            reason = "no rig layer was named"
+        up = options.to_up or streams[0].rig.up
+        streams = [reorient(stream, up) for stream in streams]
+    if options.root_motion and not streams[0].rig.joints:
+        message = "--root-motion skelroot carries a joint's motion, and there is none"
+        raise OptionError(Fault("CLI002", message, str(sources[0])))
+    names = [take_name(options, sources[0]) if library else ""]
+    if len(sources) > 1:
+        from animtool.scene.library import alike, rate_notice, take_names
+
+        names = take_names(sources, notices)
+        if target is None:
+            streams = alike(sources, streams, options, notices)
+    fps = options.fps or (target.fps if target else streams[0].fps)
+    if len(sources) > 1:
+        notices += rate_notice(names, streams, fps)
+    if options.shot is not None:
+        options = replace(options, shot=replace(options.shot, fps=fps))
+    notices += _rate_apart(target, fps)
+    notices += _left_points(streams, options)
+    start = start_of(options, target, streams[0], sources[0])
+    takes = tuple(
+        TakePlan(
+            source,
+            name,
+            stream,
+            mapping,
+            options if i == 0 else replace(options, rest_frame=None),
+            fps,
+            start,
+            notices,
+        )
+        for i, (source, name, stream, mapping) in enumerate(
+            zip(sources, names, streams, mappings, strict=True)
+        )
+    )
+    _check_props(streams, target, options, path, library=bool(names[0]))
+    prims = (_take_prims(takes[0], target),)
+    return BakePlan(
+        takes, path, options, form, reason, target, fps, start, notices, prims
+    )
+
+
+def _check_props(
+    streams: Sequence[TakeStream],
+    target: RigTarget | None,
+    options: BakeOptions,
+    output: Path | None,
+    *,
+    library: bool,
+) -> None:
+    """Refuse things beside characters that have no place in the output."""
+    if not any(stream.tracks for stream in streams):
+        return
+    from animtool.usd.author_props import check_props
+
+    paths = rig_paths([stream.rig.name for stream in streams], target, options, output)
+    stage = None if target is None else target.stage
+    for stream in streams:
+        check_props(stream.tracks, paths, stage, library=library)
+
+
+def _check_count(count: int, options: BakeOptions) -> None:
+    message = ""
+    if not count:
+        message = "there is no source to bake"
+    elif options.shot is not None and count > 1:
+        message = "a shot shows one take, and there are several"
+    elif options.deform and count > 1:
+        message = "--deform writes the points of one take, and there are several"
+    if message:
+        raise OptionError(Fault("CLI002", message))
+
+
+def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
+    if not take.options.deform:
+        from animtool.scene.joint_prims import JointPrims
+
+        return JointPrims()
+    from animtool.scene.deform import open_character
+    from animtool.scene.point_prims import PointPrims
+
+    return PointPrims(open_character(take, target))
+
+
+def _mapped(
+    stream: TakeStream, target: RigTarget, options: BakeOptions, notices: list[Fault]
+) -> JointMap:
+    from animtool.usd.target import map_joints
+
+    mapping = map_joints(
+        stream.rig, target, options.strip_namespace, force_fit=options.force_fit
+    )
+    if mapping.fit is not None:
+        stream.details["fit"] = round(mapping.fit.score, 4)
+    notices += mapping.notices
+    return mapping
+
+
+def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
+    """Name what is simulated, and not written."""
+    names = sorted({name for stream in streams for name in stream.points})
+    if not names or options.deform:
+        return []
+    message = f"points of {listed(names)} are simulated, and not written"
+    hint = "an output with deform: true has them"
+    return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+    if target is None or fps == target.fps:
+        return []
+    theirs = rate_label(target.fps)
+    message = f"the output has {rate_label(fps)}, and the rig layer {theirs}"
+    hint = "USD stretches time where a sublayer's rate is not its stage's"
+    return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
+
+
+def start_of(
+    options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
+) -> Fraction:
+    """Return the first frame: asked for, the shot's, the source's, the project's, 1."""
+    if options.start is not None:
+        return options.start
+    if options.shot is not None and options.shot.places_media:
+        return Fraction(1) if stream.start is None else stream.start
+    if target is not None and target.start is not None:
+        return target.start
+    if stream.start is not None:
+        return stream.start
+    configured = find_config(source).start
+    return Fraction(1) if configured is None else configured
 
 
 def bake(

@@ -77,7 +77,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
         origin, mapping = f"rig {rig.name!r} of the take", None
     else:
-        from animtool.usd.characters import source_meshes, target_meshes
+        from animtool.usd.mesh_read import source_meshes, target_meshes
 
         if target is not None:
             assert mapping is not None

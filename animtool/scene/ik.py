@@ -47,7 +47,7 @@ from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
-    from animtool.scene.report import BakeReport
+    from animtool.scene.prims import BakeReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ def ik_outputs(job: IkJob) -> list[Path]:
     if output is None:
         return []
     if is_usd(output):
-        from animtool.scene.files import bake_outputs
+        from animtool.scene.option_checks import bake_outputs
 
         return bake_outputs([job.rig], output, job.bake)
     return convert_outputs(output, _named_rig(job.rig, output))

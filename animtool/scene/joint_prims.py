@@ -18,14 +18,19 @@ from animtool.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, moving_joints
-from animtool.scene.prims import BakePlan, Draft, TakeRun, rig_paths
-from animtool.scene.report import BakeReport, TakeReport
+from animtool.scene.prims import (
+    BakePlan,
+    BakeReport,
+    Draft,
+    TakeReport,
+    TakeRun,
+    rig_paths,
+)
 from animtool.scene.sources import source_stem
 from animtool.signals import prefetch
-from animtool.usd.animation import WrittenBlock, round_blocks
+from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.forms import Form
-from animtool.usd.jobs import UsdJob, UsdTake, WrittenTake
+from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenBlock, WrittenTake
 from animtool.usd.names import RigPaths, UsdNames, joint_names
 
 if TYPE_CHECKING:

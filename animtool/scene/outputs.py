@@ -14,23 +14,22 @@ from animtool.motion import Motion
 from animtool.output import check_outputs, name_key, sparing_inputs, together
 from animtool.passes import PassthroughTracks
 from animtool.placing import target
-from animtool.scene.bake import run_bake
-from animtool.scene.convert import ConvertReport, convert, convert_outputs
-from animtool.scene.entries import OutputKind, SceneOutput, kind_of
-from animtool.scene.files import output_files
-from animtool.scene.frames import TakePlan, timed_blocks
-from animtool.scene.options import BakeOptions, merged
-from animtool.scene.plan import (
+from animtool.scene.bake import (
     check_output,
     plan_output,
     plan_simulated,
+    run_bake,
     start_of,
     with_systems,
 )
-from animtool.scene.prims import BakePlan
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.entries import OutputKind, SceneOutput, kind_of
+from animtool.scene.frames import TakePlan, timed_blocks
+from animtool.scene.option_checks import output_files
+from animtool.scene.options import BakeOptions, merged
+from animtool.scene.prims import BakePlan, BakeReport
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import shared
-from animtool.scene.report import BakeReport
 from animtool.scene.scene import Scene
 from animtool.take import Take, TakeStream
 

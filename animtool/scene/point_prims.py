@@ -12,13 +12,12 @@ from animtool.errors import Fault, FormatError
 from animtool.output import size_of
 from animtool.rig.kinematics import rest_size
 from animtool.scene.deform import Character, PointStream
-from animtool.scene.prims import BakePlan, Draft, Save, TakeRun
-from animtool.scene.report import BakeReport, MeshReport
+from animtool.scene.prims import BakePlan, BakeReport, Draft, MeshReport, Save, TakeRun
 from animtool.signals import prefetch
 from animtool.units import UpAxis
-from animtool.usd.animation import Rounding
 from animtool.usd.author_props import author_props, prop_placements
-from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
+from animtool.usd.jobs import Rounding, UsdResult, WrittenTake
+from animtool.usd.layers import layer_span
 from animtool.usd.meshes import WIDTH
 from animtool.usd.names import RigPaths, legal_name
 from animtool.usd.point_based import CachedMesh, PointSpace

@@ -1,4 +1,4 @@
-"""What a bake writes: groups of prims that are authored one after the other."""
+"""What a bake writes: prims authored one after the other, and the report of them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,104 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from animtool._types import FloatArray
+from animtool.clock import FrameSpan
 from animtool.errors import Fault
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, TimedTake, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
-from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.scene.sources import motion_bytes
-from animtool.usd.forms import Form
-from animtool.usd.jobs import WrittenTake
+from animtool.shot import Shot
+from animtool.usd.jobs import Form, UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import RigPaths, legal_name
 
 if TYPE_CHECKING:
+    from animtool.edit.thin import Thinned
     from animtool.scene.systems.character_watch import CharacterWatch
     from animtool.usd.author_props import PropSamples
+    from animtool.usd.point_based import CachedMesh
     from animtool.usd.target import RigTarget
+
+
+@dataclass(frozen=True, slots=True)
+class MeshReport:
+    """What became of a mesh, of strands, or of a system."""
+
+    name: str  # as the rig names it
+    written: CachedMesh  # what was written of it
+    seconds: float  # spent on deforming and rounding it [s]
+    frames: int  # how many frames that was for
+    kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
+    simulated: bool = False  # whether it is a system, and not deformed
+
+
+@dataclass(slots=True)
+class TakeReport:
+    """What became of one source."""
+
+    source: Path  # the file read
+    written: WrittenTake  # what was written of it
+    source_frames: int  # frames of the source
+    source_fps: Fraction  # its frame rate
+    error_joint: str  # name of the joint that rounding moved most
+    unit_assumed: bool = False  # whether nothing states the unit of the source
+    source_bytes: int = 0  # size of the source; 0 of a scene, which holds no motion
+    # What the source states of itself.
+    details: dict[str, object] = field(default_factory=dict)
+    # Which samples were left out, where that was asked for.
+    thinned: Thinned | None = None
+    thinned_joint: str = ""  # name of the joint that this moved most
+    # What was written of each mesh, where it was deformed.
+    meshes: list[MeshReport] = field(default_factory=list)
+    meshes_of: str = ""  # whose meshes they are
+    # What became of each thing that was simulated, as plain values.
+    simulated: list[dict[str, object]] = field(default_factory=list)
+    between: int = 0  # samples of the source that fall between the frames written
+
+
+@dataclass(slots=True)
+class BakeReport:
+    """What a bake did."""
+
+    takes: list[TakeReport]  # what became of every source, at least one
+    result: UsdResult  # what was written
+    form: str  # stage, split or layer, and why
+    joints: int  # joints of the first source
+    meters_per_unit: float  # unit of the output [m]
+    up: str  # its up axis
+    size: float  # extent of the skeleton at rest [m]
+    notices: list[Fault]  # warnings and notes
+    # Wall time by stage; ``read`` runs beside ``author``.
+    seconds: dict[str, float] = field(default_factory=dict)
+    shot: Shot | None = None  # the shot that was written; None is no shot
+
+    @property
+    def span(self) -> FrameSpan:
+        """First frame, last frame and rate that the written layer states."""
+        return self.result.span
+
+    @property
+    def fps(self) -> Fraction:
+        """Time codes a second of the output."""
+        return self.span.fps
+
+    @property
+    def worst(self) -> TakeReport:
+        """The take that rounding moved most."""
+        return max(self.takes, key=lambda take: take.written.rounding.error)
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file written, the one that was asked for last."""
+        return self.result.outputs
+
+    @property
+    def source_bytes(self) -> int:
+        """Size of all sources."""
+        return sum(take.source_bytes for take in self.takes)
+
 
 # Writes a layer to a file, or as text to stdout; returns the bytes.
 Save: TypeAlias = Callable[[Any, Path | None], int]

@@ -14,7 +14,7 @@ from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_label
 from animtool.scene.entries import SceneProp
-from animtool.scene.stats import Meter, StageCost
+from animtool.scene.progress import Meter, StageCost
 from animtool.take import TakeStream
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis

@@ -23,10 +23,9 @@ from animtool.scene.entries import (
     SceneSystem,
 )
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import BlockProgress, Progress, told
+from animtool.scene.progress import BlockProgress, Meter, Progress, told
 from animtool.scene.retime import Preroll, begun_early, in_shot, without_first
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.scene.stats import Meter
 from animtool.shot import Shot
 from animtool.take import Take, TakeStream
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.scene.bake import plan_bake
 from animtool.scene.entries import Place
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import plan_bake
 from animtool.scene.prims import BakePlan
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene

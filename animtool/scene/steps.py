@@ -21,14 +21,14 @@ from animtool.scene.entries import (
     SceneSystem,
     kind_of,
 )
-from animtool.scene.files import form_of, output_files
+from animtool.scene.option_checks import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
 from animtool.take import TakeStream
 from animtool.transforms import Track
-from animtool.usd.forms import Form
+from animtool.usd.jobs import Form
 
 
 class StepKind(StrEnum):

@@ -20,9 +20,8 @@ from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake import run_bake
+from animtool.scene.bake import plan_bake, run_bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import plan_bake
 from animtool.scene.reading import Source, source_file
 from animtool.take import Take
 from animtool.usd.skinned import played_world

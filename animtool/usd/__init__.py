@@ -14,9 +14,9 @@ from animtool.signals import deferred_signals
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from animtool.usd.takes import write as write
+    from animtool.usd.author import write as write
 
-_PUBLIC = {"write": "animtool.usd.takes"}
+_PUBLIC = {"write": "animtool.usd.author"}
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 

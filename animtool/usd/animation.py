@@ -16,40 +16,9 @@ from animtool.maths import so3
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.finite import Labels, narrowed
-from animtool.usd.layers import attribute, author_order, prim
+from animtool.usd.jobs import RootPath, Rounding, WrittenBlock
+from animtool.usd.layers import Samples, attribute, author_order, prim
 from animtool.usd.names import RigPaths
-from animtool.usd.samples import Samples
-
-
-@dataclass(frozen=True, slots=True)
-class RootPath:
-    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
-
-    Written in float64, so it adds nothing to the error of the joints.
-    """
-
-    translations: FloatArray
-    rotations: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class WrittenBlock:
-    """Frames as the layer will hold them, in its unit."""
-
-    codes: FloatArray  # time codes ``(F,)``
-    translations: Float32Array  # ``(F, J, 3)`` float32
-    rotations: Float32Array  # ``(F, J, 4)`` float32
-    # ``(F, J, 3)`` float16; None where nothing is scaled.
-    scales: npt.NDArray[np.float16] | None
-    extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
-    # Motion of the SkelRoot, where it carries that of the root joint.
-    root: RootPath | None
-    error: float  # largest distance that rounding moved a joint [m]
-    error_code: float  # time code of that
-    error_joint: int  # index of the joint that moved
-    # Of the rig's shapes ``(F, S)`` float32; None where there are none.
-    weights: Float32Array | None = None
-    scales_rounded: bool = False  # whether a scale is another number as float16
 
 
 def round_blocks(
@@ -132,23 +101,6 @@ def _move_root(
         translations[:, other] = so3.rotate(back, translations[:, other] - move)
         rotations[:, other] = so3.multiply(back, rotations[:, other])
     return RootPath(move, turn)
-
-
-@dataclass(slots=True)
-class Rounding:
-    """What rounding did over all blocks."""
-
-    error: float = 0.0  # largest distance that it moved a joint [m]
-    code: float = 0.0  # time code of that
-    joint: int = 0  # index of the joint that moved
-    scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
-
-    def add(self, block: WrittenBlock) -> None:
-        """Take the larger of the two errors."""
-        self.scales |= block.scales_rounded
-        if block.error > self.error:
-            self.error, self.code = block.error, block.error_code
-            self.joint = block.error_joint
 
 
 @dataclass

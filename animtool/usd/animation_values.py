@@ -18,8 +18,7 @@ from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rig.skeleton import Rig
 from animtool.usd.library import take_range
-from animtool.usd.rig_prims import decompose
-from animtool.usd.values import array_value, numbers
+from animtool.usd.rig_prims import array_value, decompose, numbers
 
 
 def scale_channel(dense: FloatArray) -> Channel | None:

@@ -15,9 +15,8 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.layers import asset_path, author_order, prim, quaternion
+from animtool.usd.layers import Samples, asset_path, author_order, prim, quaternion
 from animtool.usd.names import TAKE_SET, RigPaths
-from animtool.usd.samples import Samples
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget

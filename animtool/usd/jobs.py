@@ -1,28 +1,124 @@
-"""What is to be written as USD, and what was."""
+"""What is to be written as USD, the files that it is, and what was written."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from animtool._types import BoolArray
-from animtool.clock import FrameSpan, time_fraction
-from animtool.errors import Fault
-from animtool.maths.curves import Curves
-from animtool.rates import rate_from_float
-from animtool.rig.skeleton import Rig
-from animtool.shot import Shot
-from animtool.usd.animation import Rounding, WrittenBlock
-from animtool.usd.forms import Form
-from animtool.usd.names import RigPaths, UsdNames
+from animtool.errors import Fault, OptionError
+from animtool.output import is_text
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from animtool._types import BoolArray, Float32Array, FloatArray
+    from animtool.clock import FrameSpan
+    from animtool.maths.curves import Curves
+    from animtool.rig.skeleton import Rig
+    from animtool.shot import Shot
     from animtool.usd.author_props import PropSamples
     from animtool.usd.curves import CurveReport
+    from animtool.usd.names import RigPaths, UsdNames
     from animtool.usd.target import RigTarget
+
+
+SUFFIXES = (".usd", ".usda", ".usdc")
+# What `convert` writes, and outputs of scenes too.
+CONVERTED = (".bvh", ".yaml", ".yml")
+
+
+class Form(StrEnum):
+    """What to write.
+
+    ``stage`` is one file with skeleton and animation; ``split`` the same in three
+    layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
+    take of a clip library, beside those that this has.
+    """
+
+    STAGE = "stage"
+    SPLIT = "split"
+    LAYER = "layer"
+    LIBRARY = "library"
+
+
+def output_paths(output: Path, form: Form) -> list[Path]:
+    """Return the files that a form writes, in the order written, ``output`` last."""
+    if form is not Form.SPLIT:
+        return [output]
+    return [
+        output.with_name(f"{output.stem}.rig.usda"),
+        output.with_name(f"{output.stem}.anim.usdc"),
+        output,
+    ]
+
+
+def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
+    """Refuse a path that is not that of a USD file."""
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        if not is_text(str(path.absolute())):
+            message = "has bytes in its path that are no UTF-8, which USD cannot open"
+            raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
+        return
+    kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+    message = f"{kind} is not a USD extension"
+    hint = f"allowed: {', '.join(SUFFIXES)}"
+    if suffix in CONVERTED:
+        hint = f"write it with: animtool convert {source} {path}"
+    raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
+@dataclass(frozen=True, slots=True)
+class RootPath:
+    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
+
+    Written in float64, so it adds nothing to the error of the joints.
+    """
+
+    translations: FloatArray
+    rotations: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenBlock:
+    """Frames as the layer will hold them, in its unit."""
+
+    codes: FloatArray  # time codes ``(F,)``
+    translations: Float32Array  # ``(F, J, 3)`` float32
+    rotations: Float32Array  # ``(F, J, 4)`` float32
+    # ``(F, J, 3)`` float16; None where nothing is scaled.
+    scales: npt.NDArray[np.float16] | None
+    extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
+    # Motion of the SkelRoot, where it carries that of the root joint.
+    root: RootPath | None
+    error: float  # largest distance that rounding moved a joint [m]
+    error_code: float  # time code of that
+    error_joint: int  # index of the joint that moved
+    # Of the rig's shapes ``(F, S)`` float32; None where there are none.
+    weights: Float32Array | None = None
+    scales_rounded: bool = False  # whether a scale is another number as float16
+
+
+@dataclass(slots=True)
+class Rounding:
+    """What rounding did over all blocks."""
+
+    error: float = 0.0  # largest distance that it moved a joint [m]
+    code: float = 0.0  # time code of that
+    joint: int = 0  # index of the joint that moved
+    scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
+
+    def add(self, block: WrittenBlock) -> None:
+        """Take the larger of the two errors."""
+        self.scales |= block.scales_rounded
+        if block.error > self.error:
+            self.error, self.code = block.error, block.error_code
+            self.joint = block.error_joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +179,6 @@ class WrittenTake:
     props: list[str] = field(default_factory=list)  # paths of the things beside the rig
     # What there is to say of its frames.
     notices: list[Fault] = field(default_factory=list)
-
-
-def layer_span(layer: Any) -> FrameSpan:
-    """Return the frames that a layer states, as reports print them."""
-    return FrameSpan(
-        time_fraction(layer.startTimeCode),
-        time_fraction(layer.endTimeCode),
-        rate_from_float(layer.timeCodesPerSecond),
-    )
 
 
 @dataclass(slots=True)

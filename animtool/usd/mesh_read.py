@@ -1,7 +1,9 @@
-"""The meshes and blend shapes that are bound to a Skeleton, as parts of its rig."""
+"""The meshes and strands that a Skeleton deforms, and their bind transforms."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -19,9 +21,20 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.units import UpAxis
+from animtool.usd.layers import usd_errors
 from animtool.usd.meshes import SUBDIVISION
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    array_value,
+    find_skeletons,
+    integers,
+    numbers,
+    numbers_of,
+    open_stage,
+    prim_below,
+    skeleton_rig,
 )
 from animtool.usd.skinned import (
     floats,
@@ -30,7 +43,7 @@ from animtool.usd.skinned import (
     skinned_prims,
     unique_name,
 )
-from animtool.usd.values import array_value, integers, numbers, numbers_of
+from animtool.usd.target import RigTarget
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
@@ -317,3 +330,56 @@ def _points(curves: Any, query: Any, at: str) -> FloatArray | None:
         raise FormatError(Fault("USD017", "geomBindTransform is not finite", at))
     placed = values @ matrix[:3, :3] + matrix[3, :3]
     return np.asarray(placed.reshape(len(counts), -1, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageMeshes:
+    """Meshes and strands of a Skeleton."""
+
+    surfaces: tuple[Surface, ...]  # the meshes [m]
+    strands: tuple[Strands, ...]  # the curves that single joints carry [m]
+    # World transforms of the Skeleton's J joints at bind time, scale and shear
+    # included, for column vectors ``(J, 4, 4)`` [m].
+    bind: FloatArray
+    up: UpAxis  # up axis of all of it
+    notices: list[Fault]  # what is left out
+
+
+def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
+    """Return the meshes of the character that a USD file is read as."""
+    with usd_errors(path):
+        stage = open_stage(path)
+        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        if not skeletons:
+            return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
+        return _meshes(skeletons[0], skeleton_rig(skeletons[0], path), path)
+
+
+def target_meshes(target: RigTarget) -> StageMeshes:
+    """Return the meshes of a rig layer."""
+    with usd_errors(target.path):
+        prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
+        return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+
+
+def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
+    meshes, shapes, notices = read_meshes(skeleton, found, str(path))
+    strands = read_strands(skeleton, found, str(path))
+    rig = replace(found.rig, meshes=meshes, shapes=shapes, attach=strands)
+    if not meshes and not strands:
+        return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
+    bind = _joint_binds(skeleton, len(rig.joints), f"{path}<{skeleton.GetPath()}>")
+    bind[:, :3, 3] *= rig.meters_per_unit
+    return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)
+
+
+def _joint_binds(skeleton: Any, joints: int, where: str) -> FloatArray:
+    bind = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
+    if len(bind) != joints or not np.isfinite(bind).all():
+        message = (
+            f"{counted(len(bind), 'bindTransform')} for {counted(joints, 'joint')}"
+        )
+        if len(bind) == joints:
+            message = "a bind transform is not finite"
+        raise FormatError(Fault("USD019", message, where))
+    return bind.swapaxes(-1, -2).copy()

@@ -19,8 +19,7 @@ from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.frames import CurvesFrame, Frame, MeshFrame, PointsFrame
 from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.finite import Labels, check_value, largest, narrowed, rounded
-from animtool.usd.layers import attribute, prim
-from animtool.usd.samples import Samples
+from animtool.usd.layers import Samples, attribute, prim
 
 _TYPES = Sdf.ValueTypeNames
 FrameT = TypeVar("FrameT", CurvesFrame, MeshFrame, PointsFrame)

@@ -18,8 +18,7 @@ from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import usd_errors
-from animtool.usd.rig_prims import decompose, open_stage, up_axis
-from animtool.usd.values import integers, numbers
+from animtool.usd.rig_prims import decompose, integers, numbers, open_stage, up_axis
 
 # Whose names are compared with one that there is not.
 MAX_COMPARED = 20_000

@@ -35,18 +35,20 @@ from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    array_value,
     check_moves,
     composition_notices,
     find_skeletons,
+    numbers,
     open_stage,
     others_notice,
     prim_below,
     rig_from_tokens,
     skeleton_rig,
+    stored_data,
     up_axis,
 )
 from animtool.usd.skinned import MAX_NAMED, character_paths
-from animtool.usd.values import array_value, numbers, stored_data
 
 
 def read_usd(

@@ -17,13 +17,14 @@ from animtool.rates import rate_from_float
 from animtool.units import unit_name
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (
+    array_of,
+    array_value,
     composition_notices,
     find_skeletons,
     open_stage,
     up_axis,
 )
 from animtool.usd.stderr import without_usd_warnings
-from animtool.usd.values import array_of, array_value
 
 # What points are joined to, and the attribute with an entry for each.
 _PIECES = {

@@ -15,8 +15,9 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.usd.rig_prims import (
     SkeletonRig,
     find_skeletons,
+    numbers,
+    stored_data,
 )
-from animtool.usd.values import numbers, stored_data
 
 
 def is_shown_mesh(prim: Any) -> bool:

@@ -22,18 +22,20 @@ from animtool.usd.mesh_read import read_meshes, read_strands
 from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
+    array_value,
     check_moves,
     composition_notices,
     decompose,
     find_skeletons,
+    numbers,
     open_stage,
     others_notice,
     prim_below,
     skeleton_rig,
+    stored_data,
 )
 from animtool.usd.skeleton import skeleton_hash
 from animtool.usd.skinned import unique_name
-from animtool.usd.values import array_value, numbers, stored_data
 
 
 def joined_attachments(

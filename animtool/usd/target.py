@@ -24,6 +24,7 @@ from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import RigPaths, UsdNames, joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    array_value,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -33,7 +34,6 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.skinned import holds_character, is_shown_mesh
-from animtool.usd.values import array_value
 
 
 @dataclass(frozen=True, slots=True)

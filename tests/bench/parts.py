@@ -256,7 +256,7 @@ class _Samples:
     def blocks(self) -> Iterator[Any]:
         """Yield blocks as large as those of a BVH file with so many joints."""
         from animtool.formats.bvh.rows import BLOCK_VALUES
-        from animtool.usd.animation import WrittenBlock
+        from animtool.usd.jobs import WrittenBlock
 
         size = BLOCK_VALUES // (3 * len(self.names) + 3)
         for start in range(0, self.frames, size):

@@ -18,7 +18,7 @@ from animtool.rig.skeleton import CHANNEL_NAMES
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
-from animtool.scene.report import BakeReport
+from animtool.scene.prims import BakeReport
 from animtool.usd.read import read_usd
 
 # Joints may be this far from float64 forward kinematics, as a share of the

@@ -25,7 +25,7 @@ from animtool.edit.frame_range import FrameRange
 from animtool.errors import OptionError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.report import BakeReport
+from animtool.scene.prims import BakeReport
 from animtool.take import TakeStream
 from animtool.usd.read import read_usd
 

@@ -170,7 +170,7 @@ import json, os, sys
 from pathlib import Path
 from animtool import BakeOptions, bake
 from animtool.edit.frame_range import FrameRange
-from animtool.scene.stats import PeakMemory
+from animtool.scene.progress import PeakMemory
 from animtool.usd import chunks
 
 chunks.HELD = 1_000_000

@@ -18,9 +18,8 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.animation import round_blocks
 from animtool.usd.curves import author_curve
 from animtool.usd.finite import Labels, narrowed, rounded
-from animtool.usd.layers import attribute, new_layer, prim
+from animtool.usd.layers import Samples, attribute, new_layer, prim
 from animtool.usd.point_based import FrameWriter
-from animtool.usd.samples import Samples
 
 TYPES = Sdf.ValueTypeNames
 RIG = """\

@@ -23,12 +23,11 @@ from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.report import BakeReport
+from animtool.scene.prims import BakeReport
 from animtool.take import Take
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.forms import Form
-from animtool.usd.jobs import UsdJob, UsdTake
+from animtool.usd.jobs import Form, UsdJob, UsdTake
 from animtool.usd.library import take_range
 from animtool.usd.names import RigPaths, joint_names
 from animtool.usd.read import read_usd

@@ -14,7 +14,7 @@ from support.bvh import random_rows, read_reference, small_bvh
 from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.report import BakeReport
+from animtool.scene.prims import BakeReport
 
 Floats = npt.NDArray[np.float64]
 

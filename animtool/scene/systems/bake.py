@@ -15,8 +15,7 @@ from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
 from animtool.output import once_named, size_of
 from animtool.scene.options import BakeOptions
-from animtool.scene.prims import Draft, Save
-from animtool.scene.report import BakeReport, TakeReport
+from animtool.scene.prims import BakeReport, Draft, Save, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_watch import CharacterWatch
@@ -24,12 +23,10 @@ from animtool.scene.systems.job import system_job
 from animtool.scene.systems.run import SystemRun
 from animtool.transforms import Track
 from animtool.units import UpAxis
-from animtool.usd.animation import Rounding
 from animtool.usd.author_props import prop_paths
 from animtool.usd.chunks import Growing, save_grown, system_files
-from animtool.usd.forms import Form
-from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
-from animtool.usd.layers import StageMetadata, check_prim_path
+from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
+from animtool.usd.layers import StageMetadata, check_prim_path, layer_span
 from animtool.usd.names import RigPaths, legal_name
 from animtool.usd.point_based import CachedMesh
 from animtool.usd.simulated import (

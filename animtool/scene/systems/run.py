@@ -10,8 +10,8 @@ from typing import Any
 from animtool.errors import Fault, FormatError
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
+from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
-from animtool.scene.report import MeshReport
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.job import named_alike
 from animtool.scene.systems.simulation import (

@@ -19,9 +19,9 @@ from animtool.report.describe import describe
 from animtool.report.describe_points import describe_points
 from animtool.scene.sources import SourceOptions
 from animtool.take import TakeStream
-from animtool.usd.characters import source_meshes
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers import compute_alone, forget_layers
+from animtool.usd.mesh_read import source_meshes
 from animtool.usd.read import read_usd
 from animtool.usd.stored_rig import read_whole_rig
 from animtool.usd.target import open_target
