@@ -41,6 +41,7 @@ LAYERS = [
     {"readers"},
     {"maths"},
     {"documents"},
+    {"rules"},
     {"rig"},
     {"transforms"},
     {"clock", "frames", "motion", "take", "take_checks"},
@@ -183,7 +184,7 @@ OPENED = {
     "animtool.usd.skinned": "a file that was just written",
     "animtool.usd.rig_layer": "a layer in memory",
     "animtool.usd.simulated_read": "layers that dependencies has looked at",
-    "animtool.validation.tables": "pages that are part of animtool",
+    "animtool.rules": "pages that are part of animtool",
 }
 READS = {
     *("read_bytes", "FindOrOpen", "OpenAsAnonymous", "read_from_file", "FileIO"),

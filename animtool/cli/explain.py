@@ -11,7 +11,7 @@ from animtool.cli.options import common_options, format_option
 from animtool.quantities import escaped_lines
 
 if TYPE_CHECKING:
-    from animtool.validation.rule import Rule
+    from animtool.rules import Rule
 
 
 @click.command(
@@ -30,7 +30,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
     Without a code all are listed.
     """
-    from animtool.validation.tables import all_rules, find_rule, page
+    from animtool.rules import all_rules, find_rule, page_text
 
     rules = [find_rule(code) for code in codes]
     if not codes:
@@ -38,12 +38,12 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         console.faults(broken)
         rules = [found[code] for code in sorted(found)]
     if report_format == "json":
-        entries = [_entry(rule, page(rule.code)) for rule in rules]
+        entries = [_entry(rule, page_text(rule.code)) for rule in rules]
         console.result_json({"explain": "animtool/1", "rules": entries})
         return
     for rule in rules:
         if codes:
-            console.document(page(rule.code) or escaped_lines(_bare_page(rule)))
+            console.document(page_text(rule.code) or escaped_lines(_bare_page(rule)))
         else:
             console.result(f"{rule.code:8} {rule.severity:8} {rule.title}")
 

@@ -28,7 +28,7 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.batch.executors import listed_executors
     from animtool.passes import listed_passes
     from animtool.readers import listed_readers
-    from animtool.validation.tables import listed_rules
+    from animtool.rules import listed_rules
 
     passes, readers, rules = listed_passes(), listed_readers(), listed_rules()
     executors = listed_executors()

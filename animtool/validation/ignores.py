@@ -10,7 +10,7 @@ from typing import Any
 from animtool.documents.document import Document
 from animtool.documents.names import nearest
 from animtool.errors import Fault, Severity
-from animtool.validation.tables import all_rules, current_codes
+from animtool.rules import all_rules, current_codes
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
 # What an entry of a list is known by.

@@ -10,8 +10,8 @@ from typing import Any
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
+from animtool.rules import all_rules, current_codes, own_rules
 from animtool.validation.profiles import PROFILES, load_profile
-from animtool.validation.tables import RULES, all_rules, current_codes
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Refuse codes that none begins with."""
     faults = []
     for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(current_codes(given)) for code in RULES):
+        if given and any(code.startswith(current_codes(given)) for code in own_rules()):
             continue
         rules, _ = all_rules()
         if given and any(code.startswith(given) for code in rules):

@@ -11,7 +11,7 @@ from animtool.documents.document import read_document
 from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.files import MAX_TEXT_BYTES, read_input
-from animtool.validation.tables import all_rules, current_codes
+from animtool.rules import all_rules, current_codes
 
 # By code or its beginning; None leaves a code out.
 Levels = Mapping[str, Severity | None]

@@ -15,15 +15,14 @@ from animtool.errors import (
     Severity,
     excerpt,
 )
+from animtool.rules import Rule, all_rules
 from animtool.signals import without_interrupts
 from animtool.supervisor import follow_parent, has_crashed, without_main
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
-from animtool.validation.rule import Rule
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
-from animtool.validation.tables import all_rules
 
 Finding = Fault
 

@@ -12,9 +12,8 @@ from support.cli import animtool, animtool_process
 
 from animtool.cli.validate import FORMATS
 from animtool.errors import Severity
+from animtool.rules import Kind, Rule, own_rules
 from animtool.validation.formats import FORMATS as WRITERS
-from animtool.validation.rule import Kind, Rule
-from animtool.validation.tables import RULES
 
 RIG = "rig: animtool/1\nname: leg\njoints:\n- {name: knee, type: pin, axis: [1, 0, 0]"
 WARNED, RIGHT, WRONG = f"{RIG}, limits: [1, 9]}}\n", f"{RIG}}}\n", f"{RIG}, a: 1}}\n"
@@ -112,7 +111,7 @@ def test_explain() -> None:
     assert done.code == 0
     assert done.stdout.startswith("# RIG201: limits that leave out the rest pose\n")
     listed = animtool("explain").stdout.splitlines()
-    assert [line.split()[0] for line in listed] == sorted(RULES)
+    assert [line.split()[0] for line in listed] == sorted(own_rules())
     value = json.loads(animtool("explain", "RIG201", "--format", "json").stdout)
     assert value["rules"][0]["kind"] == "rig"
 
@@ -134,7 +133,7 @@ def test_explain() -> None:
 def test_explain_a_code_without_a_page(
     rule: Rule, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("animtool.validation.tables.find_rule", lambda _: rule)
+    monkeypatch.setattr("animtool.rules.find_rule", lambda _: rule)
     done = animtool("explain", "STU001")
     assert done.stdout == f"# STU001: a title\n\n## What\n\n{said}\n"
 

@@ -11,8 +11,8 @@ from pxr import UsdSkel
 
 from animtool._types import BoolArray
 from animtool.errors import Fault, Severity, counted, excerpt, listed
+from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
-from animtool.usd.checks.table import finding
 from animtool.usd.skinned import is_shown_mesh
 
 _WANTED = {

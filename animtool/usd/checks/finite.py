@@ -18,8 +18,8 @@ import numpy.typing as npt
 from pxr import Sdf, Tf, Usd
 
 from animtool.errors import Fault, counted
+from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.checks.table import finding
 from animtool.usd.finite import floats_of, largest
 
 

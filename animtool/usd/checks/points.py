@@ -13,9 +13,9 @@ from pxr import Usd, UsdGeom
 
 from animtool._types import FloatArray
 from animtool.errors import Fault
+from animtool.rules import finding
 from animtool.usd.checks.extents import bounds_apart
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
-from animtool.usd.checks.table import finding
 
 
 def check_points(subject: Subject) -> Iterator[Fault]:

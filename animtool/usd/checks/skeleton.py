@@ -11,9 +11,9 @@ from pxr import UsdPhysics, UsdSkel
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, counted, excerpt, listed
+from animtool.rules import finding
 from animtool.usd.checks.animation import UNIT_TOLERANCE, duplicates, tokens
 from animtool.usd.checks.subject import Subject
-from animtool.usd.checks.table import finding
 
 
 def check_physics(subject: Subject) -> Iterator[Fault]:

@@ -12,8 +12,8 @@ from pxr import Pcp, Sdf, UsdGeom
 
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, excerpt
+from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.checks.table import finding
 
 
 def check_composition(subject: Subject) -> Iterator[Fault]:

@@ -8,8 +8,8 @@ from typing import Any
 from pxr import UsdValidation
 
 from animtool.errors import Fault, Severity
+from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.checks.table import finding
 
 # Of ours inside of UsdValidation, which need not run twice.
 OWN_KEYWORD = "animtool"

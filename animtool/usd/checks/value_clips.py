@@ -11,8 +11,8 @@ from pxr import Sdf, Usd
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, counted, excerpt, listed
+from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
-from animtool.usd.checks.table import finding
 
 
 def check_value_clips(subject: Subject) -> Iterator[Fault]:

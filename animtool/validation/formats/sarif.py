@@ -17,10 +17,9 @@ from urllib.parse import quote
 
 from animtool.errors import Fault, Severity
 from animtool.quantities import json_printed
+from animtool.rules import Rule, all_rules, page_text
 from animtool.validation.formats.plain import Sources
-from animtool.validation.rule import Rule
 from animtool.validation.run import Report
-from animtool.validation.tables import all_rules, page
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 LONGEST_SNIPPET = 1000
@@ -62,7 +61,7 @@ def _rule(rule: Rule) -> dict[str, Any]:
         "shortDescription": {"text": rule.title},
         "defaultConfiguration": {"level": _LEVELS[rule.severity]},
     }
-    text = page(rule.code)
+    text = page_text(rule.code)
     if text is not None:
         plain = re.sub(r"(?m)^#+ |^```\w*\n|`", "", text)
         found["help"] = {"text": plain, "markdown": text}

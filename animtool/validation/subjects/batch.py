@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from animtool.batch.file import batch_of_document
 from animtool.documents.document import Document
-from animtool.validation.rule import Kind
+from animtool.rules import Kind
 from animtool.validation.subjects.subject import Opened
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from animtool.errors import Fault
 from animtool.files import open_input
+from animtool.rules import Kind
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import Opened
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from animtool.clip.file import (
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.rig.skeleton import Rig
+from animtool.rules import Kind
 from animtool.scene.clips import clip_stream
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 

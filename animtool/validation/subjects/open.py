@@ -12,7 +12,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import unreadable
 from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
-from animtool.validation.rule import Kind
+from animtool.rules import Kind
 from animtool.validation.subjects.subject import Opened
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}

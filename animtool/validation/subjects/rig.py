@@ -13,7 +13,7 @@ from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.file import rig_of_document
 from animtool.rig.skeleton import Rig
-from animtool.validation.rule import Kind
+from animtool.rules import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 

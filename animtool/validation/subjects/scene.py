@@ -15,11 +15,11 @@ from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
 from animtool.inputs import recorded_inputs
 from animtool.motion import Channel, Motion
+from animtool.rules import Kind
 from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene
 from animtool.take import Take
-from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 # Values that differ by less are the same [m], [1].

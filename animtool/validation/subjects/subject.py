@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault
-from animtool.validation.rule import Kind
+from animtool.rules import Kind
 
 if TYPE_CHECKING:
     from animtool.validation.motion.subject import MotionSubject

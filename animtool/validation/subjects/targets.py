@@ -8,7 +8,7 @@ from animtool.documents.document import Document, Location
 from animtool.errors import Fault
 from animtool.ik.file import targets_of_document
 from animtool.ik.tracks import TargetTracks
-from animtool.validation.rule import Kind
+from animtool.rules import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 

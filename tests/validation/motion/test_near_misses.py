@@ -20,6 +20,7 @@ from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
+from animtool.rules import find_rule, own_rules, replaced_codes
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.sampling import repeated_frames
@@ -27,8 +28,8 @@ from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import findings_in, validate
 from animtool.validation.subjects.open import open_file
-from animtool.validation.tables import find_rule
-from animtool.validation.tables.motion import ALIASES, RULES
+
+RULES = [rule for rule in own_rules().values() if rule.takes]
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +195,7 @@ def test_codes_of_earlier_versions_are_accepted(walk: Path, tmp_path: Path) -> N
     ]
     options = ValidateOptions(severity={"CLIP203": Severity.ERROR})
     assert validate(path, options)[0].severity is Severity.ERROR
-    for old, new in ALIASES.items():
+    for old, new in replaced_codes().items():
         assert find_rule(old.lower()).code == new[0]
 
 

@@ -11,13 +11,15 @@ from support.planted_layers import LAYERS, PlantedLayer, planted
 from support.planted_takes import TAKES, Planted
 
 from animtool.errors import Fault, Severity
+from animtool.rules import own_rules
 from animtool.scene.bake import bake
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
-from animtool.validation.tables.motion import RULES
+
+RULES = [rule for rule in own_rules().values() if rule.takes]
 
 ROOT = Path(__file__).parents[3]
 SAMPLES = {
