@@ -91,7 +91,7 @@ class AttachTrial:
         )
         _, report = self._passed(options, take.motion.select(slice(0, 1)))
         self._rate = float(take.clock.rate) * report["steps"]
-        self.chosen = self._setting(self._rate)
+        self.chosen = Setting.of(METHOD, rate=self._rate)
 
     def settings(self) -> list[Setting]:
         """Return several numbers of steps a second."""
@@ -105,14 +105,11 @@ class AttachTrial:
         rate = float(self._take.clock.rate)
         # A frame has a whole number of steps.
         steps = [math.ceil(self._rate / share / rate - 1e-9) for share in shares]
-        return [self._setting(count * rate) for count in dict.fromkeys(steps)]
-
-    def _setting(self, rate: float) -> Setting:
-        return Setting(METHOD, (("rate", rate),))
+        return [Setting.of(METHOD, rate=count * rate) for count in dict.fromkeys(steps)]
 
     def run(self, setting: Setting) -> Outcome:
         """Simulate the attachment in so many steps."""
-        options = replace(self._entry.options, rate=dict(setting.options)["rate"])
+        options = replace(self._entry.options, rate=setting["rate"])
         began = time.perf_counter()
         motion, report = self._passed(options, self._take.motion)
         seconds = time.perf_counter() - began

@@ -20,7 +20,7 @@ from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings, read_surfaces
 from animtool.sim.colliders import Colliders
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
 from animtool.systems.fields import SystemSpec
 from animtool.systems.simulation import Simulation, SimulationRun
 
@@ -135,21 +135,21 @@ class SpecTrial:
         spec = cast(SpecSetup, member.setup).spec
         self.name, self.kind = member.name, member.kind
         self.span = float(times[-1]) + spec.preroll
-        self.chosen = Setting(STEPS, (("step", spec.step),))
+        self.chosen = Setting.of(STEPS, step=spec.step)
         self._member, self._rebuild, self._times = member, rebuild, times
         self._step = spec.step
 
     def settings(self) -> list[Setting]:
         """Return several steps."""
-        return [Setting(STEPS, (("step", h),)) for h in ladder(self._step)]
+        return stepwise(STEPS, self._step)
 
     def references(self) -> list[list[Setting]]:
         """Return finer and finer steps."""
-        return [[Setting(STEPS, (("step", h),)) for h in ladder(self._step, FINER)]]
+        return [stepwise(STEPS, self._step, FINER)]
 
     def run(self, setting: Setting) -> Outcome:
         """Simulate it with one step."""
-        run = _run(self._member, self._rebuild(), dict(setting.options)["step"])
+        run = _run(self._member, self._rebuild(), setting["step"])
         began = time.perf_counter()
         shots, energies, status, reason = [], [], Status.OK, ""
         try:

@@ -27,10 +27,23 @@ class Setting:
     # Names and values that go with it, as the scene file writes them.
     options: tuple[tuple[str, float], ...]
 
+    @staticmethod
+    def of(method: str, **options: float) -> Setting:
+        """Return a method with its options.
+
+        >>> Setting.of("rk4", step=0.01)["step"]
+        0.01
+        """
+        return Setting(str(method), tuple(options.items()))
+
+    def __getitem__(self, name: str) -> float:
+        """Return an option."""
+        return dict(self.options)[name]
+
     def __str__(self) -> str:
         """Return it as the scene file writes it.
 
-        >>> str(Setting("rk4", (("step", 0.01),)))
+        >>> str(Setting.of("rk4", step=0.01))
         'rk4, step 0.01'
         """
         options = [f"{name} {value:.6g}" for name, value in self.options]
@@ -112,6 +125,13 @@ def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
     [0.12, 0.06, 0.03, 0.015]
     """
     return [value if share == 1 else float(f"{value * share:.12g}") for share in shares]
+
+
+def stepwise(
+    method: str, step: float, shares: Sequence[float] = COARSER
+) -> list[Setting]:
+    """Return a method with steps in some shares of one [s]."""
+    return [Setting.of(method, step=each) for each in ladder(step, shares)]
 
 
 @dataclass(frozen=True, slots=True)

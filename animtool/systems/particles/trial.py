@@ -18,7 +18,7 @@ from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import TOLERANCE, IntegrateOptions
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder, stepwise
 from animtool.systems.particles.run import ParticleFrame, ParticleRun
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.system import ParticleForces, particle_system
@@ -81,13 +81,12 @@ class ParticleTrial:
             integrator = find_integrator(method)
             own = method == options.method
             if integrator.control is Control.FIXED:
-                tried = [("step", value) for value in ladder(self._step)]
-                found += [Setting(method, (pair,)) for pair in tried]
+                found += stepwise(method, self._step)
                 continue
             longest = self._step if own else LONGER * self._step
             usual = options.relative if own else TOLERANCE
             found += [
-                Setting(method, (("step", longest), ("tolerance", value)))
+                Setting.of(method, step=longest, tolerance=value)
                 for value in ladder(usual, TOLERANCES)
             ]
         return found
@@ -102,11 +101,7 @@ class ParticleTrial:
         if own != EXACT and find_integrator(own).control is Control.FIXED:
             methods.insert(1, (own, 1.0))
         return [
-            [
-                Setting(method, (("step", value),))
-                for value in ladder(share * self._step, FINER)
-            ]
-            for method, share in methods
+            stepwise(method, share * self._step, FINER) for method, share in methods
         ]
 
     def run(self, setting: Setting) -> Outcome:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.systems.springs.body import Body as Body
@@ -33,47 +34,31 @@ if TYPE_CHECKING:
     from animtool.systems.springs.tearing import Tearing as Tearing
     from animtool.systems.springs.tearing import tear_surface as tear_surface
 
+_MODULES = {
+    "body": ("Body", "Springs", "join", "springs_between"),
+    "options": ("SpringMotion",),
+    "paths": ("Air", "Pins", "Targets"),
+    "records": ("Family", "SelfContact", "Solver", "SpringOptions"),
+    "resting": ("Rest", "find_rest"),
+    "shapes": (
+        "Welded",
+        "block",
+        "rope",
+        "sheet",
+        "strand",
+        "surface",
+        "tetrahedra",
+        "weld",
+    ),
+    "simulating": ("simulate_springs",),
+    "system": ("SpringSystem",),
+    "tearing": ("Tearing", "tear_surface"),
+}
 _PUBLIC = {
-    "Air": "paths",
-    "Body": "body",
-    "Family": "records",
-    "Tearing": "tearing",
-    "Pins": "paths",
-    "SelfContact": "records",
-    "Solver": "records",
-    "SpringMotion": "options",
-    "SpringOptions": "records",
-    "SpringSystem": "system",
-    "Springs": "body",
-    "Targets": "paths",
-    "Welded": "shapes",
-    "Rest": "resting",
-    "block": "shapes",
-    "find_rest": "resting",
-    "join": "body",
-    "tear_surface": "tearing",
-    "rope": "shapes",
-    "sheet": "shapes",
-    "simulate_springs": "simulating",
-    "springs_between": "body",
-    "strand": "shapes",
-    "surface": "shapes",
-    "tetrahedra": "shapes",
-    "weld": "shapes",
+    name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f"{__name__}.{_PUBLIC[name]}")
-    value: object = getattr(module, name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_PUBLIC]
+if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

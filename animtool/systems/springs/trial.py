@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.system import Energy
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
 from animtool.systems.springs.choosing import choose
 from animtool.systems.springs.options import SpringMotion
 from animtool.systems.springs.records import Solver, SpringOptions
@@ -65,7 +65,7 @@ class SpringTrial:
             usual = self._usual(solver, replace(self._own, step=None))
             if solver == self.chosen.method:
                 usual = self.chosen
-            found += self._settings(usual)
+            found += stepwise(usual.method, usual["step"])
         return found
 
     def references(self) -> list[list[Setting]]:
@@ -74,18 +74,18 @@ class SpringTrial:
         Where these cannot be solved, of semi-implicit Euler.
         """
         least = replace(self._own, step=None)
-        step = min(_step(self.chosen), _step(self._usual(EXACT, least)))
+        step = min(self.chosen["step"], self._usual(EXACT, least)["step"])
         explicit = self._usual(EXPLICIT, least)
         return [
-            [_setting(EXACT, value) for value in ladder(step, FINER)],
-            [_setting(EXPLICIT, value) for value in ladder(_step(explicit), FINER)],
+            stepwise(EXACT, step, FINER),
+            stepwise(EXPLICIT, explicit["step"], FINER),
         ]
 
     def run(self, setting: Setting) -> Outcome:
         """Simulate the springs in one way."""
         options = self._own
         if setting != self.chosen:
-            options = replace(options, solver=setting.method, step=_step(setting))
+            options = replace(options, solver=setting.method, step=setting["step"])
         began = time.perf_counter()
         motion = simulate_springs(
             self._system, [self._begin, *self._times.tolist()], options
@@ -105,14 +105,7 @@ class SpringTrial:
     def _usual(self, solver: Solver, options: SpringOptions) -> Setting:
         """Return a solver with the step that options come to."""
         choice = choose(self._system, options, solver, self._begin, self._system.state)
-        return _setting(choice.solver, choice.cell / choice.substeps)
-
-    def _settings(self, usual: Setting) -> list[Setting]:
-        steps = ladder(_step(usual))
-        return [
-            usual if step == _step(usual) else _setting(usual.method, step)
-            for step in steps
-        ]
+        return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
     def _energies(self, motion: SpringMotion) -> list[Energy] | None:
         """Return energies, where nothing takes or brings any."""
@@ -141,11 +134,3 @@ class SpringTrial:
             if (ratio := whole.stretch(t, state)) is not None
         ]
         return max(max(ratios) - 1, 0.0) if ratios else None
-
-
-def _setting(method: str, step: float) -> Setting:
-    return Setting(str(method), (("step", step),))
-
-
-def _step(setting: Setting) -> float:
-    return dict(setting.options)["step"]
