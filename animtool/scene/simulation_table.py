@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clip.points import SHELL, attached_points
 from animtool.errors import Fault, OptionError
+from animtool.motion import Motion
+from animtool.rig.kinematics import forward
 from animtool.scene.bake import plan_bake
-from animtool.scene.entries import Place
+from animtool.scene.entries import Place, ScenePass
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakePlan
 from animtool.scene.progress import Progress, share_of
@@ -18,8 +25,17 @@ from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
 from animtool.scene.systems.simulation import system_trials
+from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialTable, measure
-from animtool.sim.trials.trial import Trial
+from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot, Trial
+from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.settings import SimulateOptions
+from animtool.systems.attach.take_pass import moves
+from animtool.take import Take, TakeStream
+
+METHOD = "xpbd"
+# Steps over those of the chosen setting: they are mostly more than need be.
+COARSEST = 8.0
 
 # Frames that are compared, evenly over the range.
 MAX_INSTANTS = 100
@@ -77,9 +93,7 @@ def simulation_table(
 def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
     found: list[tuple[Place, Trial]] = []
     if scene.sources:
-        from animtool.scene.attach_trial import attach_trials
-
-        found += attach_trials(scene, MAX_INSTANTS)
+        found += _attach_trials(scene, MAX_INSTANTS)
     if scene.systems:
         times, own = _times(scene, options)
         picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
@@ -115,3 +129,111 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     codes = float(plan.start) + times * float(plan.fps)
     inside = (codes >= wanted.first) & (codes <= wanted.last)
     return times[inside] if inside.any() else times
+
+
+def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial]]:
+    """Return the attachments that passes of a scene simulate, at their entries.
+
+    Raises:
+        FormatError: A source is malformed, or a pass cannot be applied to it.
+        OptionError: An option does not apply to the source.
+    """
+    measured = [i for i, entry in enumerate(scene.passes) if _simulates(entry)]
+    scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
+    found = []
+    for entry, (take, _) in zip(scene.passes, scene.steps(), strict=False):
+        if not _simulates(entry):
+            continue
+        with entry.place.located():
+            bodies = bodies_of(take.rig, entry.options.what)
+        found += [
+            (entry.place, AttachTrial(scene, entry, take, body, instants))
+            for body in bodies
+        ]
+    return found
+
+
+def _simulates(entry: ScenePass) -> bool:
+    return isinstance(entry.options, SimulateOptions) and moves(entry.options)
+
+
+class AttachTrial:
+    """An attachment, in the way of its pass and in others: in more or fewer steps.
+
+    Attributes:
+        name: As the rig has it.
+        kind: Of `AttachKind`.
+        span: How long the take is [s].
+        chosen: The way of the pass.
+    """
+
+    def __init__(
+        self, scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
+    ) -> None:
+        """Find out how many steps the pass would take of a take before it."""
+        self.name, self.kind = body.name, str(body.kind)
+        self.span = float(take.clock.duration)
+        self._scene, self._take, self._body = scene, take, body
+        options = replace(entry.options, what=(body.name,))
+        self._entry = replace(entry, options=options)
+        count = take.clock.count
+        self._frames = np.unique(
+            np.linspace(0, count - 1, min(count, instants)).astype(np.int64)
+        )
+        _, report = self._passed(options, take.motion.select(slice(0, 1)))
+        self._rate = float(take.clock.rate) * report["steps"]
+        self.chosen = Setting.of(METHOD, rate=self._rate)
+
+    def settings(self) -> list[Setting]:
+        """Return several numbers of steps a second."""
+        return self._settings((COARSEST, *COARSER))
+
+    def references(self) -> list[list[Setting]]:
+        """Return more and more steps a second."""
+        return [self._settings(FINER)]
+
+    def _settings(self, shares: Sequence[float]) -> list[Setting]:
+        rate = float(self._take.clock.rate)
+        # A frame has a whole number of steps.
+        steps = [math.ceil(self._rate / share / rate - 1e-9) for share in shares]
+        return [Setting.of(METHOD, rate=count * rate) for count in dict.fromkeys(steps)]
+
+    def run(self, setting: Setting) -> Outcome:
+        """Simulate the attachment in so many steps."""
+        options = replace(self._entry.options, rate=setting["rate"])
+        began = time.perf_counter()
+        motion, report = self._passed(options, self._take.motion)
+        seconds = time.perf_counter() - began
+        shots = [Shot(points) for points in self._points(motion.select(self._frames))]
+        sound = all(np.isfinite(shot.points).all() for shot in shots)
+        return Outcome(
+            seconds,
+            report["steps"] * motion.frames,
+            shots,
+            Status.OK if sound else Status.UNSTABLE,
+            "" if sound else "its state is not finite",
+            stretch=report["stretch"],
+        )
+
+    def _passed(
+        self, options: SimulateOptions, motion: Motion
+    ) -> tuple[Motion, dict[str, Any]]:
+        """Return what a pass with some options makes of a motion, and its report."""
+        stream = replace(TakeStream.of(self._take), blocks=iter([motion]))
+        done = self._scene.passed(stream, replace(self._entry, options=options))
+        made = Motion.concatenate(list(done.blocks))
+        (report,) = done.simulated
+        return made, report
+
+    def _points(self, motion: Motion) -> FloatArray:
+        """Return the points of the attachment that are compared ``(F, N, 3)`` [m]."""
+        body, rig = self._body, self._take.rig
+        if isinstance(body, SurfaceBody):
+            return motion.points[body.mesh.name].dense()
+        assert isinstance(body, ChainBody)
+        world = forward(rig, *motion.dense())
+        shell = attached_points(rig, SHELL)[body.joints, :, None]
+        turned = world.linear[:, body.joints, None] * shell
+        points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
+        whole: FloatArray = points.reshape(motion.frames, -1, 3)
+        return whole

@@ -111,7 +111,7 @@ def _springs(
         f"animtool.systems.springs.spec:{model}",
         description,
         {**example, "springs": {"structural": {"stiffness": 1000}}},
-        "animtool.scene.springs.entries:read_springs",
+        "animtool.scene.springs.setup:read_springs",
         "animtool.scene.springs.system:open_springs",
         "animtool.scene.springs.system:spring_trial",
         "animtool.scene.springs.setup:check_joins",

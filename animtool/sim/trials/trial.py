@@ -13,6 +13,9 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
+# An error this much larger is as good, and a time this much shorter is worth it.
+AS_GOOD, WORTH_IT = 1.05, 0.8
+
 # Steps over the chosen one: of settings to try, and of the motion that they are
 # compared with, each of which is half of the one before.
 COARSER = (4.0, 2.0, 1.0, 0.5)
@@ -206,10 +209,6 @@ def order_seen(coarse: float, fine: float) -> float | None:
     if not (coarse > 0 and fine > 0 and math.isfinite(coarse / fine)):
         return None
     return math.log2(coarse / fine)
-
-
-# An error this much larger is as good, and a time this much shorter is worth it.
-AS_GOOD, WORTH_IT = 1.05, 0.8
 
 
 @dataclass(frozen=True, slots=True)

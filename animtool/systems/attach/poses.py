@@ -12,6 +12,11 @@ from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
+# A root that comes back to within so many of its steps stands in its place [1].
+IN_PLACE = 2.0
+# Part of the cycle over which what is left is brought in [1].
+SEAM = 0.25
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
@@ -97,12 +102,6 @@ def extrapolated(rig: Rig, first: Pose, second: Pose, frames: float) -> Pose:
     step = second.translations[roots] - first.translations[roots]
     translations[roots] -= frames * step
     return Pose(translations, first.rotations, first.scales, first.weights)
-
-
-# A root that comes back to within so many of its steps stands in its place [1].
-IN_PLACE = 2.0
-# Part of the cycle over which what is left is brought in [1].
-SEAM = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)

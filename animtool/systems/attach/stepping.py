@@ -13,10 +13,11 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
-from animtool.systems.springs.body import Springs, gathered
-from animtool.systems.springs.network import (
+from animtool.systems.springs.body import (
     Draws,
     Paths,
+    Springs,
+    gathered,
     spring_layers,
     spring_network,
 )

@@ -19,6 +19,13 @@ from animtool.systems.attach.network import Links, Network
 from animtool.systems.attach.settings import Settings
 from animtool.systems.attach.stepping import STIFF, Motions, State, Tally, stepped
 
+# Bones shorter than this [m] point nowhere.
+SHORTEST = 1e-9
+# A particle that begins inside a collider is moved out at this speed [m/s].
+DEPENETRATION = 1.0
+# What is deeper than this after every push [m] is left inside.
+UNRESOLVED = 1e-3
+
 
 def threads_allowed() -> int:
     """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
@@ -80,10 +87,6 @@ def _rests(links: Links, strands: int, springs: int) -> FloatArray:
     if not len(links.rests):
         return np.zeros((strands, springs))
     return links.rests.reshape(strands, springs)
-
-
-# Bones shorter than this [m] point nowhere.
-SHORTEST = 1e-9
 
 
 def least_turns(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -178,12 +181,6 @@ def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
     if isinstance(joint.limits, BallLimit):
         return so3.multiply(rest, joint.limits.clamped(motion))
     return local
-
-
-# A particle that begins inside a collider is moved out at this speed [m/s].
-DEPENETRATION = 1.0
-# What is deeper than this after every push [m] is left inside.
-UNRESOLVED = 1e-3
 
 
 def depth(

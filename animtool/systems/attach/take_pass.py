@@ -1,21 +1,199 @@
-"""The pass ``simulate``: what a rig attaches, moved by its joints."""
+"""The pass that moves what a rig attaches, and what it says of itself."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, Severity, counted, listed, percent
 from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart
-from animtool.systems.attach.bodies import Body, SurfaceBody, bodies_of
-from animtool.systems.attach.report import notices_of, reports_of
+from animtool.systems.attach.actor import Actor
+from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
+from animtool.systems.attach.network import odd_surface
 from animtool.systems.attach.saved import Saved, read_states, write_states
 from animtool.systems.attach.settings import SimulateOptions, option_checks
-from animtool.systems.attach.simulation import Simulation
+from animtool.systems.attach.simulation import Closing, Simulation
+from animtool.systems.springs.self_contact import through_notices
 from animtool.take import TakeStream
+
+# Springs may be this much longer than aimed at before it is worth a warning [1].
+PARDON = 1.5
+# A joint turned by less than this moves nothing that would be missed [rad].
+LEAST_SWING = math.radians(0.1)
+
+
+def of_named_frames(simulation: Simulation) -> list[Fault]:
+    """Return what is odd about the frames that options name, when all were seen.
+
+    A frame that the take has not is named in vain (SIM185). Where a simulation goes on
+    from a frame, those before it are as the take has them (SIM186).
+    """
+    options, codes, resumed = simulation.options, simulation.codes, simulation.resumed
+    if not codes:
+        return []
+    named = {"save_at": options.save_at, "teleports": options.teleports}
+    if resumed is not None:
+        named["resume"] = (resumed.frame,)
+    seen = set(codes)
+    said = [
+        _in_vain(name, missing, codes)
+        for name, frames in named.items()
+        if (missing := [frame for frame in frames if frame not in seen])
+    ]
+    if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
+        frame = f"{resumed.frame:g}"
+        message = (
+            f"it goes on from frame {frame}; those before are as the take has them"
+        )
+        said.append(Fault("SIM186", message, severity=Severity.NOTE))
+    return said
+
+
+def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
+    noun = "frame" if len(frames) == 1 else "frames"
+    message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
+    message += f", and the take has {codes[0]:g} to {codes[-1]:g}"
+    hint = "frames are named by their time codes in the take"
+    return Fault("SIM185", message, hint=hint, severity=Severity.WARNING)
+
+
+@dataclass(frozen=True, slots=True)
+class AttachReport:
+    """What became of one attachment."""
+
+    name: str  # as the rig names it
+    kind: str  # of `AttachKind`
+    # ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``: something stays
+    # inside a collider, or went through the cloth.
+    status: str
+    particles: int  # how many there are
+    steps: int  # steps a frame
+    stretch: float  # most that a spring was longer than at rest [1]
+    aimed: float  # at which stretch [1]
+    contacts: int  # most particles that touched colliders at once
+    unresolved: int  # most that were left inside
+    passed: int  # most that had gone through the cloth
+    cut: int  # most pairs of its edges that had gone through each other
+    jumps: int  # how often it was carried over a jump
+    seconds: float  # time spent [s]
+
+
+def reports_of(simulation: Simulation) -> list[AttachReport]:
+    """Return what became of each attachment so far."""
+    return [_report(actor) for actor in simulation.actors]
+
+
+def _report(actor: Actor) -> AttachReport:
+    tally, aimed = actor.tally, actor.settings.stretch
+    status = "ok"
+    if tally.stretch > PARDON * aimed:
+        status = "stretched"
+    if tally.unresolved or tally.through.passed or tally.through.cut:
+        status = "unresolved"
+    return AttachReport(
+        actor.body.name,
+        actor.body.kind,
+        status,
+        actor.body.network.count,
+        actor.steps,
+        tally.stretch,
+        aimed,
+        tally.contacts,
+        tally.unresolved,
+        tally.through.passed,
+        tally.through.cut,
+        actor.jumps,
+        actor.seconds,
+    )
+
+
+def notices_of(simulation: Simulation) -> list[Fault]:
+    """Return what is worth saying of a simulation that is over."""
+    reports = reports_of(simulation)
+    said = [_note(report) for report in reports]
+    for actor, report in zip(simulation.actors, reports, strict=True):
+        said += _of_start(actor) + _warnings(report)
+        if isinstance(actor.body, ChainBody) and actor.body.bare:
+            said += _bare(simulation, actor.body)
+        said += through_notices(actor.tally.through, f"the cloth {report.name}")
+    if simulation.closing is not None:
+        names = listed([report.name for report in reports])
+        said.append(_closed(names, simulation.closing))
+    return said + of_named_frames(simulation)
+
+
+def _note(report: AttachReport) -> Fault:
+    parts = [
+        f"{report.name}: {counted(report.steps, 'step')} a frame",
+        f"springs up to {percent(report.stretch)} longer",
+    ]
+    if report.contacts:
+        parts.append(f"up to {counted(report.contacts, 'particle')} in contact")
+    if report.jumps:
+        parts.append(f"carried over {counted(report.jumps, 'jump')}")
+    return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
+
+
+def _of_start(actor: Actor) -> list[Fault]:
+    """Return what is odd about what an attachment is made of, and where it begins."""
+    said, name, network = [], actor.body.name, actor.body.network
+    odd = odd_surface(network)
+    if odd:
+        message = f"{name}: {listed(odd)}; it is simulated all the same"
+        said.append(Fault("SIM106", message, severity=Severity.NOTE))
+    if actor.lost:
+        every = actor.lost == len(network.stiff.rests)
+        which = "every spring" if every else counted(actor.lost, "spring")
+        message = f"{name}: the ends of {which} are at one place in the first pose"
+        hint = "with no direction they pull nothing until something parts them"
+        said.append(Fault("SIM140", message, hint=hint, severity=Severity.WARNING))
+    return said + actor.tangles
+
+
+def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
+    """Return a warning where the last joint of a chain turns, and moves nothing."""
+    angle = simulation.swung.get(chain.name, 0.0)
+    if angle < LEAST_SWING:
+        return []
+    joint = simulation.rig.joints[chain.joints[-1]].name
+    message = (
+        f"{chain.name}: joint {joint!r} is turned by up to {math.degrees(angle):.3g}°, "
+        "and nothing follows: it has no tip, and no joint, skin or collider below it"
+    )
+    hint = "give the joint `tips`, where its bone ends, or add a joint below it"
+    return [Fault("SIM191", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _warnings(report: AttachReport) -> list[Fault]:
+    said = []
+    if report.stretch > PARDON * report.aimed:
+        message = (
+            f"{report.name}: springs become {percent(report.stretch)} longer than at "
+            f"rest, and {100 * report.aimed:g}% was aimed at"
+        )
+        hint = "give it a higher rate, or let it settle from a pose that it can hold"
+        said.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))
+    if report.unresolved:
+        points = counted(report.unresolved, "particle")
+        message = f"{report.name}: {points} stay inside colliders"
+        hint = "colliders that close in leave them no way out"
+        said.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
+    return said
+
+
+def _closed(names: str, closing: Closing) -> Fault:
+    message = f"{names}: the cycle was run {counted(closing.repeats, 'time')}; "
+    message += f"its ends differ by {1000 * closing.residual:.3g} mm"
+    if closing.residual <= closing.tolerance:
+        return Fault("SIM130", message, severity=Severity.NOTE)
+    message += f", and {1000 * closing.tolerance:g} mm was asked for"
+    hint = "what is left is brought in over the last quarter; raise loop_repeats, or "
+    hint += "the damping or drag of what swings on by chance"
+    return Fault("SIM133", message, hint=hint, severity=Severity.WARNING)
 
 
 def simulate(

@@ -8,10 +8,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, ToleranceError
-from animtool.sim.advancing import advance, checkpoint_of, stats_of
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
+from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.options import check_options
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Checkpoint, Stats, Status

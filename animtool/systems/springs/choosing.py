@@ -21,6 +21,19 @@ from animtool.systems.springs.slopes import LoadedBody
 from animtool.systems.springs.solvers import SHORTEST
 from animtool.systems.springs.system import SpringSystem
 
+# Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
+# 30, 48, 60 and 120 a second.
+CELL = 1 / 240
+# Of the limit of explicit steps, what is taken.
+SAFE = 0.8
+# Time for each second of motion that is short enough for explicit steps anyway [s].
+LITTLE = 0.03
+# What is less accurate is to take this share of the time at most: explicit steps of the
+# same time are ten times as near as those of xpbd on sheets.
+WORTH = 0.5
+# Steps in a cell to begin with.
+FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
+
 # Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
 # 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
 # more of each, in all solvers about alike. Only how they compare decides.
@@ -60,20 +73,6 @@ def projected_rate(system: LoadedBody, stretch: float) -> float:
     moved = system.inverse_masses[ends].sum(axis=1) / springs.rest[firm]
     rate = np.sqrt(TWICE * force * float(np.median(moved)) / stretch)
     return min(float(rate), 1 / SHORTEST)
-
-
-# Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
-# 30, 48, 60 and 120 a second.
-CELL = 1 / 240
-# Of the limit of explicit steps, what is taken.
-SAFE = 0.8
-# Time for each second of motion that is short enough for explicit steps anyway [s].
-LITTLE = 0.03
-# What is less accurate is to take this share of the time at most: explicit steps of the
-# same time are ten times as near as those of xpbd on sheets.
-WORTH = 0.5
-# Steps in a cell to begin with.
-FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 
 
 @dataclass(frozen=True, slots=True)

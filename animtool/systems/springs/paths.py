@@ -15,6 +15,9 @@ from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.options import Grid
 
+# A step ends on a jump that is this much behind its end [s]: rounding of times.
+SLACK = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Pins:
@@ -106,10 +109,6 @@ def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
     share = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
     moved: FloatArray = path[after - 1] + share * (path[after] - path[after - 1])
     return np.where(share == 1, path[after], moved)
-
-
-# A step ends on a jump that is this much behind its end [s]: rounding of times.
-SLACK = 1e-9
 
 
 class Teleports:

@@ -9,8 +9,17 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.system import Matrix
-from animtool.systems.springs.body import Body, Springs
-from animtool.systems.springs.network import NO_DRAWS, Draws, Paths, spring_network
+from animtool.systems.springs.body import (
+    NO_DRAWS,
+    Body,
+    Draws,
+    Paths,
+    Springs,
+    spring_network,
+)
+
+# Differences of the forces of air: a share of lengths, or of speeds.
+NUDGE = 1e-5
 
 
 class LoadedBody(Protocol):
@@ -76,10 +85,6 @@ def _largest(system: LoadedBody, pull: FloatArray, draws: FloatArray) -> float:
     drawn = system.draws.particles
     np.add.at(rows, drawn, draws * weights[drawn])
     return float(rows.max(initial=0.0))
-
-
-# Differences of the forces of air: a share of lengths, or of speeds.
-NUDGE = 1e-5
 
 
 class _Blocks:

@@ -17,6 +17,14 @@ from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.self_contact import Through
 from animtool.systems.springs.system import SpringSystem
 
+# Steps of xpbd are not shorter than this [s].
+SHORTEST = 1 / 61440
+# Of a cell that is longer than so many of these, no more are tried.
+LONG_CELL = 131072
+# Newton's corrections of implicit steps go on until they are below this share of the
+# mean length of springs.
+SOLVED = 1e-6
+
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 
@@ -66,14 +74,6 @@ def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
 
 
 Advance: TypeAlias = Callable[[SpringSystem, SpringOptions, Grid, int], Grid]
-
-# Steps of xpbd are not shorter than this [s].
-SHORTEST = 1 / 61440
-# Of a cell that is longer than so many of these, no more are tried.
-LONG_CELL = 131072
-# Newton's corrections of implicit steps go on until they are below this share of the
-# mean length of springs.
-SOLVED = 1e-6
 
 
 def _network(system: SpringSystem, grid: Grid) -> _kernels.SpringNetwork:

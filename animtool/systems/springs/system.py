@@ -16,19 +16,19 @@ from animtool.errors import Fault
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
-from animtool.systems.springs.body import Body
+from animtool.systems.springs.body import (
+    NO_DRAWS,
+    Body,
+    Draws,
+    Paths,
+    spring_layers,
+    spring_network,
+)
 from animtool.systems.springs.checks import (
     check_body,
     check_limit,
     check_path,
     start_notices,
-)
-from animtool.systems.springs.network import (
-    NO_DRAWS,
-    Draws,
-    Paths,
-    spring_layers,
-    spring_network,
 )
 from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
 from animtool.systems.springs.records import SelfContact
