@@ -198,9 +198,11 @@ def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     Between whole times one field goes over into the next.
     """
 
+IK_GOAL_KINDS: tuple = ...
+
 def place_ik_targets(targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')], frames: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], length: float) -> None:
     """
-    Bring targets ``(B, E, 17)`` to a chain, in place.
+    Bring targets ``(B, E, W)`` to a chain, in place.
 
     Lengths are divided by ``length``, rotations brought to length 1, one without length to
     the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.
@@ -214,17 +216,17 @@ def solve_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), ord
     that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
     gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
     its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
-    middle of its limb, or -1; level, of which 0 comes first. ``goal_numbers`` ``(E, 13)``:
-    offset in two parts, of which the first is a bone of its limb, aim axis, weights of
-    position, orientation, aim and pole. ``targets`` ``(B, E, 17)``, which misses are told of:
-    position, quaternion, point to aim at, pole, and what the four weights are multiplied by;
-    ``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones on the way to
-    a goal. Lengths are shares of the chain's. ``warm`` starts each problem where the one
-    before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3 CCD,
-    4 FABRIK, without slides; only the first heeds levels, the last two no rest.
+    middle of its limb, or -1; level, of which 0 comes first. ``goal_numbers``
+    ``(E, 9 + K)``: offset in two parts, of which the first is a bone of its limb, aim axis,
+    weights of the kinds. ``targets`` ``(B, E, W)``, which misses are told of: as of
+    ``IK_GOAL_KINDS`` position, quaternion, point to aim at, pole, and what the weights are
+    multiplied by; ``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones
+    on the way to a goal. Lengths are shares of the chain's. ``warm`` starts each problem where
+    the one before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3
+    CCD, 4 FABRIK, without slides; only the first heeds levels, the last two no rest.
 
     Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
-    ``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
+    ``(B, E, K)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
     goals or the rest, 5 goals that contradict each other, 6 a method without headway),
     iterations and descents ``(B, 3)``; time of each ``(B,)``.
     """
@@ -247,7 +249,7 @@ def smooth_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), or
     down: v is the motion to the next frame less ``drifts`` ``(F - 1, D)``, a its change.
     Goals that are reached stay so; where one is missed, all stay where the frame has them.
 
-    Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, 4)``, steps
+    Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, steps
     taken, and half the sum before and after them.
     """
 

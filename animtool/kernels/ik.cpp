@@ -19,8 +19,10 @@ namespace {
 
 using namespace ik;
 
-// Goals of all parts have 9 rows, and a matrix of the rows is gone through with int.
-constexpr std::size_t MOST_GOALS = 46340 / 9;
+// A matrix of the rows is gone through with int.
+constexpr std::size_t MOST_GOALS = 46340 / MOST_GOAL_ROWS;
+// Of a goal: two parts of its offset and its aim axis, and its weights.
+constexpr std::size_t GOAL_NUMBERS = 9 + PARTS;
 
 // Frames and gains are finite; limits, which may be infinite, are in order.
 void check_numbers(const Node& node, const double* values) {
@@ -79,7 +81,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
                double rest_weight) {
   check::shape("goals", goals, {check::ANY, 4});
-  check::shape("goal_numbers", goal_numbers, {goals.shape(0), 13});
+  check::shape("goal_numbers", goal_numbers, {goals.shape(0), GOAL_NUMBERS});
   check::at_most("goals", goals.shape(0), MOST_GOALS);
   check::finite("goal_numbers", goal_numbers);
   check::not_negative("rest_weight", rest_weight);
@@ -89,7 +91,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
   const std::int64_t count = static_cast<std::int64_t>(task.chain.nodes.size());
   for (std::size_t e = 0; e < goals.shape(0); ++e) {
     const std::int64_t* row = goals.data() + 4 * e;
-    const double* values = goal_numbers.data() + 13 * e;
+    const double* values = goal_numbers.data() + GOAL_NUMBERS * e;
     check::indices("goals", row, 1, 0, count);
     check::indices("goals", row + 1, 2, -1, count);
     check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
@@ -103,11 +105,13 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     std::copy(values + 3, values + 6, goal.tool);
     for (int i = 0; i < 3; ++i) goal.offset[i] = goal.bone[i] + goal.tool[i];
     std::copy(values + 6, values + 9, goal.aim_axis);
-    std::copy(values + 9, values + 13, goal.weights);
+    std::copy(values + 9, values + GOAL_NUMBERS, goal.weights);
     goal.level = static_cast<int>(row[3]);
     task.levels = std::max(task.levels, goal.level + 1);
-    if (goal.weights[3] > 0 && (row[1] < 0 || row[2] < 0))
-      check::refuse("goals", "goal " + check::text(e) + " has a pole and no limb");
+    each_kind([&]<class Kind>(int part) {
+      if (Kind::LIMB && goal.weights[part] > 0 && (row[1] < 0 || row[2] < 0))
+        check::refuse("goals", "goal " + check::text(e) + " has a " + Kind::NAME + " and no limb");
+    });
     goal.row = task.rows;
     for (int n = goal.node; n >= 0; n = task.chain.nodes[n].parent) goal.path.push_back(n);
     std::reverse(goal.path.begin(), goal.path.end());
@@ -130,7 +134,7 @@ void check_targets(const char* name, const Task& task, std::size_t batch,
   check::shape(name, targets, {batch, task.goals.size(), TARGET_WIDTH});
   for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
     for (int part = 0; part < PARTS; ++part) {
-      const double by = targets.data()[TARGET_WIDTH * row + 13 + part];
+      const double by = targets.data()[TARGET_WIDTH * row + WEIGHTS + part];
       if (!(by >= 0)) check::refuse(name, "the share " + check::text(by) + " is not 0 or more");
     }
 }
@@ -170,17 +174,6 @@ std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& sett
   check::refuse("method", check::text(method) + " is not between 0 and 4");
 }
 
-// A quaternion scaled first, so that neither tiny nor huge numbers leave the range.
-void bring_to_unit(double* q) {
-  const double most = std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
-  if (!(most > 0)) {
-    q[0] = q[1] = q[2] = 0, q[3] = 1;
-    return;
-  }
-  for (int i = 0; i < 4; ++i) q[i] /= most;
-  normalize(q);
-}
-
 }  // namespace
 
 void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
@@ -191,12 +184,16 @@ void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double le
   for (std::size_t row = 0; row < targets.shape(0) * goals; ++row) {
     double* target = targets.data() + TARGET_WIDTH * row;
     const double* frame = frames.data() + 4 * (row % goals);
-    const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
-    for (int i = 0; i < 3; ++i)
-      target[i] /= length, target[7 + i] /= length, target[10 + i] /= length;
-    bring_to_unit(target + 3);
-    product(target + 3, back, target + 3);
+    each_kind([&]<class Kind>(int part) { Kind::place(target + COLUMNS[part], frame, length); });
   }
+}
+
+nb::tuple ik_goal_kinds() {
+  nb::list kinds;
+  each_kind([&]<class Kind>(int) {
+    kinds.append(nb::make_tuple(Kind::NAME, Kind::ROWS, Kind::WIDTH, Kind::METRIC, Pulling<Kind>));
+  });
+  return nb::tuple(kinds);
 }
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,

@@ -18,6 +18,8 @@ struct Settings {
   std::uint64_t seed;
   double seconds;   // 0 is no bound
   bool own_starts;  // frames of a clip begin at poses of their own
+
+  double tolerance(int part) const { return METRIC[part] ? length_tolerance : angle_tolerance; }
 };
 
 enum class Status {
@@ -67,9 +69,8 @@ class Attempt {
 
   // Whether a goal's misses are within a share of the tolerances.
   bool within(const double* misses, double share = 1) const {
-    if (misses[0] > share * settings_.length_tolerance) return false;
-    for (int part = 1; part < PARTS; ++part)
-      if (misses[part] > share * settings_.angle_tolerance) return false;
+    for (int part = 0; part < PARTS; ++part)
+      if (misses[part] > share * settings_.tolerance(part)) return false;
     return true;
   }
 

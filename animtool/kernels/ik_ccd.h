@@ -49,23 +49,12 @@ class Cyclic : public Method {
       const double* target = targets_ + TARGET_WIDTH * e;
       const double* point = &now_.points[3 * e];
       const double* weights = &now_.weights[PARTS * e];
-      if (weights[0] > 0) {
-        double from[3], to[3];
-        for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = target[i] - origin[i];
-        sum.add(weights[0] * weights[0], from, to);
-      }
-      if (weights[1] > 0) {
-        double wanted[9], transposed[9], left[9];
-        const double* rotation = &now_.frames.rotations[9 * goal.node];
-        to_matrix(target + 3, wanted);
-        for (int i = 0; i < 9; ++i) transposed[i] = rotation[3 * (i % 3) + i / 3];
-        multiply(wanted, transposed, left);
-        sum.add(weights[1] * weights[1], left);
-      }
-      if (weights[2] > 0) {
-        const Aim aim = look_at(goal, now_, point, target);
-        sum.add(weights[2] * weights[2], aim.direction, aim.wanted);
-      }
+      const View view = view_of(goal, now_, point);
+      each_kind([&]<class Kind>(int part) {
+        if constexpr (Pulling<Kind>)
+          if (weights[part] > 0)
+            Kind::pull(weights[part] * weights[part], view, target + COLUMNS[part], origin, sum);
+      });
     }
     return sum;
   }
@@ -76,8 +65,9 @@ class Cyclic : public Method {
     double sum = 0, weight = 0;
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       if (!moves(n, task_.goals[e])) continue;
-      const double own = now_.weights[PARTS * e] * now_.weights[PARTS * e];
-      const double* target = targets_ + TARGET_WIDTH * e;
+      const double weight_here = now_.weights[PARTS * e + part_of<Position>()];
+      const double own = weight_here * weight_here;
+      const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()];
       double away[3];
       for (int i = 0; i < 3; ++i) away[i] = target[i] - now_.points[3 * e + i];
       sum += own * dot(axis, away), weight += own;

@@ -85,8 +85,8 @@ class Fabrik : public Method {
     std::fill(wanted_.begin(), wanted_.end(), 0.0);
     std::fill(asking_.begin(), asking_.end(), 0);
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (now_.weights[PARTS * e] > 0)
-        ask(task_.goals[e].node, targets_ + TARGET_WIDTH * e, length(task_.goals[e].offset));
+      if (now_.weights[PARTS * e + part_of<Position>()] > 0)
+        ask(task_.goals[e].node, targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()], length(task_.goals[e].offset));
     for (std::size_t n = task_.chain.nodes.size(); n-- > 0;) {
       if (!asking_[n]) continue;
       for (int i = 0; i < 3; ++i) wanted_[3 * n + i] /= asking_[n];
@@ -106,7 +106,7 @@ class Fabrik : public Method {
     }
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
-      const double* target = targets_ + TARGET_WIDTH * e;
+      const double* target = targets_ + TARGET_WIDTH * e + COLUMNS[part_of<Position>()];
       draw(target, &wanted_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
     }
   }
@@ -181,7 +181,7 @@ class Fabrik : public Method {
     const Goal& goal = task_.goals[grip.index];
     rotate(&now_.frames.rotations[9 * goal.node], goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += now_.frames.origins[3 * goal.node + i];
-    return now_.weights[PARTS * grip.index] > 0;
+    return now_.weights[PARTS * grip.index + part_of<Position>()] > 0;
   }
 
   std::vector<double> wanted_;  // (N, 3): where the joints' origins are drawn to

@@ -1,14 +1,10 @@
 // What is asked of the chain: residuals, their Jacobian, and their curvature.
-//
-// A residual r is what is missing, so that r(q + d) = r(q) - J d to first order, and
-// the gradient of the cost |r|^2 / 2 is -J^T r, exactly: rotations are compared by
-// their rotation vector in the world, apart from positions.
 #pragma once
 
 #include <cstdint>
 #include <vector>
 
-#include "ik_chain.h"
+#include "ik_kinds.h"
 
 namespace animtool::ik {
 
@@ -17,7 +13,7 @@ struct Goal {
   double offset[3];  // of its point, in the node's frame: what stretches with the limb,
   double bone[3], tool[3];  // and what does not
   double aim_axis[3];
-  double weights[4];  // position, orientation, aim, pole; 0 is not asked for
+  double weights[PARTS];  // 0 is not asked for
   double stretched = 1;
   int level = 0;      // 0 is hard; higher ones give way to those below
   int root = -1, middle = -1;  // of the limb that has a pole
@@ -25,13 +21,8 @@ struct Goal {
   std::vector<int> path;  // nodes that move it, from the root
 };
 
-// Of one goal: position, quaternion, point to aim at, pole, and what its weights are
-// multiplied by: where that is 0, the rows are there but ask for nothing.
-constexpr int TARGET_WIDTH = 17;
-constexpr int PARTS = 4;
-
 inline double weight_of(const Goal& goal, const double* target, int part) {
-  return goal.weights[part] * target[13 + part];
+  return goal.weights[part] * target[WEIGHTS + part];
 }
 
 struct Task {
@@ -43,16 +34,17 @@ struct Task {
 };
 
 inline int rows_of(const Goal& goal) {
-  return 3 * (goal.weights[0] > 0) + 3 * (goal.weights[1] > 0) + 2 * (goal.weights[2] > 0) +
-         (goal.weights[3] > 0);
+  int count = 0;
+  each_kind([&]<class Kind>(int part) { count += Kind::ROWS * (goal.weights[part] > 0); });
+  return count;
 }
 
 inline int rows_asked(const Task& task, const double* targets) {
-  constexpr int rows[PARTS] = {3, 3, 2, 1};
   int count = 0;
   for (std::size_t e = 0; e < task.goals.size(); ++e)
-    for (int part = 0; part < PARTS; ++part)
-      count += rows[part] * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, part) > 0);
+    each_kind([&]<class Kind>(int part) {
+      count += Kind::ROWS * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, part) > 0);
+    });
   return count;
 }
 
@@ -62,8 +54,8 @@ struct State {
   Frames frames;
   std::vector<double> residuals;  // (M,), weighted
   std::vector<double> points;     // (E, 3)
-  std::vector<double> misses;     // (E, 4), not weighted: lengths and angles
-  std::vector<double> weights;    // (E, 4), with those of the targets
+  std::vector<double> misses;     // (E, K), not weighted: lengths and angles
+  std::vector<double> weights;    // (E, K), with those of the targets
   double cost = 0;                // of the goals, and of the rest preference:
   double drawn = 0;               // its part
 
@@ -73,96 +65,14 @@ struct State {
         weights(PARTS * task.goals.size()) {}
 };
 
-// The half plane of a limb and that of its pole, seen along the limb.
-struct Limb {
-  double axis[3], middle[3], pole[3];  // the last two at right angles to the axis
-  double span, middle_along, pole_along, angle;
-  bool known;
-};
-
-inline Limb look_along(const double* root, const double* middle, const double* tip,
-                       const double* pole) {
-  Limb limb;
-  for (int i = 0; i < 3; ++i) {
-    limb.axis[i] = tip[i] - root[i];
-    limb.middle[i] = middle[i] - root[i];
-    limb.pole[i] = pole[i] - root[i];
-  }
-  limb.span = length(limb.axis);
-  limb.known = limb.span > 1e-9;
-  if (!limb.known) return limb;
-  for (double& x : limb.axis) x /= limb.span;
-  limb.middle_along = dot(limb.axis, limb.middle);
-  limb.pole_along = dot(limb.axis, limb.pole);
-  for (int i = 0; i < 3; ++i) {
-    limb.middle[i] -= limb.middle_along * limb.axis[i];
-    limb.pole[i] -= limb.pole_along * limb.axis[i];
-  }
-  limb.known = length(limb.middle) > 1e-9 && length(limb.pole) > 1e-9;
-  limb.angle = std::atan2(triple(limb.axis, limb.middle, limb.pole),
-                          dot(limb.middle, limb.pole));
-  return limb;
-}
-
-inline Limb limb_of(const Goal& goal, const State& state, const double* point,
-                    const double* target) {
-  return look_along(&state.frames.origins[3 * goal.root],
-                    &state.frames.origins[3 * goal.middle], point, target + 10);
-}
-
-// The turn that takes the aim axis to its target: angle about a unit axis.
-struct Aim {
-  double direction[3], wanted[3], axis[3];
-  double distance, angle;
-};
-
-inline Aim look_at(const Goal& goal, const State& state, const double* point,
-                   const double* target) {
-  Aim aim;
-  rotate(&state.frames.rotations[9 * goal.node], goal.aim_axis, aim.direction);
-  for (int i = 0; i < 3; ++i) aim.wanted[i] = target[7 + i] - point[i];
-  aim.distance = length(aim.wanted);
-  if (aim.distance < 1e-12) {
-    std::copy(aim.direction, aim.direction + 3, aim.wanted);
-    aim.distance = 1;
-  } else {
-    for (double& x : aim.wanted) x /= aim.distance;
-  }
-  cross(aim.direction, aim.wanted, aim.axis);
-  const double sine = length(aim.axis);
-  aim.angle = std::atan2(sine, dot(aim.direction, aim.wanted));
-  double other[3];
-  if (sine < 1e-12)
-    across(aim.direction, aim.axis, other);
-  else
-    for (double& x : aim.axis) x /= sine;
-  return aim;
-}
-
-inline void measure_position(double weight, const double* point, const double* target, double* r,
-                             double* miss) {
-  for (int i = 0; i < 3; ++i) r[i] = target[i] - point[i];
-  *miss = length(r);
-  for (int i = 0; i < 3; ++i) r[i] *= weight;
-}
-
-inline void measure_orientation(double weight, const double* rotation, const double* target,
-                                double* r, double* miss) {
-  double wanted[9], transposed[9], turn[9];
-  to_matrix(target + 3, wanted);
-  for (int i = 0; i < 9; ++i) transposed[i] = rotation[3 * (i % 3) + i / 3];
-  multiply(wanted, transposed, turn);
-  logarithm_of_matrix(turn, r);
-  *miss = length(r);
-  for (int i = 0; i < 3; ++i) r[i] *= weight;
-}
-
-inline void measure_aim(double weight, const Aim& aim, double* r, double* miss) {
-  double u[3], v[3];
-  across(aim.direction, u, v);
-  *miss = aim.angle;
-  r[0] = weight * aim.angle * dot(aim.axis, u);
-  r[1] = weight * aim.angle * dot(aim.axis, v);
+// Once its point is known.
+inline View view_of(const Goal& goal, const State& state, const double* point) {
+  View view{&state.frames.rotations[9 * goal.node], point, goal.aim_axis, goal.root, goal.middle,
+            nullptr, nullptr};
+  if (goal.middle < 0) return view;
+  view.origin = &state.frames.origins[3 * goal.root];
+  view.joint = &state.frames.origins[3 * goal.middle];
+  return view;
 }
 
 // `shift` (M,) is added to the residuals, or null.
@@ -181,17 +91,12 @@ inline void measure(const Task& task, const double* targets, State& state,
     for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
     rotate(rotation, goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
-    if (weights[0] > 0) measure_position(weights[0], point, target, r, miss);
-    r += 3 * (goal.weights[0] > 0);
-    if (weights[1] > 0) measure_orientation(weights[1], rotation, target, r, miss + 1);
-    r += 3 * (goal.weights[1] > 0);
-    if (weights[2] > 0) measure_aim(weights[2], look_at(goal, state, point, target), r, miss + 2);
-    r += 2 * (goal.weights[2] > 0);
-    if (weights[3] > 0) {
-      const Limb limb = limb_of(goal, state, point, target);
-      miss[3] = limb.known ? std::fabs(limb.angle) : 0;
-      r[0] = limb.known ? weights[3] * limb.angle : 0;
-    }
+    const View view = view_of(goal, state, point);
+    each_kind([&]<class Kind>(int part) {
+      if (weights[part] > 0)
+        miss[part] = Kind::measure(weights[part], view, target + COLUMNS[part], r);
+      r += Kind::ROWS * (goal.weights[part] > 0);
+    });
   }
   if (shift)
     for (int i = 0; i < task.rows; ++i) state.residuals[i] += shift[i];
@@ -200,26 +105,10 @@ inline void measure(const Task& task, const double* targets, State& state,
   state.cost /= 2;
 }
 
-// How the points of a limb turn its half plane: derivatives of Limb::angle.
-struct LimbGradients {
-  double root[3], middle[3], tip[3];
-};
-
-inline LimbGradients gradients(const Limb& limb) {
-  LimbGradients g;
-  double by_middle[3], by_pole[3];
-  cross(limb.axis, limb.middle, by_middle);
-  cross(limb.axis, limb.pole, by_pole);
-  const double m = dot(limb.middle, limb.middle), p = dot(limb.pole, limb.pole);
-  const double at_middle = limb.middle_along / limb.span, at_pole = limb.pole_along / limb.span;
-  for (int i = 0; i < 3; ++i) {
-    const double a = by_middle[i] / m, b = by_pole[i] / p;
-    g.middle[i] = -a;
-    g.tip[i] = at_middle * a - at_pole * b;
-    g.root[i] = (1 - at_middle) * a - (1 - at_pole) * b;
-  }
-  return g;
-}
+// What the slopes of all kinds are made of.
+template <class... Kind>
+std::tuple<typename Kind::Slopes...> slopes_of(const std::tuple<Kind...>&);
+using Slopes = decltype(slopes_of(Kinds{}));
 
 // Columns of the Jacobian (D, M), a row of memory for each degree of freedom.
 inline void differentiate(const Task& task, const double* targets, const State& state,
@@ -231,63 +120,38 @@ inline void differentiate(const Task& task, const double* targets, const State& 
     const double* point = &state.points[3 * e];
     const double* weights = &state.weights[PARTS * e];
     if (std::all_of(weights, weights + PARTS, [](double w) { return !(w > 0); })) continue;
-    Aim aim{};
-    Limb limb{};
-    LimbGradients turning{};
-    double u[3] = {}, v[3] = {};
-    if (weights[2] > 0) {
-      aim = look_at(goal, state, point, target);
-      across(aim.direction, u, v);
-    }
-    if (weights[3] > 0) {
-      limb = limb_of(goal, state, point, target);
-      if (limb.known) turning = gradients(limb);
-    }
+    const View view = view_of(goal, state, point);
+    Slopes slopes;
+    double shares[PARTS];
+    int rows[PARTS], next = 0;
+    each_kind([&]<class Kind>(int part) {
+      shares[part] = weights[part];
+      rows[part] = next;
+      next += Kind::ROWS * (goal.weights[part] > 0);
+      if (weights[part] > 0)
+        std::get<typename Kind::Slopes>(slopes).look(view, target + COLUMNS[part]);
+    });
     for (const int n : goal.path) {
       const Node& node = task.chain.nodes[n];
       const double* origin = &state.frames.origins[3 * n];
+      const double gain = node.gain;
       for (int k = 0; k < node.width(); ++k) {
-        const double* axis = &state.frames.axes[9 * n + 3 * k];
         double* column =
             columns.data() + static_cast<std::size_t>(node.dof + k) * task.rows + goal.row;
-        double linear[3], angular[3];
-        velocity(node, axis, origin, point, linear, angular);
-        const double gain = node.gain;
-        if (goal.weights[0] > 0) {
-          for (int i = 0; i < 3; ++i) column[i] += gain * weights[0] * linear[i];
-          column += 3;
-        }
-        if (goal.weights[1] > 0) {
-          for (int i = 0; i < 3; ++i) column[i] += gain * weights[1] * angular[i];
-          column += 3;
-        }
-        if (weights[2] > 0) {
-          double turned[3];
-          cross(aim.wanted, linear, turned);
-          for (int i = 0; i < 3; ++i) turned[i] = angular[i] + turned[i] / aim.distance;
-          column[0] += gain * weights[2] * dot(turned, u);
-          column[1] += gain * weights[2] * dot(turned, v);
-        }
-        column += 2 * (goal.weights[2] > 0);
-        if (limb.known) {
-          double rate = dot(turning.tip, linear);
-          if (n <= goal.middle) {
-            velocity(node, axis, origin, &state.frames.origins[3 * goal.middle], linear, angular);
-            rate += dot(turning.middle, linear);
-          }
-          if (n <= goal.root) {
-            velocity(node, axis, origin, &state.frames.origins[3 * goal.root], linear, angular);
-            rate += dot(turning.root, linear);
-          }
-          column[0] -= gain * weights[3] * rate;
-        }
+        Motion motion{node, n, &state.frames.axes[9 * n + 3 * k], origin, {}, {}};
+        velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
+        each_kind([&]<class Kind>(int part) {
+          if (shares[part] > 0)
+            std::get<typename Kind::Slopes>(slopes).add(motion, gain * shares[part],
+                                                        column + rows[part]);
+        });
       }
     }
   }
 }
 
 // Adds to `out` (D,) what the second derivatives of positions and rotations make of a
-// direction: (Hessian of the cost - J^T J) times `along`. Aims and poles are left out.
+// direction: (Hessian of the cost - J^T J) times `along`. All other kinds are left out.
 //
 // Along a path, joint i before joint j: d2p/didj = a_i x (a_j x (p - p_j)), and rotation
 // vectors obey exp(x) exp(y) = exp(x + y + x cross y / 2 + ...). Sums over the joints before
@@ -308,12 +172,14 @@ class Curvature {
     const double* residual = state.residuals.data() + goal.row;
     const double* weights = &state.weights[PARTS * e];
     double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, shrink = 0, axis[3] = {0, 0, 0};
-    if (goal.weights[0] > 0) {
-      for (int i = 0; i < 3; ++i) force[i] = weights[0] * residual[i];
-      residual += 3;
+    constexpr int position = part_of<Position>(), orientation = part_of<Orientation>();
+    static_assert(position == 0 && orientation == 1);
+    if (goal.weights[position] > 0) {
+      for (int i = 0; i < 3; ++i) force[i] = weights[position] * residual[i];
+      residual += Position::ROWS;
     }
-    if (weights[1] > 0) {
-      const double w = weights[1], angle = length(residual) / w;
+    if (weights[orientation] > 0) {
+      const double w = weights[orientation], angle = length(residual) / w;
       for (int i = 0; i < 3; ++i) {
         torque[i] = w * residual[i];
         axis[i] = angle > 1e-9 ? residual[i] / (w * angle) : 0;

@@ -81,7 +81,7 @@ class Levels : public Solver {
   void scale(int level, double weight) {
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
       if (task_.goals[e].level == level)
-        for (int part = 0; part < PARTS; ++part) scaled_[TARGET_WIDTH * e + 13 + part] *= weight;
+        for (int part = 0; part < PARTS; ++part) scaled_[TARGET_WIDTH * e + WEIGHTS + part] *= weight;
   }
 
   // The one goal, by itself.
@@ -89,7 +89,7 @@ class Levels : public Solver {
     task_.rest_weight = 0;
     std::copy(targets_, targets_ + scaled_.size(), scaled_.begin());
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      if (e != goal) std::fill_n(&scaled_[TARGET_WIDTH * e + 13], PARTS, 0.0);
+      if (e != goal) std::fill_n(&scaled_[TARGET_WIDTH * e + WEIGHTS], PARTS, 0.0);
   }
 
   bool within(int level) const {

@@ -31,8 +31,9 @@ inline double nearest_cost(const Task& task, const double* targets, const Frames
     const Goal& goal = task.goals[e];
     bool slides = false;
     for (const int n : goal.path) slides = slides || task.chain.nodes[n].kind == Kind::SLIDE;
-    const double* target = targets + TARGET_WIDTH * e;
-    const double weight = weight_of(goal, target, 0);
+    const double* row = targets + TARGET_WIDTH * e;
+    const double* target = row + COLUMNS[part_of<Position>()];
+    const double weight = weight_of(goal, row, part_of<Position>());
     if (slides || !(weight > 0)) continue;
     const double* base = &frames.origins[3 * goal.path[0]];
     const double away[3] = {target[0] - base[0], target[1] - base[1], target[2] - base[2]};

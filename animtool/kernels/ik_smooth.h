@@ -129,11 +129,8 @@ class PathSmoother {
   }
 
   bool reached(const State& state) const {
-    for (std::size_t i = 0; i < state.misses.size(); ++i) {
-      const double tolerance =
-          i % PARTS == 0 ? settings_.length_tolerance : settings_.angle_tolerance;
-      if (!(state.misses[i] <= tolerance)) return false;
-    }
+    for (std::size_t i = 0; i < state.misses.size(); ++i)
+      if (!(state.misses[i] <= settings_.tolerance(static_cast<int>(i % PARTS)))) return false;
     return true;
   }
 
@@ -144,17 +141,10 @@ class PathSmoother {
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
       double* wanted = target(t) + TARGET_WIDTH * e;
-      const double* point = &state_.points[3 * e];
-      const double* rotation = &state_.frames.rotations[9 * goal.node];
-      double turn[3], direction[3];
-      std::copy(point, point + 3, wanted);
-      logarithm_of_matrix(rotation, turn);
-      exponential(turn, wanted + 3);
-      rotate(rotation, goal.aim_axis, direction);
-      for (int i = 0; i < 3; ++i) wanted[7 + i] = point[i] + direction[i];
-      if (goal.middle < 0) continue;
-      const double* middle = &state_.frames.origins[3 * goal.middle];
-      std::copy(middle, middle + 3, wanted + 10);
+      const View view = view_of(goal, state_, &state_.points[3 * e]);
+      each_kind([&]<class Kind>(int part) {
+        if (!Kind::LIMB || goal.middle >= 0) Kind::keep(view, wanted + COLUMNS[part]);
+      });
     }
   }
 

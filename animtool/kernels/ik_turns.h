@@ -1,7 +1,7 @@
 // The turn of one joint that serves its goals best by itself.
 #pragma once
 
-#include "ik_goals.h"
+#include "ik_chain.h"
 
 namespace animtool::ik {
 

@@ -95,6 +95,9 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
                 In<std::int32_t, 1> columns, In<double, 2> offsets,
                 Filled<double, 3> out);
 
+// Name, rows, width of a target, whether it misses lengths, whether CCD heeds it, of each.
+nb::tuple ik_goal_kinds();
+
 void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length);
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
+from animtool.ik.goals import KINDS
 
 HALF = np.sqrt(0.5)
 INF = np.inf
@@ -47,6 +48,14 @@ def looked(arrays: dict[str, Any], start: list[float], goals: np.ndarray) -> Any
     return _kernels.linearize_ik(
         **arrays, starts=np.array([start]), targets=goals, steps=zero
     )
+
+
+def test_kinds_of_goals_are_those_of_the_table() -> None:
+    table = [
+        (kind.name, kind.rows, kind.value.value, kind.metric, kind.pulls)
+        for kind in KINDS
+    ]
+    assert list(_kernels.IK_GOAL_KINDS) == table
 
 
 def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
