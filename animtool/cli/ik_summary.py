@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 MAX_NAMED = 8
 
 
-def _size(part: str, value: float) -> str:
+def _size(miss: Misses, value: float) -> str:
     """Return a miss as people read it."""
-    if part == "position":
+    if miss.metric:
         if not math.isfinite(value):
             return f"over {BEYOND:g} m"
         return length_text(value)
@@ -70,7 +70,7 @@ def _goal_text(goal: GoalReport) -> list[str]:
         return [f"  {goal.name}: never asked for"]
     lines = []
     for miss in goal.misses:
-        sizes = [_size(miss.part, value) for value in (miss.mean, miss.p95, miss.max)]
+        sizes = [_size(miss, value) for value in (miss.mean, miss.p95, miss.max)]
         lines.append(
             f"  {goal.name} {miss.part}: {sizes[2]} off at most "
             f"(frame {frame_label(miss.frame)}), {sizes[1]} in 95 %, "
@@ -165,7 +165,7 @@ def _goal_json(goal: GoalReport) -> dict[str, object]:
 
 def _miss_json(miss: Misses) -> dict[str, object]:
     return {
-        "unit": "m" if miss.part == "position" else "rad",
+        "unit": "m" if miss.metric else "rad",
         "frames": miss.frames,
         "mean": _finite(miss.mean),
         "p95": _finite(miss.p95),

@@ -37,6 +37,11 @@ class Misses:
     max: float  # of the worst
     frame: float  # time code of the worst
 
+    @property
+    def metric(self) -> bool:
+        """Whether it is a length [m], not an angle [rad]."""
+        return bool(METRIC[PARTS.index(self.part)])
+
 
 @dataclass(frozen=True, slots=True)
 class MissedSpan:

@@ -81,7 +81,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     odd = take_notices(solved, goals, smooth=options.smooth > 0)
     context.notices.extend(odd)
     misses = [miss for goal in goals for miss in goal.misses]
-    lengths = [miss.max for miss in misses if miss.part == "position"]
+    lengths = [miss.max for miss in misses if miss.metric]
     context.errors.extend(lengths)
     return replace(solved.take, rig=rig)
 

@@ -137,7 +137,8 @@ def test_a_chain_is_its_tip(folder: Path) -> None:
     tracks = tracks_of(folder, "- {effector: leg_l, position: [0, 0, 0]}")
     goal = tracks.goals[0].goal
     assert (goal.joint, goal.root) == ("ankle_l", "hip_l")
-    assert goal.weights == (1, 0, 0, 0)
+    assert [kind.name for kind in goal.kinds] == ["position"]
+    assert goal.position == 1
     tracks = tracks_of(folder, "- {effector: ankle_l, position: [0, 0, 0]}")
     assert tracks.goals[0].goal.root is None
     assert tracks.goals[0].chain is None

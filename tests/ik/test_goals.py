@@ -7,7 +7,7 @@ import pytest
 
 from animtool.errors import OptionError
 from animtool.ik import Goal, Targets
-from animtool.ik.goals import pack
+from animtool.ik.goals import KINDS, WEIGHTS, pack
 
 GOALS = (Goal("a", orientation=1.0), Goal("b", position=0.0, aim=1.0))
 
@@ -56,9 +56,9 @@ def test_weights_must_fit_the_goals_and_be_numbers_from_zero() -> None:
     parts = [np.zeros((2, 2, 3)), np.ones((2, 2, 4)), np.zeros((2, 2, 3)), None]
     for weights, code in [
         (np.ones((2, 2)), "IK010"),
-        (np.ones((3, 2, 4)), "IK010"),
-        (np.full((2, 2, 4), -1.0), "IK011"),
-        (np.full((2, 2, 4), np.nan), "IK011"),
+        (np.ones((3, 2, len(KINDS))), "IK010"),
+        (np.full((2, 2, len(KINDS)), -1.0), "IK011"),
+        (np.full((2, 2, len(KINDS)), np.nan), "IK011"),
     ]:
         with pytest.raises(OptionError) as caught:
             pack(Targets(*parts, weights), GOALS)
@@ -70,11 +70,11 @@ def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None
     positions[1] = np.nan
     rotations = np.ones((2, 2, 4))
     rotations[1] = 0.0
-    aims, weights = np.zeros((2, 2, 3)), np.ones((2, 2, 4))
+    aims, weights = np.zeros((2, 2, 3)), np.ones((2, 2, len(KINDS)))
     weights[1, :, :2] = 0.0
     packed = pack(Targets(positions, rotations, aims, None, weights), GOALS)
     assert np.isfinite(packed).all()
-    np.testing.assert_array_equal(packed[..., 13:], weights)
+    np.testing.assert_array_equal(packed[..., WEIGHTS], weights)
     weights[1, 0, 0] = 0.5
     with pytest.raises(OptionError) as caught:
         pack(Targets(positions, rotations, aims, None, weights), GOALS)

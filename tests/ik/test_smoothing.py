@@ -31,6 +31,7 @@ from animtool.ik import (
     smooth,
     solve,
 )
+from animtool.ik.goals import KINDS
 from animtool.ik.path import path_of
 from animtool.ik.smoothing import at_poses
 from animtool.ik.tangent import difference, moved
@@ -144,9 +145,9 @@ def test_poses_that_miss_are_no_longer_reached() -> None:
     result, targets = followed(redundant(), 3)
     path = path_of(result.problem, targets, None, IkOptions())
     poses = result.problem.chain.from_rig(result.coordinates)
-    misses = np.zeros((len(poses), 1, 4))
+    misses = np.zeros((len(poses), 1, len(KINDS)))
     assert at_poses(result, poses, misses, path).statuses == result.statuses
-    misses[1:] = np.arange(1.0, 5.0)
+    misses[1:] = np.arange(1.0, 1.0 + len(KINDS))
     found = at_poses(result, poses, misses, path)
     assert found.statuses[0] is result.statuses[0] is IkStatus.CONVERGED
     assert set(found.statuses[1:]) == {IkStatus.NEAREST}

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
-from animtool.ik.goals import KINDS
+from animtool.ik.goals import COLUMNS, KINDS, PARTS, WEIGHTS
 
 HALF = np.sqrt(0.5)
 INF = np.inf
@@ -28,8 +28,7 @@ def chain(*offsets: float) -> dict[str, Any]:
 
 def goal(node: int, tip: float, **weights: float) -> dict[str, Any]:
     """Return one goal at a tip along x, aimed along x."""
-    parts = ("position", "orientation", "aim", "pole")
-    numbers = [tip, 0, 0, 0, 0, 0, 1, 0, 0, *(weights.get(part, 0) for part in parts)]
+    numbers = [tip, 0, 0, 0, 0, 0, 1, 0, 0, *(weights.get(part, 0) for part in PARTS)]
     return {
         "goals": np.array([[node, -1, -1, 0]]),
         "goal_numbers": np.array([numbers], float),
@@ -39,8 +38,10 @@ def goal(node: int, tip: float, **weights: float) -> dict[str, Any]:
 def target(
     position: tuple[float, ...] = (0, 0, 0), aim: tuple[float, ...] = (0, 0, 0)
 ) -> np.ndarray:
-    row = [*position, 0, 0, 0, 1, *aim, 0, 0, 0, 1, 1, 1, 1]
-    return np.array([[row]], float)
+    row = np.zeros((1, 1, WEIGHTS.stop))
+    row[..., COLUMNS["position"]], row[..., COLUMNS["aim"]] = position, aim
+    row[..., COLUMNS["orientation"].stop - 1] = row[..., WEIGHTS] = 1
+    return row
 
 
 def looked(arrays: dict[str, Any], start: list[float], goals: np.ndarray) -> Any:
@@ -59,8 +60,8 @@ def test_kinds_of_goals_are_those_of_the_table() -> None:
 
 
 def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
-    targets = np.zeros((2, 2, 17))
-    targets[:] = np.arange(17)
+    targets = np.zeros((2, 2, WEIGHTS.stop))
+    targets[:] = np.arange(WEIGHTS.stop)
     about_x = [HALF, 0, 0, HALF]
     targets[0, :, 3:7] = about_x
     targets[1, 0, 3:7] = np.multiply(1e-200, about_x)
@@ -69,7 +70,8 @@ def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
     _kernels.place_ik_targets(targets, frames, 4.0)
     plain = [0, 1, 2, 7, 8, 9, 10, 11, 12]
     assert_allclose(targets[..., plain], np.tile(np.divide(plain, 4), (2, 2, 1)))
-    assert_allclose(targets[..., 13:], np.tile([13.0, 14, 15, 16], (2, 2, 1)))
+    shares = np.arange(WEIGHTS.stop)[WEIGHTS]
+    assert_allclose(targets[..., WEIGHTS], np.tile(shares, (2, 2, 1)))
     turned = [0.5, 0.5, -0.5, 0.5]
     assert_allclose(targets[:, 0, 3:7], [turned, turned], atol=1e-15)
     assert_allclose(targets[:, 1, 3:7], [about_x, [0, 0, 0, 1]], atol=1e-15)
