@@ -13,7 +13,8 @@ from animtool.scene.systems.character_collider import (
     character_colliders,
 )
 from animtool.scene.systems.moving_mesh import MovingMesh
-from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
+from animtool.sim.colliders import Collider, Sheet, SheetMotion
+from animtool.sim.colliders.collider import Friction, Restitution, range_problems
 from animtool.systems.fields import SystemSurfaceModel
 
 if TYPE_CHECKING:
@@ -26,14 +27,13 @@ class SurfaceCollider:
     """Cloth or a volume of the scene."""
 
     system: str
-    restitution: float  # share of the speed into the surface that comes back [1]
-    friction: float  # Coulomb's coefficient [1]
+    restitution: Restitution  # share of the speed into the surface that comes back [1]
+    friction: Friction  # Coulomb's coefficient [1]
     at: Location  # of the entry
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""
-        like = Collider(Plane(), restitution=self.restitution, friction=self.friction)
-        return like.problems()
+        return range_problems(self)
 
 
 class Watchable(Protocol):

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault
+from animtool.ranges import OF_ENTRY, Range, above, or_more, range_faults
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Shape
 
+Restitution: TypeAlias = Annotated[float, Range("0 to 1", "SIM020", 0, 1)]
+Friction: TypeAlias = Annotated[float, or_more(0, "SIM020", finite=True)]
+Depenetration: TypeAlias = Annotated[float, above(0, "SIM020")]
+
 # No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
 SPEED_LIMIT = 200.0
+
+
+def range_problems(record: Any) -> list[tuple[str, str]]:
+    """Return numbers of a record that are out of their ranges: a field, and why."""
+    faults = range_faults(record, OF_ENTRY)
+    return [(str(fault.where), fault.message) for fault in faults]
 
 
 @dataclass(frozen=True)
@@ -37,11 +49,11 @@ class Collider:
     poses: Poses = field(default_factory=Poses)
     name: str = ""
     container: bool = False
-    restitution: float = 0.0
-    friction: float = 0.0
-    margin: float = 0.0
-    depenetration: float = 1.0
-    speed_limit: float = SPEED_LIMIT
+    restitution: Restitution = 0.0
+    friction: Friction = 0.0
+    margin: Annotated[float, or_more(0, "SIM020", finite=True)] = 0.0
+    depenetration: Depenetration = 1.0
+    speed_limit: Annotated[float, above(0, "SIM020")] = SPEED_LIMIT
 
     @property
     def material(self) -> tuple[float, float, float, float]:
@@ -84,19 +96,7 @@ class Collider:
         """Return what of it makes no sense: an option, and why."""
         found = [("shape", message) for message in self.shape.faults()]
         found += [("poses", message) for message in self.poses.faults()]
-        if not 0 <= self.restitution <= 1:
-            message = f"its restitution must be 0 to 1, not {self.restitution:g}"
-            found.append(("restitution", message))
-        for name in ("friction", "margin"):
-            value = getattr(self, name)
-            if not 0 <= value < np.inf:
-                message = f"its {name} must be finite and 0 or more, not {value:g}"
-                found.append((name, message))
-        for name in ("depenetration", "speed_limit"):
-            value = getattr(self, name)
-            if not value > 0:
-                found.append((name, f"its {name} must be above 0, not {value:g}"))
-        return found
+        return found + range_problems(self)
 
     def faults(self, where: str) -> list[Fault]:
         """Return what of it makes no sense (SIM020)."""

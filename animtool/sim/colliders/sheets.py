@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
-from animtool.sim.colliders.collider import Collider
+from animtool.ranges import Range
+from animtool.sim.colliders.collider import (
+    Collider,
+    Depenetration,
+    Friction,
+    Restitution,
+    range_problems,
+)
 from animtool.sim.colliders.shapes import Mesh
 
 
@@ -46,24 +53,17 @@ class Sheet:
     """
 
     motion: SheetMotion
-    radius: float
+    radius: Annotated[float, Range("above 0", "SIM020", 0, reached=False, finite=True)]
     closed: bool = False
     name: str = ""
-    restitution: float = 0.0
-    friction: float = 0.0
-    depenetration: float = 1.0
+    restitution: Restitution = 0.0
+    friction: Friction = 0.0
+    depenetration: Depenetration = 1.0
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""
-        if not 0 < self.radius < np.inf:
-            return [("radius", f"its radius must be above 0, not {self.radius:g}")]
-        like = Collider(
-            Mesh(np.eye(3), [[0, 1, 2]]),
-            restitution=self.restitution,
-            friction=self.friction,
-            depenetration=self.depenetration,
-        )
-        return like.problems()
+        found = range_problems(self)
+        return [one for one in found if one[0] == "radius"] or found
 
     def faults(self, where: str) -> list[Fault]:
         """Return what of it makes no sense (SIM020)."""
