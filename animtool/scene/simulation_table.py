@@ -158,14 +158,7 @@ def _simulates(entry: ScenePass) -> bool:
 
 
 class AttachTrial:
-    """An attachment, in the way of its pass and in others: in more or fewer steps.
-
-    Attributes:
-        name: As the rig has it.
-        kind: Of `AttachKind`.
-        span: How long the take is [s].
-        chosen: The way of the pass.
-    """
+    """An attachment, in the way of its pass and in others: in more or fewer steps."""
 
     def __init__(
         self, scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int

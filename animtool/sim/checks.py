@@ -87,9 +87,6 @@ class Signs(Protocol):
 class Watch:
     """Looks at states for numbers, energy and stretch beyond bounds.
 
-    Attributes:
-        energy: Of the state that was looked at last.
-
     Energy counts from the start, in the largest of: the energies there, what may be
     supplied, and the potential energy released since. A motion that starts without
     any is not judged by it.
@@ -99,7 +96,7 @@ class Watch:
         self._system = system
         self._options = options
         self._first: Energy | None = None
-        self.energy: Energy | None = None
+        self.energy: Energy | None = None  # of the state that was looked at last
         self._usual = 0.0
 
     def start(self, t: float, state: FloatArray) -> None:

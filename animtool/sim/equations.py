@@ -12,14 +12,8 @@ class Equations:
     """The rates of a system, whichever way it says them.
 
     A rate at the state that was anchored, or at the one asked for last, is not
-    evaluated again: so a step that is tried anew costs less, and the last stage of
+    evaluated again: so a step that is tried again costs less, and the last stage of
     one step is the first of the next. Arrays are told apart by identity.
-
-    Attributes:
-        system: Whose they are.
-        first: The system, where it is one of rates.
-        second: The system, where it is one of accelerations.
-        evaluations: How often its rate or acceleration was asked for.
     """
 
     def __init__(self, system: FirstOrder | SecondOrder) -> None:

@@ -55,13 +55,7 @@ def checkpoint_of(
 def stats_of(
     run: Run, status: Status, places: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
-    """Return what a motion took.
-
-    Args:
-        run: The motion.
-        status: How it ended.
-        places: Times and states that tell which steps are stable.
-    """
+    """Return what a motion took; times and states tell which steps are stable."""
     integrator, stable = run.integrator, None
     if status is Status.UNSTABLE and integrator.limit is not None:
         stable = _stable_step(run, places)

@@ -18,9 +18,7 @@ MAX_COMPONENTS = 240
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
     """Return the largest step that is stable for all of some motions [s].
 
-    Args:
-        integrator: The method.
-        modes: Angular frequencies [rad/s] and damping ratios ``(M, 2)``.
+    They are angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
 
     >>> from animtool.sim.integrators import find_integrator
     >>> slow = np.array([[100.0, 0.0]])

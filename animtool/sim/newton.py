@@ -31,13 +31,7 @@ def solve_stage(
 
     Of a system of second order only the velocities are unknowns. Where the system does
     not say its derivatives, they are taken by differences, one evaluation an unknown.
-
-    Args:
-        equations: Of the system.
-        t: Time of the stage [s].
-        base: What is known of the new state.
-        guess: Where to begin.
-        scale: The step times the method's factor [s].
+    The scale is the step times the method's factor [s].
     """
     if equations.second is None:
         return _first_order(equations, t, base, guess, scale)
@@ -91,13 +85,7 @@ def _second_order(
 
 
 def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
-    """Return the derivative of a function ``(n, n)`` by differences at a point.
-
-    Args:
-        function: From ``(n,)`` to ``(n,)``.
-        point: Where ``(n,)``.
-        value: Of the function there.
-    """
+    """Return a function's derivative ``(n, n)`` where it has a value ``(n,)``."""
     size = max(float(np.abs(point).max(initial=0.0)), 1e-3)
     columns = np.zeros((len(value), len(point)))
     for i in range(len(point)):
@@ -113,13 +101,9 @@ def _newton(
     start: FloatArray,
     least: float,
 ) -> FloatArray | None:
-    """Return where a residual is 0; its matrix is the derivative's negative.
+    """Return where a residual ``(n,)`` is 0; its matrix is the derivative's negative.
 
-    Args:
-        residual: From ``(n,)`` to ``(n,)``.
-        matrix: From a point and the residual there.
-        start: Where to begin.
-        least: Size below which unknowns are as good as 0.
+    Unknowns below the least size are as good as 0.
     """
     point, left = start, residual(start)
     for _ in range(MAX_CORRECTIONS):

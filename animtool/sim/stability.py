@@ -31,8 +31,7 @@ def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
 def rate_limit(growth: Sequence[float]) -> Limit:
     """Return the limit of a method that multiplies ``y' = λ y`` by R(h λ) a step.
 
-    Args:
-        growth: Polynomial R, which begins 1 + z.
+    R is a polynomial that begins 1 + z.
 
     Limits of the method: of the steps up to the first that is not stable; windows of
     stable steps beyond are left out.
@@ -66,11 +65,8 @@ def jury_limit(
     """Return the limit of a method that multiplies (x, v/ω) by a matrix a step.
 
     Both of its eigenvalues are in the unit circle where the determinant D is at most 1
-    and the trace T at most 1 + D in size (Jury's conditions).
-
-    Args:
-        trace: From the damping ratio to T as a polynomial in s.
-        determinant: From the damping ratio to D as a polynomial in s.
+    and the trace T at most 1 + D in size (Jury's conditions). Both are polynomials in s
+    for each damping ratio.
 
     >>> limit = jury_limit(lambda ζ: [2, -2 * ζ, -1], lambda ζ: [1, -2 * ζ])
     >>> round(limit(10.0, 0.0), 9)

@@ -123,15 +123,7 @@ def check_grid(
 def refuse_keys(
     reader: EntryReader, at: Location, model: FileModel, keys: set[str], why: str
 ) -> None:
-    """Note keys that are given, and are for what an entry is not.
-
-    Args:
-        reader: Where they are noted.
-        at: Place of the entry.
-        model: What it says.
-        keys: Those that are for something else.
-        why: What they are for, and what this is.
-    """
+    """Note keys that an entry gives, and that are for what it is not, and why."""
     for key in sorted(keys & model.model_fields_set):
         reader.note((*at, key), Fault("SIM050", f"{key} {why}"))
 
@@ -139,16 +131,10 @@ def refuse_keys(
 def share_out(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
-    """Return each point's share of cells that share themselves among their corners.
+    """Return each point's share ``(N,)`` [1] of cells that divide among corners.
 
-    Args:
-        sizes: Areas or volumes of cells ``(M,)``.
-        counts: Corners of each ``(M,)``.
-        corners: Cell by cell.
-        points: How many points there are.
-
-    Returns:
-        ``(N,)`` [1]; they come to 1, or are all 0 where no cell has a size.
+    Cells have sizes ``(M,)`` and so many corners ``(M,)``, cell by cell. Shares come to
+    1, or are all 0 where no cell has a size.
     """
     own = np.bincount(corners, np.repeat(sizes / counts, counts), points)
     total = float(own.sum())

@@ -55,12 +55,7 @@ class Pin:
         return Poses(self.moves[:, 0], self.moves[:, 1:], turns)
 
     def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
-        """Return where in that frame they are ``(P, 3)`` [m].
-
-        Args:
-            poses: Of the frame.
-            points: Where they are in the world ``(P, 3)`` [m].
-        """
+        """Return where points ``(P, 3)`` are in that frame ``(P, 3)`` [m]."""
         if self.offset is not None:
             return np.tile(self.offset, (len(points), 1))
         if self.carrier is None:
@@ -82,14 +77,7 @@ class Join:
 def read_pins(
     reader: EntryReader, at: Location, models: Sequence[PinModel], body: SpringBody
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
-    """Return what holds particles, and what joins them to other systems.
-
-    Args:
-        reader: Where faults are noted.
-        at: Place of the pins.
-        models: What they say.
-        body: Whose particles they are.
-    """
+    """Return what holds particles of a body, and what joins them to other systems."""
     pins, joins = [], []
     held: set[int] = set()
     for i, model in enumerate(models):
@@ -117,11 +105,7 @@ def particles_of(
 ) -> IntArray:
     """Return the numbers of particles, those of each name in its order.
 
-    Args:
-        reader: Where faults are noted.
-        at: Place of the names.
-        names: Names of places, numbers, and arrays of numbers.
-        body: Whose particles they are.
+    Names are of places, numbers, and arrays of numbers.
     """
     found: list[int] = []
     for i, name in enumerate(names):
@@ -146,12 +130,7 @@ def particles_of(
 def numbered(
     names: Sequence[str | int], body: SpringBody
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
-    """Return the numbers of particles, and which names are none, with the reason.
-
-    Args:
-        names: Names of places, and numbers.
-        body: Whose particles they are.
-    """
+    """Return the numbers of particles, and which names are none, with the reason."""
     count, known = len(body.body.positions), list(body.places)
     found: list[int] = []
     faults = []

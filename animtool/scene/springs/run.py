@@ -57,30 +57,10 @@ class Keeping:
 
 
 class SpringRun:
-    """Springs under way.
+    """Springs under way, until the last time that will be asked for [s].
 
-    Attributes:
-        system: What is simulated.
-        options: How, with the steps that keep an error where one is asked for.
-        solver: What takes it through time.
-        reason: Why this one, in words.
-        step: The shortest step so far [s].
-        steps: Taken so far.
-        stretch: Most that a whole spring was longer than at rest, over that, at the
-            times asked for [1].
-        begun: The same at the beginning alone [1].
-        error: Of positions, where it was asked for [m].
-        clock: Told the time that was reached [s]; None where nobody looks.
-        unresolved: Most particles that were left inside colliders.
-        torn: Which springs are ``(S,)``.
-
-    Args:
-        system: Particles and springs.
-        options: How to simulate them.
-        begin: When [s].
-        last: The last time that will be asked for [s].
-        phase: Gives what each motion that is compared tells its share, where an error
-            is to be kept; None where nobody looks.
+    Where an error is to be kept, phases give what each motion that is compared tells
+    its share.
 
     Raises:
         OptionError: An option makes no sense.
@@ -95,10 +75,10 @@ class SpringRun:
         last: float,
         phase: Callable[[], Progress] | None = None,
     ) -> None:
-        self.clock: Progress = None
+        self.clock: Progress = None  # told the time that was reached [s]
         self.system = system
         self._said: dict[str, Fault] = {}
-        self.error: float | None = None
+        self.error: float | None = None  # of positions, where it was asked for [m]
         reason = ""
         if options.error is not None:
             options, reason = self._fine_enough(options, begin, last, phase)
@@ -154,12 +134,7 @@ class SpringRun:
         return self._state, self.torn
 
     def keep(self, begin: float, step: float) -> Keeping:
-        """Keep particles at times from now on, for `look`.
-
-        Args:
-            begin: The first time [s].
-            step: What lies between two [s].
-        """
+        """Keep particles at times from now on, a step apart [s], for `look`."""
         self._keepings.append(Keeping(begin, step, -math.inf))
         return self._keepings[-1]
 
@@ -254,15 +229,7 @@ def _by_motions(
 
 
 class Watched:
-    """A surface that is looked at on the way from frame to frame.
-
-    Args:
-        run: What takes it through time.
-        shape: Its faces.
-        rows: Its particles in the run ``(N,)``.
-        springs: Its springs there.
-        grid: First of the times that it is looked at, and what lies between two [s].
-    """
+    """A surface that is looked at between frames, on a grid of times."""
 
     def __init__(
         self,

@@ -37,12 +37,9 @@ class Curves:
     def row(
         self, points: FloatArray, velocities: FloatArray, torn: Flags
     ) -> CurvesFrame:
-        """Return what is drawn at a frame.
+        """Return what is drawn of points and velocities ``(N, 3)`` [m, m/s].
 
-        Args:
-            points: ``(N, 3)`` [m].
-            velocities: ``(N, 3)`` [m/s].
-            torn: Which springs are ``(S,)``.
+        Springs that are torn are ``(S,)``.
         """
         if not torn.any():
             return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
@@ -79,21 +76,16 @@ class Faces:
         return bool(np.isfinite(self.springs.limit[sides]).any())
 
     def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:  # noqa: ARG002
-        """Return what is drawn at a frame.
+        """Return what is drawn of points and velocities ``(N, 3)`` [m, m/s].
 
-        Args:
-            points: ``(N, 3)`` [m].
-            velocities: ``(N, 3)`` [m/s].
-            torn: Which springs are ``(S,)``: what is to part has a shape of its own.
+        What is to part has a shape of its own.
         """
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
     def parted(self, torn: Flags, places: FloatArray) -> TornMesh | Faces:
-        """Return the surface that parts where springs along its sides tear.
+        """Return the surface that parts where springs of its sides ever tear ``(S,)``.
 
-        Args:
-            torn: Those that ever tear ``(S,)``.
-            places: Where particles are at rest ``(N, 3)`` [m].
+        Places are those of particles at rest ``(N, 3)`` [m].
         """
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
@@ -103,11 +95,7 @@ class Faces:
         return TornMesh(made)
 
     def whole(self, torn: Flags) -> tuple[IntArray, IntArray]:
-        """Return corners a face, and corners, of faces without a torn side.
-
-        Args:
-            torn: Which springs are ``(S,)``.
-        """
+        """Return corners a face, and corners, of faces without a torn side ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
         kept = ~np.logical_or.reduceat(open_sides, starts)

@@ -105,28 +105,20 @@ def spring_trial(
 
 
 class _Whole:
-    """Bodies that are one system of particles.
-
-    Attributes:
-        spec: Their keys, as one system has them.
-        begin: When they begin [s].
-        system: Of all particles.
-        rows: Of each body, its particles in the system ``(N,)``.
-        notices: What is odd about them together.
-    """
+    """Bodies that are one system of particles."""
 
     def __init__(
         self, names: Sequence[str], setups: Sequence[SpringSetup], opening: Opening
     ) -> None:
         self.spec = shared(setups)
         self.begin = -self.spec.preroll
-        self.notices: list[Fault] = []
+        self.notices: list[Fault] = []  # what is odd about them together
         bodies, ties = self._placed(setups, opening)
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         pairs = join_pairs(names, setups, starts)
         made = weld(join(bodies), pairs)
         self._say_apart("particles that are joined are", made.gap)
-        self.rows = [
+        self.rows = [  # of each body, its particles in the system ``(N,)``
             made.rows[start : start + len(body.positions)]
             for start, body in zip(starts, bodies, strict=False)
         ]

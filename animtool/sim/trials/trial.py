@@ -195,13 +195,10 @@ def extent_of(shots: Sequence[Shot]) -> float:
 
 
 def order_seen(coarse: float, fine: float) -> float | None:
-    """Return the power of the step that errors go with.
+    """Return the power of the step that errors go with; None where nothing tells it.
 
-    Args:
-        coarse: From steps to half of them, how far a motion moves [m].
-        fine: From these to half of them again [m].
-
-    None where there is nothing to tell it from.
+    A motion moves by the coarse distance from steps to half of them, by the fine one
+    from these to half of them again [m].
 
     >>> order_seen(0.4, 0.1)
     2.0
@@ -220,10 +217,7 @@ class Cost:
 
 
 def best_of(costs: Sequence[Cost | None]) -> list[int]:
-    """Return which are as fast as any that is as exact.
-
-    Args:
-        costs: None of what did not work.
+    """Return which are as fast as any that is as exact; None did not work.
 
     >>> best_of([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
@@ -244,10 +238,8 @@ def recommended_of(
 ) -> int | None:
     """Return what to take in place of the chosen setting; None where it is right.
 
-    Args:
-        costs: None of what did not work.
-        chosen: Which of them is.
-        enough: Error that will do where the chosen one does not work [m].
+    Costs are None of what did not work; where the chosen one did not, an error that is
+    enough [m] will do.
 
     >>> recommended_of([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
     1

@@ -57,20 +57,7 @@ class Ways:
 
 
 class Actor:
-    """Carries one attachment from frame to frame.
-
-    Attributes:
-        body: What it is.
-        settings: How it moves.
-        steps: A frame.
-        state: Where it is.
-        target: Where the animation has it ``(N, 3)`` [m].
-        tally: What happened.
-        jumps: How often it was carried over a jump.
-        lost: Springs whose ends are at one place in the first pose, and ought not to.
-        tangles: Warnings of cloth that begins in a tangle.
-        seconds: Time spent [s].
-    """
+    """Carries one attachment from frame to frame."""
 
     def __init__(
         self,
@@ -80,15 +67,7 @@ class Actor:
         span: float,
         pose: Pose,
     ) -> None:
-        """Begin in a pose, at rest, in the size that the character has there.
-
-        Args:
-            rig: The character.
-            body: What of it.
-            settings: How it moves.
-            span: Length of a frame [s].
-            pose: The first.
-        """
+        """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
         self._rig = rig
         first = way(rig, pose, pose, 1)

@@ -155,10 +155,6 @@ def odd_surface(network: Network) -> list[str]:
 def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     """Return both diagonals of each quadrangle ``(L, 2)``.
 
-    Args:
-        counts: Corners of each face ``(M,)``.
-        indices: Corners, face by face ``(C,)``.
-
     >>> diagonals_of_faces(np.array([4]), np.array([0, 1, 2, 3])).tolist()
     [[0, 2], [1, 3]]
     """
@@ -172,10 +168,6 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     Of two triangles those are the corners that face the edge, of two quadrangles the
     next points on either side of each end. An edge of three faces bends between each
     two.
-
-    Args:
-        counts: Corners of each face ``(M,)``.
-        indices: Corners, face by face ``(C,)``.
 
     >>> folds_of_faces(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]

@@ -113,15 +113,10 @@ class Travel:
 
 
 def travel_between(rig: Rig, up: FloatArray, poses: tuple[Pose, ...]) -> Travel:
-    """Return the travel of a cycle.
+    """Return the travel of a cycle, from its first two poses and its last two.
 
-    A root that is near its first place at the end has none. Another goes on, from the
-    last frame to the one behind it, at the mean of its speeds on either side.
-
-    Args:
-        rig: Its first root counts.
-        up: Direction away from the ground ``(3,)``.
-        poses: The first two of the cycle, and the last two.
+    A first root that is near its first place at the end has none. Another goes on, from
+    the last frame to the one behind it, at the mean of its speeds on either side.
     """
     root = rig.roots[0]
     first, second, before, last = (pose.translations[root] for pose in poses)

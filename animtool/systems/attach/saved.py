@@ -56,11 +56,7 @@ def write_states(path: Path, saved: list[Saved]) -> None:
 
 
 def read_states(path: Path, sizes: Mapping[str, int]) -> Saved:
-    """Return the latest states of a file.
-
-    Args:
-        path: The file.
-        sizes: Particles of each attachment, by name.
+    """Return the latest states of a file, of attachments of so many particles.
 
     Raises:
         FormatError: It cannot be read, or is none of states (SIM035).

@@ -52,20 +52,7 @@ class _Rows:
 
 
 class Simulation:
-    """Carries attachments through a take.
-
-    Attributes:
-        rig: The character.
-        bodies: What moves.
-        options: How.
-        actors: Of the bodies, once a frame was seen.
-        saved: States at the frames that are asked for.
-        codes: Time codes that were gone through.
-        resumed: States that it goes on from; None where it begins anew.
-        closing: Of a cycle, how it came round.
-        swung: Largest angle that it turned the last joint of each chain by, by the
-            name of the attachment [rad].
-    """
+    """Carries attachments through a take."""
 
     def __init__(
         self,
@@ -81,24 +68,16 @@ class Simulation:
     ) -> None:
         """Make ready; nothing is read yet.
 
-        Args:
-            rig: The character.
-            bodies: What moves.
-            options: How.
-            rate: Frames a second.
-            start: Time code of the first frame.
-            step: Time codes from one frame to the next.
-            resumed: States to go on from, at a frame of the take.
-            early: Frames before the take's own that hold its first; no cycle has them.
-            progress: Told the share done of each block, 0 to 1.
+        Frames are a step of time codes apart, from the start on. Early ones, before the
+        take's own, hold its first; no cycle has them.
         """
         self.rig, self.bodies, self.options = rig, bodies, options
-        self.actors: list[Actor] = []
-        self.saved: list[Saved] = []
-        self.codes: list[float] = []
-        self.resumed = resumed
-        self.closing: Closing | None = None
-        self.swung: dict[str, float] = {}
+        self.actors: list[Actor] = []  # of the bodies, once a frame was seen
+        self.saved: list[Saved] = []  # states at the frames that are asked for
+        self.codes: list[float] = []  # time codes that were gone through
+        self.resumed = resumed  # states that it goes on from
+        self.closing: Closing | None = None  # of a cycle
+        self.swung: dict[str, float] = {}  # largest turn of last joints [rad]
         self._rate, self._start, self._step = rate, start, step
         self._early = early
         self._progress = progress

@@ -140,14 +140,7 @@ class Stepper(Protocol):
     def cross(
         self, state: State, motions: Motions, span: float, substeps: int
     ) -> State:
-        """Return the state a frame later.
-
-        Args:
-            state: At its begin.
-            motions: What the animation does meanwhile.
-            span: Length of the frame [s].
-            substeps: In each cell.
-        """
+        """Return the state a frame later [s], with so many steps in each cell."""
 
 
 def cells_of(steps: int) -> tuple[int, int]:
@@ -164,24 +157,12 @@ def cells_of(steps: int) -> tuple[int, int]:
 
 
 class SheetStepper:
-    """Carries any network: springs one after the other, each once a step.
-
-    Attributes:
-        network: What particles are joined by, in the size of the character.
-        tally: What happened so far.
-    """
+    """Carries any network: springs one after the other, each once a step."""
 
     def __init__(
         self, network: Network, settings: Settings, down: FloatArray, tally: Tally
     ) -> None:
-        """Make what kernels take.
-
-        Args:
-            network: What particles are joined by.
-            settings: How they move.
-            down: Direction of gravity ``(3,)``.
-            tally: Where to count.
-        """
+        """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.network, self.tally, self._settings = network, tally, settings
         masses = masses_of(network)
         self._inverse = 1.0 / masses

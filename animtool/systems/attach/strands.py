@@ -39,23 +39,12 @@ def threads_allowed() -> int:
 
 
 class StrandStepper:
-    """Carries strands: springs along each of them are solved together.
-
-    Attributes:
-        tally: What happened so far.
-    """
+    """Carries strands: springs along each of them are solved together."""
 
     def __init__(
         self, network: Network, settings: Settings, down: FloatArray, tally: Tally
     ) -> None:
-        """Make what kernels take.
-
-        Args:
-            network: Of strands.
-            settings: How they move.
-            down: Direction of gravity ``(3,)``.
-            tally: Where to count.
-        """
+        """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.tally = tally
         length = network.count // network.strands
         field = settings.gravity * down + settings.drag * np.array(settings.wind)
@@ -121,22 +110,13 @@ def chain_rotations(
     animated: FloatArray,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return local rotations that point the bones of a chain to where they were moved.
+    """Return local rotations ``(F, C, 4)`` that point a chain's bones where they moved.
 
     Each joint is carried along by those above it, and then turned by the least turn
     that points its bone: it does not twist. Joints stay within their limits: a pin
     keeps to its axis, and the bones below go on from where that leaves it. Under
-    scales that differ by axis, directions hold only roughly.
-
-    Args:
-        rig: J joints.
-        joints: Of the chain, from the root on ``(C,)``.
-        rotations: Local, of all joints as they are animated ``(F, J, 4)``.
-        animated: Where the animation has the ends of the bones ``(F, C + 1, 3)`` [m].
-        moved: Where they are to be, likewise.
-
-    Returns:
-        ``(F, C, 4)``.
+    scales that differ by axis, directions hold only roughly. Rotations are those of all
+    joints as animated ``(F, J, 4)``; ends of bones ``(F, C + 1, 3)`` [m].
     """
     world = _above(rig, int(joints[0]), rotations)
     inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
@@ -186,18 +166,10 @@ def _allowed(joint: Joint, local: FloatArray, own: FloatArray) -> FloatArray:
 def depth(
     points: FloatArray, ends: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far points are outside a capsule, the way out, and where on its axis.
+    """Return how far points ``(N, 3)`` are outside a capsule ``(N,)`` [m], and where.
 
-    A point on the axis has no way out.
-
-    Args:
-        points: ``(N, 3)`` [m].
-        ends: Of the axis ``(2, 3)`` [m].
-        radius: [m]
-
-    Returns:
-        Distances ``(N,)`` [m], negative inside; directions ``(N, 3)``; shares of the
-        axis ``(N,)`` [1].
+    That is the way out ``(N, 3)``, none of a point on the axis, and the share of the
+    axis ``(N,)`` [1]. Its ends are ``(2, 3)`` [m]; distances are negative inside.
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
@@ -239,12 +211,8 @@ class CapsuleContacts:
     ) -> None:
         """Make what does not change from frame to frame.
 
-        Args:
-            capsules: C of them.
-            radii: Theirs, in the size of the character ``(C,)`` [m].
-            depths: How deep particles may be in them ``(C, N)`` [m], at most 0.
-            radius: Distance kept from them [m].
-            friction: Coulomb's coefficient [1].
+        Radii ``(C,)`` [m] are in the size of the character; depths ``(C, N)`` [m], at
+        most 0, are how deep particles may be.
         """
         self._capsules = capsules
         like = Collider(

@@ -55,11 +55,8 @@ def projected_rate(system: LoadedBody, stretch: float) -> float:
     A step of length h moves the ends of a spring that bears a force F by F w h² as
     those beside it are gone through, w being what its ends weigh, inverse and added
     up. At each pin or target hangs its part of the whole weight. Speeds are not
-    counted: a motion may take twice as many, or half.
-
-    Args:
-        system: Of springs.
-        stretch: Most that one may be longer, over its length at rest [1].
+    counted: a motion may take twice as many, or half. A spring may be longer by the
+    stretch, over its length at rest [1].
     """
     springs = system.body.springs
     firm = (springs.rest > 0) & (springs.stiffness > 0)
@@ -102,14 +99,7 @@ def choose(
     t: float,
     state: FloatArray,
 ) -> Choice:
-    """Return the solver that is wanted, or the one that is expected to take least time.
-
-    Args:
-        system: Of springs.
-        options: With a step or without.
-        wanted: Of options.
-        t: Time of the start [s].
-        state: There.
+    """Return the solver asked for, or the one that is expected to take least time.
 
     Raises:
         OptionError: The one that is wanted does not keep a surface apart from itself

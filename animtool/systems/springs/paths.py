@@ -84,10 +84,7 @@ class Air:
 def over_knots(
     paths: Sequence[tuple[FloatArray, FloatArray]],
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Return paths over the times of all: ``(K,)`` and each ``(K or 1, P, 3)``.
-
-    Args:
-        paths: Times ``(K,)`` of each and positions ``(K, P, 3)``; one time is none.
+    """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
     >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
     >>> times.tolist(), path.shape
@@ -114,19 +111,10 @@ def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
 class Teleports:
     """Where holders of particles are put elsewhere, and take along what they hold.
 
-    Holders are pins, then targets. Where one of a group of particles that springs join
-    is faster than the limit, all holders of the group are where they were until the
-    end of that way, and there at once: what they hold is moved with them as a whole,
-    and gets no velocity of it. Between two jumps is a stage.
-
-    Attributes:
-        times: Of the jumps, ascending ``(J,)`` [s].
-
-    Args:
-        body: Particles and springs.
-        held: Particle of each holder ``(H,)``.
-        paths: Times and positions of pins and of targets.
-        limit: Speed beyond which a holder was put elsewhere [m/s].
+    Holders ``(H,)`` are pins, then targets. Where one of a group of particles that
+    springs join is faster than the limit [m/s], all holders of the group are where they
+    were until the end of that way, and there at once: what they hold is moved with them
+    as a whole, and gets no velocity of it. Between two jumps is a stage.
     """
 
     def __init__(
@@ -149,6 +137,7 @@ class Teleports:
             self._groups = _groups(body)
         self._jumping = _together(fast, self._groups[held])
         self._begins: IntArray = np.flatnonzero(self._jumping.any(axis=1))
+        # Of the jumps ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._begins + 1]
 
     def __len__(self) -> int:

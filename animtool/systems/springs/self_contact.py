@@ -60,12 +60,7 @@ class Through:
 def tangle_notices(
     positions: FloatArray, triangles: IntArray, what: str = "the surface"
 ) -> list[Fault]:
-    """Return a warning where a surface begins in a tangle (SIM166).
-
-    Args:
-        positions: Of particles ``(N, 3)`` [m].
-        triangles: Of particles ``(T, 3)``.
-        what: Begins so.
+    """Return a warning where a surface of points ``(N, 3)`` [m] is tangled (SIM166).
 
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
@@ -87,12 +82,7 @@ def tangle_notices(
 
 
 def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
-    """Return warnings of what went through a surface (SIM144, SIM165, SIM167).
-
-    Args:
-        through: The most of all steps.
-        what: Of which.
-    """
+    """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
     found = []
     if through.passed:
         message = f"{counted(through.passed, 'particle')} went through {what}"

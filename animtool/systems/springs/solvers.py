@@ -32,14 +32,7 @@ INSIDE = 1e-6
 def cell_colliders(
     colliders: Colliders, radius: float, grid: Grid, cells: int
 ) -> tuple[Any, ...] | None:
-    """Return what kernels take of colliders for some cells, None where there are none.
-
-    Args:
-        colliders: What springs may run into.
-        radius: Distance that particles keep [m].
-        grid: Of which cells.
-        cells: How many.
-    """
+    """Return what kernels take of colliders for some cells; None without any."""
     if not colliders.meet:
         return None
     steps = grid.index + np.arange(cells + 1)

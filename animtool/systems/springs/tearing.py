@@ -201,12 +201,9 @@ def tear_surface(
 
 
 def _turning(which: IntArray, pairs: IntArray, places: FloatArray) -> _Turning:
-    """Return how particles turn with those that they stay next to.
+    """Return how ascending particles ``(P,)`` turn with those that they stay next to.
 
-    Args:
-        which: Ascending ``(P,)``.
-        pairs: Particles that stay next to each other ``(K, 2)``.
-        places: At rest ``(N, 3)`` [m].
+    Pairs ``(K, 2)`` stay next to each other; places are at rest ``(N, 3)`` [m].
     """
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.isin(both[:, 0], which)]
@@ -215,14 +212,7 @@ def _turning(which: IntArray, pairs: IntArray, places: FloatArray) -> _Turning:
 
 
 class _Cutter:
-    """Cuts faces, one after the other.
-
-    Attributes:
-        size: Points so far.
-        counts: Corners of each part.
-        indices: Corners, part by part.
-        middles: Of faces.
-    """
+    """Cuts faces, one after the other."""
 
     def __init__(
         self, count: int, crossed: IntArray, ends: IntArray, places: FloatArray
@@ -236,17 +226,12 @@ class _Cutter:
             for k, end in enumerate(pair)
         }
         self.size = count + 2 * len(crossed)
-        self.counts: list[int] = []
-        self.indices: list[int] = []
+        self.counts: list[int] = []  # corners of each part
+        self.indices: list[int] = []  # corners, part by part
         self.middles: list[_Middle] = []
 
     def part(self, corners: IntArray, cut: IntArray) -> None:
-        """Cut a face.
-
-        Args:
-            corners: ``(C,)``.
-            cut: The spring along each side that tears ``(C,)``; -1 for the others.
-        """
+        """Cut a face of corners ``(C,)`` at springs of sides ``(C,)``; -1 is none."""
         runs = list(_runs(corners.tolist(), cut.tolist()))
         rings = [
             [self._half[before, run[0]], *run, self._half[after, run[-1]]]

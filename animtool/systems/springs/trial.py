@@ -25,20 +25,8 @@ EXPLICIT = Solver.SYMPLECTIC_EULER
 class SpringTrial:
     """Springs, in the way of their file and in others.
 
-    Attributes:
-        name: Of them.
-        kind: What they are.
-        span: How long they are simulated [s].
-        chosen: The way of the file, the solver that it leaves open being chosen.
-
-    Args:
-        name: Of them.
-        kind: What they are.
-        system: Particles and springs, at their beginning.
-        options: How the file simulates them; where it keeps an error, with the solver
-            and the step that this came to.
-        begin: When [s].
-        times: When to look, ascending ``(F,)``, not before [s].
+    Times are when to look, ascending ``(F,)``, not before the beginning [s]. Where the
+    file keeps an error, options have the solver and the step that this came to.
     """
 
     def __init__(
