@@ -28,6 +28,14 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
 from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
+from animtool.ik.options import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    MISSED,
+    MISSED_DEGREES,
+    IkMethod,
+    TakeOptions,
+)
 
 FIRST = "first"
 
@@ -54,27 +62,17 @@ class _Method(click.ParamType[Any]):
 
     name = "method"
 
-    @staticmethod
-    def _names() -> list[str]:
-        from animtool.ik.methods import IkMethod
-
-        return [str(method) for method in IkMethod]
-
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """Return the names for the help."""
         del param, ctx
-        return "|".join(self._names())
+        return "|".join(IkMethod)
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
         """Return the solver of a name."""
-        from animtool.ik.methods import IkMethod
-
-        if value not in self._names():
-            self.fail(
-                f"{value!r} is not one of {', '.join(self._names())}.", param, ctx
-            )
+        if value not in list(IkMethod):
+            self.fail(f"{value!r} is not one of {', '.join(IkMethod)}.", param, ctx)
         return IkMethod(value)
 
 
@@ -144,12 +142,16 @@ Examples:
     "with --rig-layer an animation layer over that.  [default: nothing]",
 )
 @click.option(
-    "--method", type=_Method(), default="auto", show_default=True, help="The solver."
+    "--method",
+    type=_Method(),
+    default=TakeOptions().method.value,
+    show_default=True,
+    help="The solver.",
 )
 @click.option(
     "--tolerance",
     type=LENGTH,
-    default="0.001mm",
+    default=LENGTH_TOLERANCE,
     show_default=True,
     metavar="LENGTH",
     help="A position is solved to within this.",
@@ -157,7 +159,7 @@ Examples:
 @click.option(
     "--angle-tolerance",
     type=TOLERANCE,
-    default=1e-4,
+    default=ANGLE_TOLERANCE,
     show_default=True,
     metavar="DEGREES",
     help="An orientation, aim or pole is solved to within this.",
@@ -165,7 +167,7 @@ Examples:
 @click.option(
     "--restarts",
     type=click.IntRange(0),
-    default=50,
+    default=TakeOptions().restarts,
     show_default=True,
     help="Most new starts of a frame that does not reach its goals.",
 )
@@ -218,14 +220,14 @@ Examples:
     type=LENGTH,
     metavar="LENGTH",
     help="A position that is off by more is missed, and reported; none is solved to "
-    "less.  [default: 0.1mm, or --tolerance where that is more]",
+    f"less.  [default: {MISSED}, or --tolerance where that is more]",
 )
 @click.option(
     "--tol-degrees",
     type=TOLERANCE,
     metavar="DEGREES",
     help="An orientation, aim or pole that is off by more is missed, likewise.  "
-    "[default: 0.1, or --angle-tolerance]",
+    f"[default: {MISSED_DEGREES}, or --angle-tolerance]",
 )
 @click.option(
     "--strict",
@@ -356,7 +358,6 @@ def _outputs(given: dict[str, Any]) -> Sequence[Path]:
 
 
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:
-    from animtool.ik.take_run import TakeOptions
     from animtool.scene.ik import IkJob
 
     names = (given["joints"] or "").split(",")

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from animtool.ik.goals import Targets as Targets
     from animtool.ik.matching import Matched as Matched
     from animtool.ik.matching import match as match
-    from animtool.ik.methods import IkMethod as IkMethod
     from animtool.ik.on_take import solve_take as solve_take
+    from animtool.ik.options import IkMethod as IkMethod
+    from animtool.ik.options import TakeOptions as TakeOptions
     from animtool.ik.problem import Problem as Problem
     from animtool.ik.problem import build as build
     from animtool.ik.result import IkResult as IkResult
@@ -25,13 +26,12 @@ if TYPE_CHECKING:
     from animtool.ik.solving import IkOptions as IkOptions
     from animtool.ik.solving import solve as solve
     from animtool.ik.take_ik import TakeIk as TakeIk
-    from animtool.ik.take_run import TakeOptions as TakeOptions
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
 _PUBLIC = {
     "FollowOptions": "animtool.ik.clip_solver",
     "Goal": "animtool.ik.goals",
-    "IkMethod": "animtool.ik.methods",
+    "IkMethod": "animtool.ik.options",
     "IkOptions": "animtool.ik.solving",
     "IkResult": "animtool.ik.result",
     "IkStatus": "animtool.ik.result",
@@ -39,7 +39,7 @@ _PUBLIC = {
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
     "TakeIk": "animtool.ik.take_ik",
-    "TakeOptions": "animtool.ik.take_run",
+    "TakeOptions": "animtool.ik.options",
     "TargetTracks": "animtool.ik.tracks",
     "Targets": "animtool.ik.goals",
     "build": "animtool.ik.problem",

@@ -11,7 +11,7 @@ from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
 from animtool.ik.goals import Targets, rows_of
-from animtool.ik.methods import IkMethod
+from animtool.ik.options import IkMethod
 from animtool.ik.path import explained, jumping, named, path_of, strain
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult

@@ -2,42 +2,11 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 from animtool.errors import Fault, OptionError, listed
+from animtool.ik.options import IkMethod
 from animtool.ik.problem import Problem
 from animtool.ik.two_bone import misfit
 from animtool.rig.skeleton import JointType
-
-
-class IkMethod(StrEnum):
-    """Which solver.
-
-    Attributes:
-        AUTO: The closed form where a limb of two bones fits it, else damped steps.
-        DAMPED: Damped least squares with restarts: for every problem, and the only one
-            that heeds priorities.
-        TWO_BONE: The closed form of a limb of two bones; damped steps where the elbow's
-            limits stop it.
-        GRADIENT: Steepest descent with backtracking.
-        NEWTON: Newton's method, with second derivatives of positions and orientations,
-            in a region of trust.
-        CCD: Cyclic coordinate descent, joint by joint.
-        FABRIK: Points drawn to their targets bone by bone, which the joints follow;
-            positions only.
-
-    The last four are for comparison: from the start only, without restarts, one step
-    or sweep an iteration.
-    """
-
-    AUTO = "auto"
-    DAMPED = "damped"
-    TWO_BONE = "two_bone"
-    GRADIENT = "gradient"
-    NEWTON = "newton"
-    CCD = "ccd"
-    FABRIK = "fabrik"
-
 
 # Numbers of the methods in the kernel.
 KERNEL_METHODS = {

@@ -17,9 +17,10 @@ from animtool.ik.chain import refuse_scales
 from animtool.ik.chain_frame import parts_of
 from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets
+from animtool.ik.options import TakeOptions
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_ik import SolvedPart, TakeIk, gathered_take
-from animtool.ik.take_run import TakeOptions, TakeRun, check_options
+from animtool.ik.take_run import TakeRun, check_options
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward

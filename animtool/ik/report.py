@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -11,13 +12,14 @@ from animtool._types import BoolArray, FloatArray
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.goals import METRIC, PARTS, by_unit
+from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
 from animtool.quantities import angle_text, length_text
+from animtool.units import parse_length
 
-# A goal that is off by more is missed, where nothing else is asked [m], [rad]: what
-# nobody sees is less.
-MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))
+# A goal that is off by more is missed, where nothing else is asked [m], [rad].
+MISSED_LENGTH, MISSED_ANGLE = parse_length(MISSED), math.radians(MISSED_DEGREES)
 # What is missed by more lengths of the chains than this is likely in other units.
 FAR = 10.0
 # So are targets that are this many sizes of the rig away from it in every frame.

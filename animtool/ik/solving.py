@@ -11,7 +11,8 @@ from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, by_unit, pack
 from animtool.ik.limbs import Extension, extend
-from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
+from animtool.ik.methods import KERNEL_METHODS, check_method
+from animtool.ik.options import IkMethod
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.sub_rig import following

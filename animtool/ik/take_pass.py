@@ -9,11 +9,11 @@ from pathlib import Path
 
 from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
-from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import solve_take
+from animtool.ik.options import ANGLE_TOLERANCE, LENGTH_TOLERANCE, IkMethod, TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
-from animtool.ik.take_run import TakeOptions, take_option_faults
+from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
@@ -33,9 +33,9 @@ class IkPassOptions:
     joints: tuple[str, ...] = ()
     method: IkMethod = IkMethod.AUTO  # which solver
     # A position is reached within this length, such as ``0.001mm``.
-    tolerance: str = "0.001mm"
+    tolerance: str = LENGTH_TOLERANCE
     # An orientation, aim or pole is reached within this [deg].
-    angle_tolerance: float = 1e-4
+    angle_tolerance: float = ANGLE_TOLERANCE
     # Most new starts of a frame that does not reach its goals.
     restarts: int = TakeOptions().restarts
     seed: int = TakeOptions().seed  # of the new starts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +12,8 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import Part
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
-from animtool.ik.methods import IkMethod, serving
+from animtool.ik.methods import serving
+from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.problem import Problem, build, rest_faults
 from animtool.ik.result import IkResult
 from animtool.ik.smoothing import rate_faults
@@ -22,35 +22,6 @@ from animtool.ik.take_ik import SolvedPart
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-
-
-@dataclass(frozen=True, slots=True)
-class TakeOptions:
-    """How to bring a take to targets.
-
-    Attributes:
-        method: Which solver.
-        tolerance: A position is reached within this [m].
-        angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        restarts: Most new starts of a frame that does not reach its goals.
-        seed: Of the new starts.
-        seconds: Most time for one frame [s]; 0 is no bound.
-        joints: Names or patterns of the joints that may move; none is every one that
-            moves a goal.
-        rest_weight: How strongly the pose that a frame has already is kept.
-        smooth: Time over which motion that the goals leave free is evened out [s]; 0
-            leaves it.
-    """
-
-    method: IkMethod = IkMethod.AUTO
-    tolerance: float = 1e-6
-    angle_tolerance: float = math.radians(1e-4)
-    restarts: int = 50
-    seed: int = 0
-    seconds: float = 0.0
-    joints: tuple[str, ...] = ()
-    rest_weight: float = 0.0
-    smooth: float = 0.0
 
 
 def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:

@@ -22,6 +22,7 @@ from animtool.errors import (
 )
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
+from animtool.ik.options import TakeOptions
 from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
@@ -34,7 +35,6 @@ from animtool.ik.report import (
     span_notices,
 )
 from animtool.ik.take_ik import TakeIk
-from animtool.ik.take_run import TakeOptions
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs

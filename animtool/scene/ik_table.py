@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool.errors import OptionError
-from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import solve_take
+from animtool.ik.options import IkMethod
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
 from animtool.scene.ik import IkJob, Opened, open_ik

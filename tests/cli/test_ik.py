@@ -18,9 +18,8 @@ from support.usd import joint_positions, open_stage, validation_errors
 
 from animtool import Rig, open_source
 from animtool.cli.ik import ik
-from animtool.ik.methods import IkMethod
+from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
-from animtool.ik.take_run import TakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, parse_length
 

@@ -14,11 +14,11 @@ from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 from animtool.clock import Clock
 from animtool.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import solve_take
+from animtool.ik.options import TakeOptions
 from animtool.ik.report import apart_notices, goal_reports
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_ik import TakeIk
-from animtool.ik.take_run import TakeOptions
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.limits import RangeLimit

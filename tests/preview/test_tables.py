@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from animtool.ik.methods import IkMethod
+from animtool.ik.options import IkMethod
 from animtool.preview.tables import ik_panels, simulation_panels
 from animtool.preview.work_precision import Curve, Panel, Point
 from animtool.scene.ik_table import IkTable, IkTableRow

@@ -1,0 +1,72 @@
+"""How to solve, and to within what: the defaults of all that solves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from animtool.units import parse_length
+
+# Takes are solved to within these; what is off by more is missed, where nothing else is
+# asked: what nobody sees is less. Angles in degrees.
+LENGTH_TOLERANCE, ANGLE_TOLERANCE = "0.001mm", 1e-4
+MISSED, MISSED_DEGREES = "0.1mm", 0.1
+
+
+class IkMethod(StrEnum):
+    """Which solver.
+
+    Attributes:
+        AUTO: The closed form where a limb of two bones fits it, else damped steps.
+        DAMPED: Damped least squares with restarts: for every problem, and the only one
+            that heeds priorities.
+        TWO_BONE: The closed form of a limb of two bones; damped steps where the elbow's
+            limits stop it.
+        GRADIENT: Steepest descent with backtracking.
+        NEWTON: Newton's method, with second derivatives of positions and orientations,
+            in a region of trust.
+        CCD: Cyclic coordinate descent, joint by joint.
+        FABRIK: Points drawn to their targets bone by bone, which the joints follow;
+            positions only.
+
+    The last four are for comparison: from the start only, without restarts, one step
+    or sweep an iteration.
+    """
+
+    AUTO = "auto"
+    DAMPED = "damped"
+    TWO_BONE = "two_bone"
+    GRADIENT = "gradient"
+    NEWTON = "newton"
+    CCD = "ccd"
+    FABRIK = "fabrik"
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOptions:
+    """How to bring a take to targets.
+
+    Attributes:
+        method: Which solver.
+        tolerance: A position is reached within this [m].
+        angle_tolerance: An orientation, aim or pole is reached within this [rad].
+        restarts: Most new starts of a frame that does not reach its goals.
+        seed: Of the new starts.
+        seconds: Most time for one frame [s]; 0 is no bound.
+        joints: Names or patterns of the joints that may move; none is every one that
+            moves a goal.
+        rest_weight: How strongly the pose that a frame has already is kept.
+        smooth: Time over which motion that the goals leave free is evened out [s]; 0
+            leaves it.
+    """
+
+    method: IkMethod = IkMethod.AUTO
+    tolerance: float = parse_length(LENGTH_TOLERANCE)
+    angle_tolerance: float = math.radians(ANGLE_TOLERANCE)
+    restarts: int = 50
+    seed: int = 0
+    seconds: float = 0.0
+    joints: tuple[str, ...] = ()
+    rest_weight: float = 0.0
+    smooth: float = 0.0
