@@ -13,10 +13,11 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.clock import time_fraction
-from animtool.errors import Fault, FormatError, Severity, counted
+from animtool.errors import Fault, Severity, counted
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rig.skeleton import Rig
+from animtool.usd.faults import Spot
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import array_value, decompose, numbers
 
@@ -34,7 +35,7 @@ def animated_shapes(animation: Any) -> list[str]:
 
 
 def shape_weights(
-    animation: Any, codes: list[float], shapes: int, where: str
+    animation: Any, codes: list[float], shapes: int, where: Spot
 ) -> Channel:
     """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
@@ -47,7 +48,7 @@ def sampled_values(
     codes: list[float],
     count: int,
     width: int,
-    where: str,
+    where: Spot,
     *,
     of: str = "joint",
 ) -> FloatArray:
@@ -63,13 +64,13 @@ def sampled_values(
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
             message += f" for {counted(count, of)}"
             hint = f"{_moment(time)}; UsdSkel falls back to rest"
-            raise FormatError(Fault("USD013", message, where, (), hint))
+            where.at(attr).fail("USD206" if of == "shape" else "USD200", message, hint)
         rows[i] = value
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
         hint = f"{_moment(when[frame])}, {of} {joint}"
-        raise FormatError(Fault("USD014", message, where, (), hint))
+        where.at(attr).fail("USD202", message, hint)
     return rows
 
 
@@ -114,7 +115,7 @@ def carry_roots(
     translations: FloatArray,
     rotations: FloatArray,
     scales: FloatArray,
-    where: str,
+    where: Spot,
 ) -> list[Fault]:
     """Give the roots the motion of what carries them, in place.
 
@@ -125,9 +126,7 @@ def carry_roots(
     """
     matrices = _carriers(skeleton, codes)
     if not np.isfinite(matrices).all():
-        raise FormatError(
-            Fault("USD014", "the SkelRoot's transform is not finite", where)
-        )
+        where.at(skeleton).fail("USD171", "the SkelRoot's transform is not finite")
     moves, turns, sizes = decompose(matrices)
     for root in rig.roots:
         sized = sizes * translations[:, root]
@@ -142,7 +141,7 @@ def carry_roots(
         return []
     message = "the SkelRoot is scaled by different factors along its axes"
     hint = "joints that turn under it are not read exactly"
-    return [Fault("USD109", message, where, (), hint, Severity.WARNING)]
+    return [where.fault("USD109", message, hint, Severity.WARNING)]
 
 
 # Sub-frame samples about each frame make a grid finer than the samples; beyond this
@@ -189,13 +188,13 @@ def _span(stage: Any, animation: Any) -> _Span:
 
 
 def sample_grid(
-    stage: Any, animation: Any, times: list[float], where: str
+    stage: Any, animation: Any, times: list[float], where: Spot
 ) -> SampleGrid:
     """Return the frames of an animation."""
     return _grid(times, _span(stage, animation), where)
 
 
-def _grid(times: list[float], span: _Span, where: str) -> SampleGrid:
+def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves, for as long as the take or its stage lasts.
         still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
@@ -253,13 +252,13 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
 
 
-def _whole_codes(times: list[float], where: str) -> SampleGrid:
+def _whole_codes(times: list[float], where: Spot) -> SampleGrid:
     """Return every time code that the samples span."""
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
     if last - first > MAX_FRAMES:
         message = f"{len(times)} samples spread over {last - first} time codes"
-        raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
+        where.fail("USD016", message, "a stray sample?")
     between = sum(time.denominator != 1 for time in exact)
     count = last - first + 1
     return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)

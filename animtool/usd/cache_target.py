@@ -14,6 +14,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OutputError, Severity, listed
 from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
+from animtool.usd.faults import Spot
 from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands
 from animtool.usd.point_based import PointSpace
@@ -150,7 +151,7 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
         f"mesh {name!r} has {len(points)} points here, and {count} in the take's rig"
     )
     hint = "the cache would not fit its faces"
-    return [Fault("USD041", message, f"{rig.path}<{mesh.GetPath()}>", (), hint)]
+    return [Spot.of(rig.path, mesh).fault("USD041", message, hint)]
 
 
 def _uneven(
@@ -163,11 +164,11 @@ def _uneven(
     message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, and "
     message += f"{shape[0]} of {shape[1]} in the take's rig"
     hint = "the cache would not fit its curves"
-    return [Fault("USD041", message, f"{rig.path}<{curves.GetPath()}>", (), hint)]
+    return [Spot.of(rig.path, curves).fault("USD041", message, hint)]
 
 
 def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
-    where, faults = f"{rig.path}<{mesh.GetPath()}>", []
+    at, faults = Spot.of(rig.path, mesh), []
     between = mesh.GetPrim()
     while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
         if skeleton.GetPath().HasPrefix(between.GetPath()):
@@ -175,7 +176,7 @@ def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
         xform = UsdGeom.Xformable(between)
         if xform and xform.TransformMightBeTimeVarying():
             message = f"{between.GetPath()} moves below the skeleton by itself"
-            faults.append(Fault("USD043", message, where))
+            faults.append(at.fault("USD043", message))
         between = between.GetParent()
     return faults
 

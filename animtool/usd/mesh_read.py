@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, counted
+from animtool.errors import Fault, Severity, counted
 from animtool.rig.parts import (
     AttachKind,
     Attachment,
@@ -23,6 +23,7 @@ from animtool.rig.parts import (
 )
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.units import UpAxis
+from animtool.usd.faults import Spot, bind_transforms
 from animtool.usd.layers import usd_errors
 from animtool.usd.meshes import SUBDIVISION
 from animtool.usd.rig_prims import (
@@ -62,7 +63,7 @@ def read_meshes(
     shapes: list[Shape] = []
     notices: list[Fault] = []
     for name, query in bound_meshes(skeleton):
-        at = f"{where}<{query.GetPrim().GetPath()}>"
+        at = Spot.of(where, query.GetPrim())
         bind = _bind(query, skeleton, at)
         meshes.append(_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
@@ -91,7 +92,7 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _bind(query: Any, skeleton: Any, at: str) -> tuple[float, ...] | None:
+def _bind(query: Any, skeleton: Any, at: Spot) -> tuple[float, ...] | None:
     """Return where a mesh is bound, or placed; None where that is the origin."""
     if query.HasJointInfluences():
         found = query.GetGeomBindTransform()
@@ -102,7 +103,7 @@ def _bind(query: Any, skeleton: Any, at: str) -> tuple[float, ...] | None:
         found = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
     matrix = np.array(found, np.float64).T
     if not np.isfinite(matrix).all():
-        _fail("USD017", "its transform at bind time is not finite", at)
+        at.fail("USD017", "its transform at bind time is not finite")
     return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
 
 
@@ -110,7 +111,7 @@ def _mesh(
     query: Any,
     name: str,
     rig: SkeletonRig,
-    at: str,
+    at: Spot,
     bind: tuple[float, ...] | None,
     notices: list[Fault],
 ) -> Mesh:
@@ -118,14 +119,14 @@ def _mesh(
     mesh = UsdGeom.Mesh(prim)
     points = floats(mesh.GetPointsAttr(), 3, at)
     if not len(points):
-        _fail("USD017", "the mesh has no points", at)
+        at.fail("USD017", "the mesh has no points")
     normals = None
     given = array_value(mesh.GetNormalsAttr())
     if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
         normals = floats(mesh.GetNormalsAttr(), 3, at)
     elif len(given):
         message = "normals that are not one a vertex are left out"
-        notices.append(Fault("USD116", message, at, severity=Severity.NOTE))
+        notices.append(at.fault("USD116", message, severity=Severity.NOTE))
     return Mesh(
         name,
         HeldArray(points),
@@ -145,21 +146,21 @@ def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
     return None if found is usual else found
 
 
-def _faces(mesh: Any, points: int, at: str) -> FloatArray:
+def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
     """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
     counts, indices = (
         integers(attr)
         for attr in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     )
     if not len(counts):
-        _fail("USD017", "the mesh has no faces", at)
+        at.fail("USD017", "the mesh has no faces")
     if (counts < 3).any():
-        _fail("USD017", f"a face has {counts.min()} vertices, and needs 3", at)
+        at.fail("USD017", f"a face has {counts.min()} vertices, and needs 3")
     if counts.sum() != len(indices):
         message = f"{len(indices)} faceVertexIndices for faces of {counts.sum()} in all"
-        _fail("USD017", message, at)
+        at.fail("USD017", message)
     if len(indices) and not 0 <= indices.min() <= indices.max() < points:
-        _fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}", at)
+        at.fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}")
     width = int(counts.max(initial=3))
     within = np.arange(width) < counts[:, None]
     faces = np.full(within.shape, -1, np.int64)
@@ -167,7 +168,7 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
     return faces.astype(np.float64)
 
 
-def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
+def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
     indices, weights = (
         numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (
@@ -182,12 +183,12 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
             f"{len(indices)} jointIndices and {len(weights)} jointWeights for "
             f"{rows} x {width} influences"
         )
-        _fail("USD017", message, at)
+        at.fail("USD017", message)
     if not np.isfinite(weights).all():
-        _fail("USD017", "jointWeights hold a value that is not finite", at)
+        at.fail("USD017", "jointWeights hold a value that is not finite")
     names = joint_names(query, rig, at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
-        _fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}", at)
+        at.fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}")
     shape = (points, width)
     method = str(query.GetSkinningMethod())
     return Skin(
@@ -208,12 +209,12 @@ def _shapes(
     targets = query.GetBlendShapeTargetsRel().GetTargets()
     if len(order) != len(targets):
         message = f"{len(order)} blendShapes for {len(targets)} targets"
-        _fail("USD017", message, f"{where}<{query.GetPrim().GetPath()}>")
+        Spot.of(where, query.GetPrim()).fail("USD017", message)
     stage = query.GetPrim().GetStage()
     for target in targets:
         if not stage.GetPrimAtPath(target):
             message = f"a blendShapeTarget, {target}, does not exist"
-            _fail("USD017", message, f"{where}<{query.GetPrim().GetPath()}>")
+            Spot.of(where, query.GetPrim()).fail("USD017", message)
     return [
         _shape(
             UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
@@ -227,7 +228,7 @@ def _shapes(
 
 
 def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
-    at = f"{where}<{shape.GetPath()}>"
+    at = Spot.of(where, shape)
     deltas = floats(shape.GetOffsetsAttr(), 3, at)
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
@@ -235,19 +236,18 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         # It turns normals alone.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
-        _fail("USD017", f"{len(deltas)} offsets for {rows} points", at)
+        at.fail("USD017", f"{len(deltas)} offsets for {rows} points")
     if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:
-        _fail("USD018", f"a pointIndex is not in 0 to {points - 1}", at)
+        at.fail("USD018", f"a pointIndex is not in 0 to {points - 1}")
 
     def rows_of(attr: Any) -> HeldArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
         values = floats(attr, 3, at)
         if len(values) != rows:
-            _fail(
+            at.fail(
                 "USD017",
                 f"{attr.GetName()} has {counted(len(values), 'row')}, not {rows}",
-                at,
             )
         return HeldArray(values)
 
@@ -256,7 +256,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         weight, found = step.GetWeight(), rows_of(step.GetAttr())
         if weight is None or found is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
-            _fail("USD017", message, at)
+            at.fail("USD017", message)
         normals = rows_of(step.GetNormalOffsetsAttr())
         between.append(Inbetween(float(weight), found, normals))
     return Shape(
@@ -267,10 +267,6 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         tuple(sorted(between, key=lambda step: step.at)),
         vertices=HeldArray(vertices.astype(np.float64)) if len(vertices) else None,
     )
-
-
-def _fail(code: str, message: str, where: str) -> NoReturn:
-    raise FormatError(Fault(code, message, where))
 
 
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
@@ -290,7 +286,7 @@ def bound_strands(
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
-        at = f"{where}<{source.GetPath()}>"
+        at = Spot.of(where, source)
         joint = _carrier(query, rig, at)
         points = _points(UsdGeom.BasisCurves(source), query, at)
         if joint is not None and points is not None:
@@ -300,7 +296,7 @@ def bound_strands(
     return made
 
 
-def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:
+def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
     """Return the joint that carries a prim as a whole; None where it is not one."""
     if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
         return None
@@ -313,11 +309,11 @@ def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:
     names = joint_names(query, rig, at)
     if not 0 <= indices[0] < len(names):
         message = f"a jointIndex is not in 0 to {len(names) - 1}"
-        raise FormatError(Fault("USD018", message, at))
+        at.fail("USD018", message)
     return names[int(indices[0])]
 
 
-def _points(curves: Any, query: Any, at: str) -> FloatArray | None:
+def _points(curves: Any, query: Any, at: Spot) -> FloatArray | None:
     """Return points ``(S, K, 3)`` at bind; None of curves that are no strands."""
     counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
@@ -327,7 +323,7 @@ def _points(curves: Any, query: Any, at: str) -> FloatArray | None:
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
     if not np.isfinite(matrix).all():
-        raise FormatError(Fault("USD017", "geomBindTransform is not finite", at))
+        at.fail("USD017", "geomBindTransform is not finite")
     placed = values @ matrix[:3, :3] + matrix[3, :3]
     return np.asarray(placed.reshape(len(counts), -1, 3))
 
@@ -368,18 +364,9 @@ def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
     rig = replace(found.rig, meshes=meshes, shapes=shapes, attach=strands)
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
-    bind = _joint_binds(skeleton, len(rig.joints), f"{path}<{skeleton.GetPath()}>")
+    spot = Spot.of(path, skeleton)
+    spot.refuse(bind_transforms(skeleton, found.tokens, skins=True))
+    attr = skeleton.GetBindTransformsAttr()
+    bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)
-
-
-def _joint_binds(skeleton: Any, joints: int, where: str) -> FloatArray:
-    bind = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
-    if len(bind) != joints or not np.isfinite(bind).all():
-        message = (
-            f"{counted(len(bind), 'bindTransform')} for {counted(joints, 'joint')}"
-        )
-        if len(bind) == joints:
-            message = "a bind transform is not finite"
-        raise FormatError(Fault("USD019", message, where))
-    return bind.swapaxes(-1, -2).copy()

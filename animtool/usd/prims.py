@@ -17,6 +17,7 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 from animtool.units import UpAxis, up_from_up
+from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import decompose, integers, numbers, open_stage, up_axis
 
@@ -54,7 +55,7 @@ def open_prim(
             matrices = _matrices(found, above, codes)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
-            raise FormatError(Fault("USD014", message, f"{path}<{prim}>"))
+            Spot(str(path), prim).fail("USD171", message)
         positions, rotations, _ = decompose(matrices)
         positions = positions * unit
         if turn is not None:

@@ -13,12 +13,13 @@ from pxr import Usd, UsdGeom
 
 from animtool._types import BoolArray, FloatArray
 from animtool.clock import time_fraction
-from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.similar import similar
 from animtool.transforms import Attribute, Reference, Track, Transforms
 from animtool.units import UpAxis, up_from_up
+from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
@@ -284,7 +285,7 @@ class _Sampler:
         """Return the prim at time codes ``(F,)``.
 
         Raises:
-            FormatError: Its transform or a value is not finite (USD014).
+            FormatError: Its transform or a value is not finite (USD171).
         """
         codes = self._on_keys(times if self.moves else times[:1])
         count, matrices = len(codes), None
@@ -351,9 +352,8 @@ class _Sampler:
 
     def _check(self, values: FloatArray) -> None:
         if not np.isfinite(values).all():
-            where = f"{self.where}<{self.prim.GetPath()}>"
             message = "its transform, or a value of it, is not finite"
-            raise FormatError(Fault("USD014", message, where))
+            Spot.of(self.where, self.prim).fail("USD171", message)
 
 
 def _plain(scales: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import Clock, time_fraction
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.errors import Fault, FormatError, Severity, counted, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
@@ -30,6 +30,7 @@ from animtool.usd.animation_values import (
     scale_channel,
     shape_weights,
 )
+from animtool.usd.faults import Spot, missing_parts, names_twice, tokens, unknown_joints
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
@@ -113,7 +114,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
     else:
         stream = _read(stage, path, skeleton, animation, prim)
     if prim is None:
-        stream.notices += _lost_motion(animation, str(path))
+        stream.notices += _lost_motion(animation, Spot.of(path, animation))
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
     stream.notices += others_notice(
@@ -197,7 +198,7 @@ def _first_animation(stage: Any, below: str) -> Any:
     return None
 
 
-def _lost_motion(animation: Any, where: str) -> list[Fault]:
+def _lost_motion(animation: Any, where: Spot) -> list[Fault]:
     """Say so where a layer alone moves a SkelRoot, whose rig is elsewhere."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
@@ -205,20 +206,21 @@ def _lost_motion(animation: Any, where: str) -> list[Fault]:
         return []
     message = f"{parent.GetPath()} carries the root's motion, which is left out"
     hint = "read a stage that holds the rig too"
-    return [Fault("USD113", message, where, (), hint, Severity.WARNING)]
+    return [where.fault("USD113", message, hint, Severity.WARNING)]
 
 
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
-    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
-    where = f"{path}<{animation.GetPath()}>"
+    joints = tokens(animation.GetJointsAttr())
+    where = Spot.of(path, animation)
+    where.refuse(names_twice(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
-    matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
+    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first = Usd.TimeCode.EarliestTime()
     positions = numbers(animation.GetTranslationsAttr(), 3, first)
-    if tokens and len(positions) == len(tokens):
+    if joints and len(positions) == len(joints):
         matrices[:, 3, :3] = positions
     found = rig_from_tokens(
-        tokens,
+        joints,
         matrices,
         path.stem,
         where,
@@ -233,7 +235,7 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
     """Return a rig without animation: one frame, at rest."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
-    check_moves(len(rig.joints), len(shapes), f"{path}<{prim.GetPath()}>")
+    check_moves(len(rig.joints), len(shapes), Spot.of(path, prim))
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
@@ -258,8 +260,8 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
 def _read(
     stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
 ) -> TakeStream:
-    where = f"{path}<{animation.GetPath()}>"
-    joints, notices = _joints(skeleton, animation, where)
+    where = Spot.of(path, animation)
+    joints, notices = _joints(skeleton, animation, prim, where)
     attributes = _attributes(animation, joints, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
@@ -303,31 +305,26 @@ def _read(
 
 
 def _attributes(
-    animation: Any, joints: _Joints, where: str, notices: list[Fault]
+    animation: Any, joints: _Joints, where: Spot, notices: list[Fault]
 ) -> dict[str, Any]:
     """Return what an animation must have for UsdSkel to use it, by name.
 
     Nothing where it moves no joint: it has weights of shapes alone, or only names
     joints, which then stay at rest.
     """
-    attributes = {
+    if not len(joints.places):
+        return {}
+    missing = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
+    if any(fault.severity is Severity.ERROR for fault in missing):
+        where.refuse(missing)
+    notices += [replace(fault, path=where.path) for fault in missing]
+    if missing:
+        return {}
+    return {
         "translations": animation.GetTranslationsAttr(),
         "rotations": animation.GetRotationsAttr(),
         "scales": animation.GetScalesAttr(),
     }
-    if not len(joints.places):
-        return {}
-    if not any(attribute.HasAuthoredValue() for attribute in attributes.values()):
-        message = "names joints and has no translations, rotations or scales"
-        hint = "the joints are read at rest, as UsdSkel poses them"
-        notices.append(Fault("USD150", message, where, (), hint, Severity.WARNING))
-        return {}
-    for name, attribute in attributes.items():
-        if not attribute.HasAuthoredValue():
-            message = f"{name} has no value"
-            hint = "UsdSkel ignores an animation that lacks one of the three"
-            raise FormatError(Fault("USD012", message, where, (), hint))
-    return attributes
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +334,7 @@ class _Joints:
     places: IntArray  # index in the Skeleton; -1 where it has none such
 
     def whole(
-        self, attribute: Any | None, rest: FloatArray, codes: list[float], where: str
+        self, attribute: Any | None, rest: FloatArray, codes: list[float], where: Spot
     ) -> FloatArray:
         """Return an attribute for the Skeleton's joints, at rest if not animated."""
         if attribute is None:
@@ -351,41 +348,39 @@ class _Joints:
 
 
 def _joints(
-    skeleton: SkeletonRig, animation: Any, where: str
+    skeleton: SkeletonRig, animation: Any, prim: Any, where: Spot
 ) -> tuple[_Joints, list[Fault]]:
     """Return an animation's joints, and a warning of those that are left out."""
-    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
+    attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
-    joints = _Joints(np.array([index.get(token, -1) for token in tokens], np.int64))
-    unknown = [token for token in tokens if token not in index]
-    if not unknown:
+    places = [index.get(token, -1) for token in tokens(attr)]
+    joints = _Joints(np.array(places, np.int64))
+    if prim is None:
         return joints, []
-    message = f"joint {excerpt(unknown[0])} is not in the Skeleton"
-    hint = f"{len(unknown)} such are left out"
-    warning = Fault("USD104", message, where, (), hint, Severity.WARNING)
-    return joints, [warning]
+    unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
+    return joints, [replace(fault, path=where.path) for fault in unknown]
 
 
-def _grid_notices(grid: SampleGrid, samples: int, where: str) -> list[Fault]:
+def _grid_notices(grid: SampleGrid, samples: int, where: Spot) -> list[Fault]:
     """Return notices of samples that are not evenly spaced, or not on frames."""
     notices = []
     every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.even:
         message = f"samples are unevenly spaced; read every {every}"
-        notices.append(Fault("USD105", message, where, severity=Severity.NOTE))
+        notices.append(where.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:
         message = (
             f"samples are up to {grid.drift:.2g} time codes off the frames (at "
             f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
             f"one every {every}"
         )
-        notices.append(Fault("USD121", message, where, severity=Severity.NOTE))
+        notices.append(where.fault("USD121", message, severity=Severity.NOTE))
     if grid.between:
         message = f"{grid.between} of {samples} samples fall between frames; "
         message += "only the values on frames are read"
         hint = "resample the animation on whole frames where it is made"
         warning = Severity.WARNING
-        notices.append(Fault("USD122", message, where, (), hint, warning))
+        notices.append(where.fault("USD122", message, hint, warning))
     return notices
 
 

@@ -8,19 +8,27 @@ import re
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.errors import Fault, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.quantities import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.similar import distinct
 from animtool.units import UpAxis
 from animtool.usd.dependencies import open_composed
+from animtool.usd.faults import (
+    LARGEST_METADATA,
+    SMALLEST_METADATA,
+    Spot,
+    joint_order,
+    rest_transforms,
+    units_and_axis,
+)
 from animtool.usd.layers import (
     check_prim_path,
     find_layer,
@@ -71,8 +79,6 @@ def stored_data(prim: Any) -> dict[str, Any]:
     return data if isinstance(data, dict) else {}
 
 
-# Rates and units outside are no rates and units, and would overflow what they scale.
-SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
 _CONTROL = re.compile(f"[{CONTROL}]")
 # Rest transforms are float32.
 LARGEST_REST = float(np.finfo(np.float32).max)
@@ -90,27 +96,22 @@ class SkeletonRig:
 def open_stage(path: Path) -> Any:
     """Open a stage."""
     stage = open_composed(find_layer(path), path)
-    _check_metadata(stage, str(path))
+    _check_metadata(stage, Spot(str(path), "/"))
     return stage
 
 
-def _check_metadata(stage: Any, where: str) -> None:
+def _check_metadata(stage: Any, where: Spot) -> None:
     """Refuse metadata that no number on the stage could be read by."""
-    for name, value in (
-        ("timeCodesPerSecond", stage.GetTimeCodesPerSecond()),
-        ("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage)),
-    ):
-        if not SMALLEST_METADATA <= value <= LARGEST_METADATA:
-            _fail("USD015", f"{name} is {value}", where, "write 1e-9 to 1e9")
+    rate = stage.GetTimeCodesPerSecond()
+    if not SMALLEST_METADATA <= rate <= LARGEST_METADATA:
+        where.fail("USD253", f"timeCodesPerSecond is {rate}", "write 1e-9 to 1e9")
     for name, code in (
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
         if not abs(code) <= LARGEST_METADATA:
-            _fail("USD015", f"{name} is {code}", where, "write -1e9 to 1e9")
-    up = str(UsdGeom.GetStageUpAxis(stage))
-    if up not in list(UpAxis):
-        _fail("USD015", f"upAxis is {up!r}", where, "allowed: Y, Z")
+            where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
+    where.refuse(units_and_axis(stage))
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
@@ -137,16 +138,12 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     A character of blend shapes alone has no joints.
     """
     stage = skeleton.GetPrim().GetStage()
-    where = f"{path}<{skeleton.GetPath()}>"
+    where = Spot.of(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
+    if tokens:
+        where.refuse(rest_transforms(skeleton, tokens))
     rows = numbers(skeleton.GetRestTransformsAttr(), 16)
-    if len(rows) != len(tokens) and tokens:
-        message = f"{counted(len(rows), 'restTransform')}"
-        message += f" for {counted(len(tokens), 'joint')}"
-        _fail("USD003", message, where, "UsdSkel has no rest pose then")
     rest = rows[: len(tokens)].reshape(-1, 4, 4)
-    if not (np.abs(rest) <= LARGEST_REST).all():
-        _fail("USD004", "a rest transform is not a finite float32", where)
     data = stored_data(skeleton.GetPrim())
     # What animtool wrote has names of its own.
     named = () if data else array_value(skeleton.GetJointNamesAttr())
@@ -158,17 +155,17 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     )
 
 
-def check_moves(joints: int, shapes: int, where: str) -> None:
+def check_moves(joints: int, shapes: int, where: Spot) -> None:
     """Refuse a character that has nothing to move."""
     if not joints and not shapes:
-        _fail("USD002", "there are no joints and no blend shapes", where)
+        where.fail("USD002", "there are no joints and no blend shapes")
 
 
 def rig_from_tokens(
     tokens: Sequence[str],
     rest: FloatArray,
     name: str,
-    where: str,
+    where: Spot,
     meters_per_unit: float,
     up: UpAxis,
     data: dict[str, Any],
@@ -180,13 +177,11 @@ def rig_from_tokens(
     ``data``, else ``named``, the Skeleton's ``jointNames``, where these are usable.
     """
     index = {token: i for i, token in enumerate(tokens)}
-    if len(index) != len(tokens):
-        twice = next(t for i, t in enumerate(tokens) if index[t] != i)
-        _fail("USD005", f"joint {excerpt(twice)} stands twice", where)
+    where.refuse(joint_order(f"{where.where}.joints", tokens))
     if not isinstance(data, dict) or not all(
         isinstance(data.get(key, {}), dict) for key in ("names", "pins")
     ):
-        _fail("USD007", "customData animtool is malformed", where)
+        where.fail("USD007", "customData animtool is malformed")
     extras = _extras(data, where)
     originals = dict(data.get("names", {}))
     names = named if _are_names(named, len(tokens)) else [""] * len(tokens)
@@ -195,13 +190,10 @@ def rig_from_tokens(
     uniques = distinct(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
         parent = _parent(token, index)
-        if parent >= i:
-            message = f"joint {excerpt(token)} stands before its parent"
-            _fail("USD006", message, where, "UsdSkel wants parents first")
         leaf = token.rpartition("/")[2]
         if found := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {found[0]!r}"
-            _fail("DOC023", message, where)
+            where.fail("DOC023", message)
         unique = uniques[i]
         own = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
@@ -243,7 +235,7 @@ def _parent(token: str, index: dict[str, int]) -> int:
     return -1
 
 
-def _extras(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
+def _extras(data: dict[str, Any], where: Spot) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
     if not text:
         return {}
@@ -252,9 +244,9 @@ def _extras(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
         version, joints = content["animtool"], content["joints"]
         extras = {str(name): _joint_extras(entry) for name, entry in joints.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        _fail("USD007", f"customData animtool:joints is malformed: {error}", where)
+        where.fail("USD007", f"customData animtool:joints is malformed: {error}")
     if version != 1:
-        _fail("USD007", f"customData animtool:joints needs animtool/{version}", where)
+        where.fail("USD007", f"customData animtool:joints needs animtool/{version}")
     return extras
 
 
@@ -325,7 +317,3 @@ def others_notice(
         f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed(others)}"
     )
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]
-
-
-def _fail(code: str, message: str, where: str, hint: str | None = None) -> NoReturn:
-    raise FormatError(Fault(code, message, where, (), hint))

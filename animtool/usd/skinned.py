@@ -10,8 +10,9 @@ import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, OptionError, listed
+from animtool.errors import Fault, OptionError, listed
 from animtool.rig.kinematics import WorldTransforms
+from animtool.usd.faults import Spot
 from animtool.usd.rig_prims import (
     SkeletonRig,
     find_skeletons,
@@ -60,17 +61,17 @@ def unique_name(name: str, used: set[str]) -> str:
     return unique
 
 
-def floats(attr: Any, width: int, at: str) -> FloatArray:
+def floats(attr: Any, width: int, at: Spot) -> FloatArray:
     """Return the rows of an attribute ``(N, width)``."""
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} hold a value that is not finite"
-        raise FormatError(Fault("USD017", message, at))
+        at.fail("USD017", message)
     return values
 
 
-def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
+def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
     """Return the rig's names of the joints that a prim's indices count."""
     order = query.GetJointOrder()
     index = {token: i for i, token in enumerate(rig.tokens)}
@@ -78,7 +79,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
     unknown = [token for token in tokens if token not in index]
     if unknown:
         message = f"{unknown[0]!r} is no joint of the Skeleton"
-        raise FormatError(Fault("USD018", message, at))
+        at.fail("USD018", message)
     return tuple(rig.rig.names[index[token]] for token in tokens)
 
 

@@ -17,6 +17,7 @@ from animtool.rig.controls import Control
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes, read_strands
 from animtool.usd.rig_prims import (
@@ -270,7 +271,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         found = skeleton_rig(skeletons[0], path)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, found, str(path))
-        where = f"{path}<{skeleton.GetPath()}>"
+        where = Spot.of(path, skeleton)
         check_moves(len(found.rig.joints), len(shapes), where)
         notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))

@@ -47,8 +47,8 @@ def with_data_of_text(layer: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        (with_vectors, "USD013"),
-        (with_words, "USD003"),
+        (with_vectors, "USD200"),
+        (with_words, "USD229"),
         (with_a_lost_shape, "USD017"),
         (with_data_of_text, ""),
     ],

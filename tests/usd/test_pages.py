@@ -98,7 +98,6 @@ COMMANDS = {
     "USD011": IN_SHOT,
     "USD017": CONVERT,
     "USD018": CONVERT,
-    "USD019": "bake hero.usda -o out.usda --deform",
     "USD042": IN_SHOT + " --deform",
     "USD043": LAYER_OVER + "hero.usda --deform",
     "USD108": LAYER_OVER + "hero.usda",

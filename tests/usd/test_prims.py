@@ -95,4 +95,4 @@ def test_a_transform_that_is_not_finite(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(FormatError) as caught:
         open_prim(path, "/World/prop", RIG)(np.array([1.0]))
-    assert caught.value.code == "USD014"
+    assert caught.value.code == "USD171"

@@ -175,7 +175,7 @@ def test_what_is_not_finite_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(FormatError) as error:
         opened(path, "/box")
-    assert error.value.code == "USD014"
+    assert error.value.code == "USD171"
 
 
 def test_a_reference_needs_a_default_prim(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_one_of_three_missing_stays_an_error(tmp_path: Path) -> None:
     still.write_text(text, "utf-8")
     with pytest.raises(FormatError) as caught:
         open_source(still)
-    assert caught.value.code == "USD012"
+    assert caught.value.code == "USD201"
 
 
 def test_a_mesh_whose_faces_are_sampled_is_read(tmp_path: Path) -> None:

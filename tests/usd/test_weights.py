@@ -145,7 +145,7 @@ def test_weights_between_the_joints_samples_make_the_grid(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("code", "value"), [("USD013", [0.5]), ("USD014", [np.nan, 0.0])]
+    ("code", "value"), [("USD206", [0.5]), ("USD202", [np.nan, 0.0])]
 )
 def test_wrong_weights_are_refused(
     tmp_path: Path, code: str, value: list[float]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from pxr import UsdSkel
 
 from animtool._types import BoolArray
-from animtool.errors import Fault, Severity, counted, excerpt, listed
+from animtool.errors import Fault, counted, excerpt, listed
 from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.faults import missing_parts, names_twice, tokens, unknown_joints
 from animtool.usd.skinned import is_shown_mesh
 
 _WANTED = {
@@ -68,33 +68,12 @@ def check_animations(subject: Subject) -> Iterator[Fault]:
     """Check counts, numbers and rotations of every SkelAnimation, in every sample."""
     for animation in subject.of_type(UsdSkel.Animation):
         joints = tokens(animation.GetJointsAttr())
-        yield from _twice(animation.GetJointsAttr(), joints)
+        yield from names_twice(animation.GetJointsAttr())
         if joints:
             yield from _transforms(subject, animation, joints)
         shapes = tokens(animation.GetBlendShapesAttr())
-        yield from _twice(animation.GetBlendShapesAttr(), shapes)
+        yield from names_twice(animation.GetBlendShapesAttr())
         yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
-
-
-def tokens(attr: Any) -> list[str]:
-    """Return the tokens of an attribute, none where it has no value."""
-    return [str(token) for token in (attr.Get() if attr else None) or ()]
-
-
-def duplicates(names: Sequence[str]) -> list[str]:
-    """Return the names that stand more than once, in order.
-
-    >>> duplicates(["a", "b", "a", "a"])
-    ['a']
-    """
-    return [name for name, count in Counter(names).items() if count > 1]
-
-
-def _twice(attr: Any, names: list[str]) -> Iterator[Fault]:
-    twice = duplicates(names)
-    if twice:
-        message = f"{len(twice)} of {len(names)} names stand twice: {listed(twice)}"
-        yield finding("USD207", attr.GetPath(), message)
 
 
 def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator[Fault]:
@@ -103,20 +82,12 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
         "rotations": (animation.GetRotationsAttr(), 4),
         "scales": (animation.GetScalesAttr(), 3),
     }
-    missing = [
-        name for name, (attr, _) in attributes.items() if not attr.HasAuthoredValue()
-    ]
-    if len(missing) == len(attributes):
-        message = f"names {counted(len(joints), 'joint')} and moves none"
-        where = str(animation.GetPath())
-        hint = "author all three, or leave joints out"
-        yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
+    faults = list(missing_parts(animation, joints))
+    yield from faults
+    if any(fault.code == "USD150" for fault in faults):
         return
-    if missing:
-        message = f"no value of {listed(missing)}, for {counted(len(joints), 'joint')}"
-        yield finding("USD201", animation.GetPath(), message)
     for name, (attr, width) in attributes.items():
-        if name in missing:
+        if not attr.HasAuthoredValue():
             continue
         sampled = subject.sampled(attr)
         yield from _counts("USD200", attr, sampled, len(joints), "joints")
@@ -209,21 +180,12 @@ def check_known_joints(subject: Subject) -> Iterator[Fault]:
         bound[source.GetPath()] = source
         shapes.setdefault(source.GetPath(), set()).update(names)
         if skeleton:
-            yield from _unknown_joints(UsdSkel.Skeleton(prim), source)
+            joints = tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
+            attr = UsdSkel.Animation(source).GetJointsAttr()
+            yield from unknown_joints(attr, joints, prim.GetPath())
     for path, source in bound.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
         unknown = [name for name in tokens(attr) if name not in shapes[path]]
         if unknown and not subject.alone and any(map(is_shown_mesh, subject.prims)):
             message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
             yield finding("USD210", attr.GetPath(), message)
-
-
-def _unknown_joints(skeleton: Any, source: Any) -> Iterator[Fault]:
-    attr = UsdSkel.Animation(source).GetJointsAttr()
-    own = set(tokens(skeleton.GetJointsAttr()))
-    unknown = [name for name in tokens(attr) if name not in own]
-    if unknown and own:
-        message = (
-            f"{len(unknown)} joints that {skeleton.GetPath()} lacks: {listed(unknown)}"
-        )
-        yield finding("USD209", attr.GetPath(), message)

@@ -17,9 +17,8 @@ from animtool import _kernels
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.rules import finding
-from animtool.usd.checks.animation import tokens
-from animtool.usd.checks.skeleton import joint_parents, own_matrices
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.faults import joint_parents, own_matrices, tokens
 from animtool.usd.rig_prims import decompose
 
 # Of the diagonal: text files with four digits are within.

@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 from pxr import UsdPhysics, UsdSkel
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, counted, excerpt, listed
+from animtool._types import FloatArray
+from animtool.errors import Fault, counted, listed
 from animtool.rules import finding
-from animtool.usd.checks.animation import UNIT_TOLERANCE, duplicates, tokens
+from animtool.usd.checks.animation import UNIT_TOLERANCE
 from animtool.usd.checks.subject import Subject
+from animtool.usd.faults import (
+    bind_transforms,
+    joint_order,
+    joint_parents,
+    own_matrices,
+    rest_transforms,
+    tokens,
+)
 
 
 def check_physics(subject: Subject) -> Iterator[Fault]:
@@ -103,8 +111,6 @@ def _pair(
 
 # Of the largest number in a transform.
 SAME = 1e-4
-# Of what a transform with axes of its lengths could enclose.
-SMALLEST_VOLUME = 1e-12
 
 
 def check_skeletons(subject: Subject) -> Iterator[Fault]:
@@ -120,49 +126,17 @@ def check_skeletons(subject: Subject) -> Iterator[Fault]:
         if not joints:
             continue
         yield from _order(skeleton, joints)
-        yield from _rest(skeleton, joints)
-        yield from _bind(skeleton, joints, skeleton.GetPath() in bound)
+        yield from rest_transforms(skeleton, joints)
+        yield from _bind(skeleton, joints, skins=skeleton.GetPath() in bound)
         yield from _root(skeleton)
-
-
-def joint_parents(joints: list[str]) -> IntArray:
-    """Return the parent of each joint as UsdSkel finds it, -1 for a root.
-
-    >>> joint_parents(["a", "a/b/c"]).tolist()
-    [-1, 0]
-    """
-    index = {name: i for i, name in enumerate(joints)}
-
-    def above(name: str) -> int:
-        while name := name.rpartition("/")[0]:
-            if name in index:
-                return index[name]
-        return -1
-
-    return np.array([above(name) for name in joints], np.int64)
-
-
-def own_matrices(attr: Any) -> FloatArray:
-    """Return the matrices of an attribute ``(N, 4, 4)``, as USD has them."""
-    return np.array(attr.Get() or (), np.float64).reshape(-1, 4, 4)
 
 
 def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
     path = skeleton.GetJointsAttr().GetPath()
-    twice = duplicates(joints)
-    if twice:
-        message = f"{len(twice)} of {len(joints)} joints stand twice: {listed(twice)}"
-        yield finding("USD220", path, message)
+    faults = list(joint_order(path, joints))
+    yield from faults
+    if any(fault.code == "USD220" for fault in faults):
         return
-    parents = joint_parents(joints)
-    early = np.flatnonzero(parents > np.arange(len(joints)))
-    if len(early):
-        child = int(early[0])
-        message = (
-            f"joint {child}, {excerpt(joints[child])}, stands before its parent, "
-            f"joint {parents[child]}"
-        )
-        yield finding("USD221", path, message)
     known = set(joints)
     parted = ((name, name.rpartition("/")[0]) for name in joints)
     lost = [name for name, parent in parted if parent and parent not in known]
@@ -171,57 +145,14 @@ def _order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
         yield finding("USD222", path, message)
 
 
-def _rest(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
-    attr = skeleton.GetRestTransformsAttr()
-    rest = own_matrices(attr)
-    if not len(rest):
-        message = f"no restTransforms for {counted(len(joints), 'joint')}"
-        yield finding("USD229", attr.GetPath(), message)
-    elif len(rest) != len(joints):
-        message = (
-            f"{counted(len(rest), 'restTransform')} for {counted(len(joints), 'joint')}"
-        )
-        yield finding("USD223", attr.GetPath(), message)
-    else:
-        yield from _finite(attr, rest, joints)
-
-
-def _finite(attr: Any, matrices: FloatArray, joints: list[str]) -> Iterator[Fault]:
-    bad = np.flatnonzero(~np.isfinite(matrices).all(axis=(1, 2)))
-    if len(bad):
-        names = [joints[i] for i in bad]
-        message = f"{len(bad)} transforms are not finite: {listed(names)}"
-        yield finding("USD225", attr.GetPath(), message)
-
-
-def _bind(skeleton: Any, joints: list[str], skins: bool) -> Iterator[Fault]:
-    attr = skeleton.GetBindTransformsAttr()
-    bind, rest = own_matrices(attr), own_matrices(skeleton.GetRestTransformsAttr())
-    if len(bind) != len(joints):
-        if len(bind) or skins:
-            message = f"{counted(len(bind), 'bindTransform')}"
-            message += f" for {counted(len(joints), 'joint')}"
-            yield finding("USD224", attr.GetPath(), message)
-        return
-    if not np.isfinite(bind).all():
-        yield from _finite(attr, bind, joints)
-        return
-    flat = np.flatnonzero(singular(bind))
-    if len(flat):
-        names = [joints[i] for i in flat]
-        message = f"{len(flat)} bindTransforms have no inverse: {listed(names)}"
-        yield finding("USD226", attr.GetPath(), message)
-    elif len(rest) == len(joints) and np.isfinite(rest).all():
+def _bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
+    faults = list(bind_transforms(skeleton, joints, skins=skins))
+    yield from faults
+    bind = own_matrices(skeleton.GetBindTransformsAttr())
+    rest = own_matrices(skeleton.GetRestTransformsAttr())
+    whole = not faults and len(bind) == len(rest) == len(joints)
+    if whole and np.isfinite(rest).all():
         yield from _swapped(skeleton, joints, rest, bind, skins)
-
-
-def singular(matrices: FloatArray) -> BoolArray:
-    """Return which matrices ``(N, 4, 4)`` have no inverse to speak of."""
-    linear = matrices[:, :3, :3]
-    lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
-    volumes = np.abs(np.linalg.det(linear))
-    flat: BoolArray = (volumes <= SMALLEST_VOLUME * lengths) | (lengths == 0)
-    return flat
 
 
 def _swapped(

@@ -11,9 +11,8 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, excerpt, listed
 from animtool.rules import finding
-from animtool.usd.checks.animation import duplicates, tokens
-from animtool.usd.checks.skeleton import singular
 from animtool.usd.checks.subject import Subject
+from animtool.usd.faults import duplicates, singular, tokens
 
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3

@@ -14,6 +14,7 @@ from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, excerpt
 from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
+from animtool.usd.faults import units_and_axis
 
 
 def check_composition(subject: Subject) -> Iterator[Fault]:
@@ -200,13 +201,11 @@ def check_units(subject: Subject) -> Iterator[Fault]:
     """
     stage: Any = subject.stage
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    if not (unit > 0 and math.isfinite(unit)):
-        yield finding("USD260", ROOT, f"metersPerUnit is {unit:g}")
-    elif not any(UsdGeom.LinearUnitsAre(unit, usual) for usual in USUAL_UNITS):
+    faults = list(units_and_axis(stage))
+    yield from faults
+    usual = any(UsdGeom.LinearUnitsAre(unit, one) for one in USUAL_UNITS)
+    if not (usual or any("metersPerUnit" in fault.message for fault in faults)):
         yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
-    up = str(UsdGeom.GetStageUpAxis(stage))
-    if up not in {"Y", "Z"}:
-        yield finding("USD260", ROOT, f"upAxis is {up!r}")
     yield from _other_units(stage)
 
 

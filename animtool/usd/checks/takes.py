@@ -21,9 +21,8 @@ from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
 from animtool.usd.animation_values import carry_roots, moving_carriers, scale_channel
-from animtool.usd.checks.animation import tokens
-from animtool.usd.checks.skeleton import own_matrices
 from animtool.usd.checks.subject import Subject
+from animtool.usd.faults import Spot, own_matrices, tokens
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import (
     SkeletonRig,
@@ -129,7 +128,7 @@ def _nearest(animation: Any, skeletons: list[Any]) -> Any:
 def _take(
     subject: Subject, path: Path, animation: Any, skeleton: Any, shared: _Shared
 ) -> AnimationTake | None:
-    where = f"{path}<{animation.GetPath()}>"
+    where = Spot.of(path, animation)
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
     found = _rig(subject, animation, skeleton, joints, path)
@@ -200,7 +199,7 @@ def _rig(
     which, values = sampled.rows(len(joints), 3)
     if len(which):
         rest[:, 3, :3] = values[0]
-    where = f"{path}<{animation.GetPath()}>"
+    where = Spot.of(path, animation)
     return rig_from_tokens(joints, rest, name, where, meters, up, {})
 
 

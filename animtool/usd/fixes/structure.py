@@ -8,8 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdSkel, Vt
 
 from animtool.errors import Fault, counted
-from animtool.usd.checks.animation import tokens
-from animtool.usd.checks.skeleton import joint_parents, own_matrices
+from animtool.usd.faults import joint_parents, own_matrices, tokens
 from animtool.usd.fixes.target import (
     AnyArray,
     Change,

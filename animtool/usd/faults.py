@@ -1,0 +1,218 @@
+"""What is wrong with skeletons and animations, and where: for readers and checks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from pxr import UsdGeom
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.rules import finding
+from animtool.units import UpAxis
+
+# Transforms are float32 in most files that hold them.
+LARGEST = float(np.finfo(np.float32).max)
+# Of what a transform with axes of its lengths could enclose.
+SMALLEST_VOLUME = 1e-12
+# Rates and units outside are no rates and units, and would overflow what they scale.
+SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A place that faults are of: a file, and a prim or property in it."""
+
+    path: str
+    where: str | None = None
+
+    @classmethod
+    def of(cls, path: Path | str, prim: Any) -> Spot:
+        """Return the place of a prim, a schema or an attribute of a file."""
+        return cls(str(path), str(prim.GetPath()))
+
+    def at(self, prim: Any) -> Spot:
+        """Return the place of another prim or attribute of the file."""
+        return Spot.of(self.path, prim)
+
+    def fault(
+        self,
+        code: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> Fault:
+        """Return a fault that is here."""
+        return Fault(code, message, self.path, (), hint, severity, where=self.where)
+
+    def fail(self, code: str, message: str, hint: str | None = None) -> NoReturn:
+        """Raise the error of a fault that is here."""
+        raise FormatError(self.fault(code, message, hint))
+
+    def refuse(self, faults: Iterable[Fault]) -> None:
+        """Raise what no reader can go on with; what a check warns of is one as well."""
+        wrong = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
+        if wrong:
+            raise FormatError(wrong)
+
+
+def tokens(attr: Any) -> list[str]:
+    """Return the tokens of an attribute, none where it has no value."""
+    return [str(token) for token in (attr.Get() if attr else None) or ()]
+
+
+def duplicates(names: Sequence[str]) -> list[str]:
+    """Return the names that stand more than once, in order.
+
+    >>> duplicates(["a", "b", "a", "a"])
+    ['a']
+    """
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def joint_parents(joints: Sequence[str]) -> IntArray:
+    """Return the parent of each joint as UsdSkel finds it, -1 for a root.
+
+    >>> joint_parents(["a", "a/b/c"]).tolist()
+    [-1, 0]
+    """
+    index = {name: i for i, name in enumerate(joints)}
+
+    def above(name: str) -> int:
+        while name := name.rpartition("/")[0]:
+            if name in index:
+                return index[name]
+        return -1
+
+    return np.array([above(name) for name in joints], np.int64)
+
+
+def units_and_axis(stage: Any) -> Iterator[Fault]:
+    """Yield that a stage's unit or up axis is none."""
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    if not SMALLEST_METADATA <= unit <= LARGEST_METADATA:
+        yield finding("USD260", "/", f"metersPerUnit is {unit:g}")
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    if up not in list(UpAxis):
+        yield finding("USD260", "/", f"upAxis is {up!r}")
+
+
+def own_matrices(attr: Any) -> FloatArray:
+    """Return the matrices of an attribute ``(N, 4, 4)``, as USD has them."""
+    value = np.array(attr.Get() or ())
+    sound = value.dtype.kind == "f" and value.size % 16 == 0
+    return np.asarray(value if sound else (), np.float64).reshape(-1, 4, 4)
+
+
+def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield what is wrong with joint paths: one twice, or before its parent."""
+    twice = duplicates(joints)
+    if twice:
+        message = f"{len(twice)} of {len(joints)} joints stand twice: {listed(twice)}"
+        yield finding("USD220", where, message)
+        return
+    parents = joint_parents(joints)
+    early = np.flatnonzero(parents > np.arange(len(joints)))
+    if len(early):
+        child = int(early[0])
+        message = (
+            f"joint {child}, {excerpt(joints[child])}, stands before its parent, "
+            f"joint {parents[child]}"
+        )
+        yield finding("USD221", where, message)
+
+
+def rest_transforms(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield what is wrong with the rest transforms of a Skeleton that has joints."""
+    attr = skeleton.GetRestTransformsAttr()
+    rest = own_matrices(attr)
+    if not len(rest):
+        message = f"no restTransforms for {counted(len(joints), 'joint')}"
+        yield finding("USD229", attr.GetPath(), message)
+    elif len(rest) != len(joints):
+        message = f"{counted(len(rest), 'restTransform')}"
+        message += f" for {counted(len(joints), 'joint')}"
+        yield finding("USD223", attr.GetPath(), message)
+    else:
+        yield from _finite(attr, rest, joints)
+
+
+def bind_transforms(
+    skeleton: Any, joints: Sequence[str], *, skins: bool
+) -> Iterator[Fault]:
+    """Yield what is wrong with bind transforms; only skins need that there are some."""
+    attr = skeleton.GetBindTransformsAttr()
+    bind = own_matrices(attr)
+    if len(bind) != len(joints):
+        if len(bind) or skins:
+            message = f"{counted(len(bind), 'bindTransform')}"
+            message += f" for {counted(len(joints), 'joint')}"
+            yield finding("USD224", attr.GetPath(), message)
+        return
+    faults = list(_finite(attr, bind, joints))
+    yield from faults
+    if faults:
+        return
+    flat = np.flatnonzero(singular(bind))
+    if len(flat):
+        names = [joints[i] for i in flat.tolist()]
+        message = f"{len(flat)} bindTransforms have no inverse: {listed(names)}"
+        yield finding("USD226", attr.GetPath(), message)
+
+
+def singular(matrices: FloatArray) -> BoolArray:
+    """Return which matrices ``(N, 4, 4)`` have no inverse to speak of."""
+    linear = matrices[:, :3, :3]
+    lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
+    volumes = np.abs(np.linalg.det(linear))
+    flat: BoolArray = (volumes <= SMALLEST_VOLUME * lengths) | (lengths == 0)
+    return flat
+
+
+def unknown_joints(attr: Any, joints: Sequence[str], skeleton: Any) -> Iterator[Fault]:
+    """Yield that an animation has joints that its Skeleton, a prim's path, lacks."""
+    own = set(joints)
+    unknown = [name for name in tokens(attr) if name not in own]
+    if unknown and own:
+        message = f"{len(unknown)} joints that {skeleton} lacks: {listed(unknown)}"
+        yield finding("USD209", attr.GetPath(), message)
+
+
+def names_twice(attr: Any) -> Iterator[Fault]:
+    """Yield that an animation names a joint or a shape twice."""
+    names = tokens(attr)
+    twice = duplicates(names)
+    if twice:
+        message = f"{len(twice)} of {len(names)} names stand twice: {listed(twice)}"
+        yield finding("USD207", attr.GetPath(), message)
+
+
+def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield that an animation of joints lacks translations, rotations or scales."""
+    attributes = {
+        "translations": animation.GetTranslationsAttr(),
+        "rotations": animation.GetRotationsAttr(),
+        "scales": animation.GetScalesAttr(),
+    }
+    missing = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
+    if len(missing) == len(attributes):
+        message = f"names {counted(len(joints), 'joint')} and moves none"
+        hint = "author all three, or leave joints out"
+        where = str(animation.GetPath())
+        yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
+    elif missing:
+        message = f"no value of {listed(missing)}, for {counted(len(joints), 'joint')}"
+        yield finding("USD201", animation.GetPath(), message)
+
+
+def _finite(attr: Any, matrices: FloatArray, joints: Sequence[str]) -> Iterator[Fault]:
+    bad = np.flatnonzero(~(np.abs(matrices) <= LARGEST).all(axis=(1, 2)))
+    if len(bad):
+        names = [joints[i] for i in bad.tolist()]
+        message = f"{len(bad)} transforms are not finite: {listed(names)}"
+        yield finding("USD225", attr.GetPath(), message)
