@@ -7,16 +7,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
+import numpy as np
 from pxr import Sdf, Tf, Vt
 
+from animtool._types import FloatArray
 from animtool.output import replacing
 from animtool.placing import output_error
-from animtool.usd.layers import save_layer, usd_reason
+from animtool.usd.layers import (
+    StageMetadata,
+    author_metadata,
+    export_layer,
+    save_layer,
+    usd_reason,
+)
 
 # Samples in memory before they go to the disk [byte].
 HELD = 32_000_000
@@ -142,6 +151,96 @@ def system_files(output: Path) -> ClipFiles:
     """
     manifest = output.with_name(f"{output.stem}.systems.manifest.usda")
     return ClipFiles(output, "systems", manifest)
+
+
+Opened = TypeVar("Opened")
+
+
+class Chunks(Generic[Opened]):
+    """Samples in files of some each, closed when every prim has samples of the next.
+
+    Every file also has the first sample of the next, for what lies between them.
+    """
+
+    def __init__(
+        self,
+        files: ClipFiles,
+        size: int,
+        prims: int,
+        opener: Callable[[Path, int], AbstractContextManager[Opened]],
+    ) -> None:
+        """Begin.
+
+        size: samples a file; prims: how many there are; opener: gives a file, 0 being
+        the first, that is whole at the end of the block.
+        """
+        self.files, self._size, self._opener = files, size, opener
+        self._done = [0] * prims
+        self._open: dict[int, tuple[ExitStack, Opened]] = {}
+        self.starts: list[float] = []
+        self.last = -np.inf
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        """Close what is open, whole where all went well."""
+        for number in sorted(self._open):
+            if error[0] is None:
+                self._close(number)
+            else:
+                self._open.pop(number)[0].__exit__(*error)
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files, in order."""
+        return [self.files.chunk(number) for number in range(len(self.starts))]
+
+    def add(
+        self, prim: int, codes: FloatArray, put: Callable[[Opened, slice], object]
+    ) -> None:
+        """Put frames at time codes ``(F,)`` into the files that they belong to.
+
+        prim: 0 being the first; put: writes some of the frames to a file.
+        """
+        begin = 0
+        while begin < len(codes):
+            number, at = divmod(self._done[prim], self._size)
+            count = min(self._size - at, len(codes) - begin)
+            if at == 0 and number:
+                put(self._open[number - 1][1], slice(begin, begin + 1))
+            if number == len(self.starts):
+                stack = ExitStack()
+                opened = self._opener(self.files.chunk(number), number)
+                self._open[number] = stack, stack.enter_context(opened)
+                self.starts.append(float(codes[begin]))
+            put(self._open[number][1], slice(begin, begin + count))
+            self._done[prim] += count
+            begin += count
+        self.last = max(self.last, float(codes[-1]))
+        for number in sorted(self._open):
+            if min(self._done) > (number + 1) * self._size:
+                self._close(number)
+
+    def _close(self, number: int) -> None:
+        self._open.pop(number)[0].close()
+
+    def join(self, layer: Any, path: str) -> None:
+        """Let a prim of a layer, and what is below it, have the values of the files."""
+        author_clips(layer, path, self.files, self.starts, self.last)
+
+    def save_manifest(self, layer: Any) -> list[Path]:
+        """Write what states which attributes the files have; return all files."""
+        with replacing(self.files.manifest) as temporary:
+            export_layer(layer, temporary, self.files.manifest)
+        return [*self.paths, self.files.manifest]
+
+
+def author_span(layer: Any, metadata: StageMetadata) -> None:
+    """State of a layer what another does, and the range of its own samples."""
+    codes = layer.ListAllTimeSamples()
+    first, last = Fraction(codes[0]), Fraction(codes[-1])
+    author_metadata(layer, replace(metadata, first=first, last=last))
 
 
 def author_clips(

@@ -6,7 +6,7 @@ What joints deform is blocks of frames of one shape, and is sampled where it cha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Generic, TypeVar
@@ -212,8 +212,7 @@ class FrameWriter:
         self.unit = meters_per_unit  # of the layer [m]
         self._first: Any = None
         self._kinds: dict[str, _Kind] = {}  # of what every frame has, in order
-        self._last: dict[str, Any] = {}
-        self._letters: dict[str, str] = {}
+        self._letters: dict[str, str] = {}  # of what has a default
 
     @cached_property
     def triangles(self) -> IntArray:
@@ -239,8 +238,8 @@ class FrameWriter:
             self.report.sampled += [name] if tears else []
         form.describe(spec, frame, self.unit)
 
-    def add(self, layer: Any, code: float, frame: Frame) -> int:
-        """Write a frame to a layer that has the prim; return its size [byte]."""
+    def values(self, code: float, frame: Frame) -> tuple[dict[str, Any], int]:
+        """Return attributes of a frame, counted in the report, and their bytes."""
         report, form = self.report, FORMS[type(frame)]
         points, error, vertex = self._rounded("points", frame.points, code)
         values = {"points": points, **form.values(self, frame, points, code)}
@@ -251,33 +250,31 @@ class FrameWriter:
                 else self.narrowed(f"primvars:{name}", array, code)
             )
         values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
-        for name, kind in self._kinds.items():
-            self.put(layer, code, name, kind.make(values[name]))
         size = sum(array.nbytes for array in values.values())
+        held = {name: kind.make(values[name]) for name, kind in self._kinds.items()}
         for name, array in form.shape(frame).items() if form.tears(frame) else ():
-            self.put(layer, code, name, ATTRIBUTES[name].make(array))
+            held[name] = ATTRIBUTES[name].make(array)
             size += array.nbytes
         report.vertices = max(report.vertices, len(points))
         report.samples += 1
         report.bytes += size
         report.moved(error, code, vertex)
-        return size
+        return held, size
 
-    def repeat(self, layer: Any, code: float) -> None:
-        """Write the last frame into another layer too, which is not counted."""
-        for name, value in self._last.items():
+    def write(self, layer: Any, code: float, values: Mapping[str, Any]) -> None:
+        """Write attributes of a frame to a layer that has the prim."""
+        for name, value in values.items():
             self.put(layer, code, name, value)
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
         """Write the value of an attribute at a time code; the first is its default."""
         path = f"{self.report.path}.{name}"
-        if name not in self._last:
+        if name not in self._letters:
             spec = layer.GetAttributeAtPath(path)
             self._letters[name] = largest(spec.typeName)
             spec.default = value
         if letter := self._letters[name]:
             check_value(value, letter, self._labels(name), code)
-        self._last[name] = value
         layer.SetTimeSample(path, code, value)
 
     def narrowed(
@@ -340,9 +337,9 @@ class PointBlock:
         report.bytes += sum(rows.nbytes for _, rows in self.values())
         report.moved(self.error, self.error_code, self.error_vertex)
 
-    def select(self, frames: slice) -> PointBlock:
-        """Return some of the frames; the error stays that of all."""
-        return replace(
+    def put(self, writers: Sequence[BlockWriter], frames: slice) -> None:
+        """Write some of the frames; the error stays that of all."""
+        some = replace(
             self,
             codes=self.codes[frames],
             points=self.points[frames],
@@ -350,6 +347,8 @@ class PointBlock:
             normals=None if self.normals is None else self.normals[frames],
             velocities=None if self.velocities is None else self.velocities[frames],
         )
+        with Sdf.ChangeBlock():
+            writers[self.mesh].add(some)
 
 
 class BlockWriter:

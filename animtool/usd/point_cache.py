@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +18,7 @@ from animtool.rig.surfaces import Strands, Surface
 from animtool.shot import Shot
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis
-from animtool.usd.chunks import ClipFiles, author_clips, point_files
+from animtool.usd.chunks import Chunks, author_span, point_files
 from animtool.usd.finite import Labels, rounded
 from animtool.usd.layers import (
     StageMetadata,
@@ -182,21 +183,16 @@ class ChunkedCache:
 
     layer: Any
     reports: list[CachedMesh]
-    _job: CacheJob
-    _chunks: _Chunks
-    _clips: ClipFiles
+    _manifest: Any
+    _chunks: Chunks[list[BlockWriter]]
 
     def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
-        output, clips = self._clips.output, self._clips
-        if self._job.target is None and any(report.samples for report in self.reports):
-            self.layer.subLayerPaths.append(clips.defaults)
-        with replacing(clips.manifest) as temporary:
-            manifest = _manifest(self._job, self._chunks)
-            export_layer(manifest, temporary, clips.manifest)
-        save(self.layer, output)
-        once_named(lambda: clips.remove_others(self._chunks.paths))
-        return [*self._chunks.paths, clips.manifest, output]
+        clips = self._chunks.files
+        files = self._chunks.save_manifest(self._manifest)
+        save(self.layer, clips.output)
+        once_named(lambda: clips.remove_others(files))
+        return [*files, clips.output]
 
 
 def write_chunks(
@@ -204,147 +200,91 @@ def write_chunks(
 ) -> ChunkedCache:
     """Write the points of a cache in files of some samples each.
 
-    Every file also has the first sample of the next, for what lies between them.
     Nothing is there under its name before all is written, the layer last. Only then do
     chunks go that an earlier, longer bake left: a layer always has its own.
     """
-    output = job.output
-    assert output is not None
-    clips = point_files(output)
-    layer = new_layer(output)
+    assert job.output is not None
+    layer = new_layer(job.output)
     with Sdf.ChangeBlock():
         specs = author_prims(layer, job)
-    chunks = _Chunks(job, clips, size)
-    for block in blocks:
-        chunks.add(block)
-    chunks.finish()
+    chunked = [_ChunkedMesh(path) for path in job.meshes]
+
+    def chunk(path: Path, number: int) -> AbstractContextManager[list[BlockWriter]]:
+        return _chunk(job, path, rest=number == 0 and job.target is None)
+
+    files = point_files(job.output)
+    with Chunks(files, size, len(chunked), chunk) as chunks:
+        for block in blocks:
+            chunked[block.mesh].see(block)
+            chunks.add(block.mesh, block.codes, block.put)
+    metadata = cache_metadata(job, chunks.starts[0], chunks.last)
+    manifest = new_layer(files.manifest)
     with Sdf.ChangeBlock():
-        _author_still(specs, job, chunks)
-        author_metadata(layer, chunks.metadata())
-        author_clips(layer, job.paths.root, clips, chunks.starts, chunks.last)
+        for mesh in chunked:
+            mesh.author(specs[mesh.report.path], whole=job.target is None)
+            mesh.declare(prim(manifest, mesh.report.path, over=True))
+        author_metadata(layer, metadata)
+        author_metadata(manifest, metadata)
+        chunks.join(layer, job.paths.root)
     if job.target is not None:
         job.target.check(layer, points=False)
-    return ChunkedCache(layer, chunks.reports, job, chunks, clips)
+    reports = [mesh.report for mesh in chunked]
+    if job.target is None and any(report.samples for report in reports):
+        layer.subLayerPaths.append(files.defaults)
+    return ChunkedCache(layer, reports, manifest, chunks)
 
 
-class _Chunk:
-    """A file in the making."""
-
-    def __init__(self, job: CacheJob, path: Path) -> None:
-        self.path = path
-        self.layer = new_layer(self.path)
-        self.first, self.last = np.inf, -np.inf
-        self.writers = [
-            BlockWriter(prim(self.layer, path, over=True)) for path in job.meshes
-        ]
-
-    def add(self, block: PointBlock) -> None:
-        with Sdf.ChangeBlock():
-            self.writers[block.mesh].add(block)
-        self.first = min(self.first, float(block.codes[0]))
-        self.last = max(self.last, float(block.codes[-1]))
-
-
-class _Chunks:
-    """Files of a cache, each written when the next has begun for every mesh."""
-
-    def __init__(self, job: CacheJob, clips: ClipFiles, size: int) -> None:
-        self._job, self._clips, self._size = job, clips, size
-        self._done = [0] * len(job.meshes)
-        self._open: dict[int, _Chunk] = {}
-        self._written = 0
-        self.paths: list[Path] = []
-        self.starts: list[float] = []
-        self.last = -np.inf
-        self.reports = [CachedMesh(path) for path in job.meshes]
-        self.still: list[dict[str, Float32Array] | None] = [{} for _ in job.meshes]
-        self.names: list[list[str]] = [[] for _ in job.meshes]
-
-    def add(self, block: PointBlock) -> None:
-        """Put frames into the files that they belong to."""
-        self._count(block)
-        begin, mesh = 0, block.mesh
-        while begin < len(block.codes):
-            number, at = divmod(self._done[mesh], self._size)
-            count = min(self._size - at, len(block.codes) - begin)
-            if at == 0 and number:
-                self._open[number - 1].add(block.select(slice(begin, begin + 1)))
-            if number not in self._open:
-                path = self._clips.chunk(number)
-                self._open[number] = _Chunk(self._job, path)
-            self._open[number].add(block.select(slice(begin, begin + count)))
-            self._done[mesh] += count
-            begin += count
-        while min(self._done) > (self._written + 1) * self._size:
-            self._close(self._written)
-
-    def _count(self, block: PointBlock) -> None:
-        block.count(self.reports[block.mesh])
-        given = dict(block.values())
-        self.names[block.mesh] = list(given)
-        still = self.still[block.mesh]
-        if still is None:
-            return
-        for name, rows in given.items():
-            still.setdefault(name, rows[0].copy())
-        if (block.points != still["points"]).any():
-            self.still[block.mesh] = None
-
-    def _close(self, number: int) -> None:
-        chunk = self._open.pop(number)
-        with Sdf.ChangeBlock():
-            for writer in chunk.writers:
-                writer.release()
-                if number == 0 and self._job.target is None:
-                    writer.rest()
-            metadata = cache_metadata(self._job, chunk.first, chunk.last)
-            author_metadata(chunk.layer, metadata)
-            chunk.layer.startTimeCode, chunk.layer.endTimeCode = chunk.first, chunk.last
-        with replacing(chunk.path) as temporary:
-            export_layer(chunk.layer, temporary, chunk.path)
-        self.paths.append(chunk.path)
-        self.starts.append(chunk.first)
-        self.last = max(self.last, chunk.last)
-        self._written += 1
-
-    def finish(self) -> None:
-        """Write what is left."""
-        for number in sorted(self._open):
-            self._close(number)
-        for report, still, names in zip(
-            self.reports, self.still, self.names, strict=True
-        ):
-            report.sampled = [] if still is not None else names
-            if still is not None:
-                report.samples = report.bytes = 0
-
-    def metadata(self) -> Any:
-        """Return what the layer of all files states."""
-        return cache_metadata(self._job, self.starts[0], self.last)
-
-
-def _author_still(specs: Any, job: CacheJob, chunks: _Chunks) -> None:
-    """Declare what the files hold; what never moves has its value here, which wins."""
-    for path, names, still in zip(job.meshes, chunks.names, chunks.still, strict=True):
-        for name in names:
-            if still is None:
-                empty_attribute(specs[path], name)
-            elif name != "velocities":
-                empty_attribute(specs[path], name).finish(still[name])
-            elif job.target is None:
-                # The first chunk, a sublayer for its defaults, has zeros there.
-                kind = Sdf.ValueTypeNames.Vector3fArray
-                attribute(specs[path], name, kind, Sdf.ValueBlock())
-
-
-def _manifest(job: CacheJob, chunks: _Chunks) -> Any:
-    layer = new_layer(Path("manifest.usda"))
+@contextmanager
+def _chunk(job: CacheJob, path: Path, *, rest: bool) -> Iterator[list[BlockWriter]]:
+    """Give the writers of a file, with defaults of points if asked."""
+    layer = new_layer(path)
+    writers = [BlockWriter(prim(layer, mesh, over=True)) for mesh in job.meshes]
+    yield writers
     with Sdf.ChangeBlock():
-        for path, names, still in zip(
-            job.meshes, chunks.names, chunks.still, strict=True
-        ):
-            spec = prim(layer, path, over=True)
-            for name in names if still is None else ():
+        for writer in writers:
+            writer.release()
+            if rest:
+                writer.rest()
+        author_span(layer, cache_metadata(job, 0.0, 0.0))
+    with replacing(path) as temporary:
+        export_layer(layer, temporary, path)
+
+
+class _ChunkedMesh:
+    """What the layer that joins chunks has of a mesh, and its report."""
+
+    def __init__(self, path: str) -> None:
+        self.report = CachedMesh(path)
+        # Values of the first frame, while points are where they are there.
+        self._still: dict[str, Float32Array] | None = None
+
+    def see(self, block: PointBlock) -> None:
+        """Note which attributes frames have, and whether points move."""
+        values = dict(block.values())
+        if not self.report.sampled:
+            self._still = {name: rows[0].copy() for name, rows in values.items()}
+        block.count(self.report)
+        self.report.sampled = list(values)
+        if self._still is not None and (block.points != self._still["points"]).any():
+            self._still = None
+
+    def author(self, spec: Any, *, whole: bool) -> None:
+        """Declare what the files hold; what never moves has its value here, which wins.
+
+        whole: whether the first chunk, a sublayer for its defaults, has zeros there.
+        """
+        for name in self.report.sampled:
+            if self._still is None:
                 empty_attribute(spec, name)
-        author_metadata(layer, chunks.metadata())
-    return layer
+            elif name != "velocities":
+                empty_attribute(spec, name).finish(self._still[name])
+            elif whole:
+                kind = Sdf.ValueTypeNames.Vector3fArray
+                attribute(spec, name, kind, Sdf.ValueBlock())
+        if self._still is not None:
+            self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0
+
+    def declare(self, spec: Any) -> None:
+        """Declare, in the manifest, what the files hold of what moves."""
+        for name in self.report.sampled:
+            empty_attribute(spec, name)

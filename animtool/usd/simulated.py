@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from fractions import Fraction
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 from pxr import Sdf
 
 from animtool._types import FloatArray
 from animtool.frames import Frame
 from animtool.output import replacing
-from animtool.usd.chunks import ClipFiles, Growing, author_clips, growing_crate
+from animtool.usd.chunks import (
+    Chunks,
+    ClipFiles,
+    Growing,
+    author_span,
+    growing_crate,
+)
 from animtool.usd.layers import (
     StageMetadata,
     attribute,
     author_metadata,
+    author_model,
     author_order,
-    export_layer,
     new_layer,
     prim,
     quaternion,
@@ -33,21 +39,13 @@ Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """What to write.
+    """What to write."""
 
-    Attributes:
-        model: Path of the prim above all others.
-        names: Of the other prims, legal and distinct.
-        metadata: What the layer states.
-        meters_per_unit: Unit of what is below the model [m].
-        turn: From y up to the up axis there ``(4,)``; None is none.
-    """
-
-    model: str
-    names: Sequence[str]
-    metadata: StageMetadata
-    meters_per_unit: float
-    turn: FloatArray | None = None
+    model: str  # path of the prim above all others
+    names: Sequence[str]  # of the other prims, legal and distinct
+    metadata: StageMetadata  # what the layer states
+    meters_per_unit: float  # unit of what is below the model [m]
+    turn: FloatArray | None = None  # from y up to the up axis there (4,); None is none
 
     @property
     def paths(self) -> list[str]:
@@ -62,15 +60,10 @@ class SimulatedJob:
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
     """Return a layer with nothing but the prim above the others.
 
-    Args:
-        job: What is to be in it.
-        output: The file that it becomes; None is usda for stdout.
+    output: the file that it becomes; None is usda for stdout.
     """
     layer = new_layer(output or Path("stdout.usda"))
-    model = Sdf.Path(job.model)
-    for ancestor in model.GetPrefixes():
-        kind = "component" if ancestor == model else "group"
-        prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    author_model(layer, job.model)
     author_metadata(layer, job.metadata)
     return layer
 
@@ -82,10 +75,13 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
         OutputError: The file cannot be written.
     """
     writers = job.writers()
-    for i, (code, frame) in enumerate(rows):
-        if not i:
-            _begin(job, writers, growing.layer, frame)
-        growing.added(_add(writers, growing.layer, code, frame))
+    for code, frames in _begun(job, writers, rows, growing.layer):
+        size = 0
+        for writer, frame in zip(writers, frames, strict=True):
+            values, own_size = writer.values(code, frame)
+            writer.write(growing.layer, code, values)
+            size += own_size
+        growing.added(size)
     return [writer.report for writer in writers]
 
 
@@ -94,12 +90,9 @@ def chunk_simulated(
 ) -> tuple[list[Path], list[CachedMesh]]:
     """Write samples of prims in files of some each, and let a layer join them.
 
-    Every file also has the first sample of the next, for what lies between them.
-
     Args:
         job: What to write.
-        rows: Of each frame its time code, and what each prim is, as its writer takes
-            it.
+        rows: Of each frame its time code, and what each prim is then.
         layer: In memory, with the prim above the others. It gets these, without
             samples.
         files: How the files are called.
@@ -112,73 +105,55 @@ def chunk_simulated(
         OutputError: A file cannot be written.
     """
     writers = job.writers()
-    starts: list[float] = []
-    code = 0.0
-    with ExitStack() as last:
 
-        def following() -> Growing:
-            last.close()
-            path = files.chunk(len(starts))
-            starts.append(code)
-            return last.enter_context(_chunk(job, writers, layer, path))
+    @contextmanager
+    def chunk(path: Path, _: int) -> Iterator[Growing]:
+        with replacing(path) as temporary, growing_crate(temporary, path) as growing:
+            _declare(growing.layer, writers, layer)
+            yield growing
+            author_span(growing.layer, job.metadata)
 
-        for i, (code, frame) in enumerate(rows):
-            if not i:
-                _begin(job, writers, layer, frame)
-                growing = following()
-            growing.added(_add(writers, growing.layer, code, frame))
-            if i and i % size == 0:
-                growing = following()
-                for writer in writers:
-                    writer.repeat(growing.layer, code)
-    author_clips(layer, job.model, files, starts, code)
+    with Chunks(files, size, len(writers), chunk) as chunks:
+        for code, frames in _begun(job, writers, rows, layer):
+            for i, (writer, frame) in enumerate(zip(writers, frames, strict=True)):
+                chunks.add(i, np.array([code]), _put(writer, code, frame))
+    chunks.join(layer, job.model)
     layer.subLayerPaths.append(files.defaults)
-    with replacing(files.manifest) as temporary:
-        manifest = new_layer(files.manifest)
-        _declare(manifest, writers, layer)
-        author_metadata(manifest, job.metadata)
-        export_layer(manifest, temporary, files.manifest)
-    paths = [files.chunk(i) for i in range(len(starts))]
-    return [*paths, files.manifest], [writer.report for writer in writers]
+    manifest = new_layer(files.manifest)
+    _declare(manifest, writers, layer)
+    author_metadata(manifest, job.metadata)
+    return chunks.save_manifest(manifest), [writer.report for writer in writers]
 
 
-def _begin(
-    job: SimulatedJob,
-    writers: Sequence[FrameWriter],
-    layer: Any,
-    frame: Sequence[Frame],
-) -> None:
-    """Write the prims, each turned as a whole where another axis is up."""
+def _begun(
+    job: SimulatedJob, writers: Sequence[FrameWriter], rows: Rows, layer: Any
+) -> Rows:
+    """Yield rows; at the first a layer gets the prims, without samples.
+
+    Each is turned as a whole where another axis is up.
+    """
     types = Sdf.ValueTypeNames
-    for writer, row in zip(writers, frame, strict=True):
-        writer.begin(layer, row)
-        if job.turn is not None:
-            spec, turn = layer.GetPrimAtPath(writer.report.path), quaternion(job.turn)
-            attribute(spec, "xformOp:orient", types.Quatd, turn)
-            author_order(spec, "xformOp:orient")
+    for i, (code, frames) in enumerate(rows):
+        for writer, frame in () if i else zip(writers, frames, strict=True):
+            writer.begin(layer, frame)
+            if job.turn is not None:
+                spec, turn = layer.GetPrimAtPath(writer.report.path), job.turn
+                attribute(spec, "xformOp:orient", types.Quatd, quaternion(turn))
+                author_order(spec, "xformOp:orient")
+        yield code, frames
 
 
-def _add(
-    writers: Sequence[FrameWriter], layer: Any, code: float, frame: Sequence[Frame]
-) -> int:
-    """Write a frame of all; return its size in memory [byte]."""
-    return sum(
-        writer.add(layer, code, row) for writer, row in zip(writers, frame, strict=True)
-    )
+def _put(
+    writer: FrameWriter, code: float, frame: Frame
+) -> Callable[[Growing, slice], None]:
+    """Return what writes a frame to a file."""
+    values, size = writer.values(code, frame)
 
+    def put(growing: Growing, _: slice) -> None:
+        writer.write(growing.layer, code, values)
+        growing.added(size)
 
-@contextmanager
-def _chunk(
-    job: SimulatedJob, writers: Sequence[FrameWriter], layer: Any, path: Path
-) -> Iterator[Growing]:
-    """Give a file for samples, that is whole at the end of the block."""
-    with replacing(path) as temporary, growing_crate(temporary, path) as growing:
-        chunk = growing.layer
-        _declare(chunk, writers, layer)
-        yield growing
-        codes = chunk.ListAllTimeSamples()
-        span = Fraction(codes[0]), Fraction(codes[-1])
-        author_metadata(chunk, replace(job.metadata, first=span[0], last=span[1]))
+    return put
 
 
 def _declare(layer: Any, writers: Sequence[FrameWriter], whole: Any) -> None:

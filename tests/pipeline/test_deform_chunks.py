@@ -13,7 +13,8 @@ from support.point_caches import layered, world_points
 from support.skinned_rig import write_pair
 from support.usd import validation_errors
 
-from animtool.usd import point_cache
+from animtool.usd import chunks
+from animtool.usd.point_based import BlockWriter
 
 CODES = [float(code) for code in range(1, 10)]
 NAMES = ["points", "extent", "normals", "velocities"]
@@ -86,14 +87,14 @@ def test_few_files_are_open_at_a_time(
 ) -> None:
     write_pair(tmp_path)
     most = 0
-    closing = point_cache._Chunks._close
+    closing = chunks.Chunks._close
 
-    def close(self: point_cache._Chunks, number: int) -> None:
+    def close(self: chunks.Chunks[list[BlockWriter]], number: int) -> None:
         nonlocal most
         most = max(most, len(self._open))
         closing(self, number)
 
-    monkeypatch.setattr(point_cache._Chunks, "_close", close)
+    monkeypatch.setattr(chunks.Chunks, "_close", close)
     monkeypatch.setattr("animtool.scene.deform.PIECE", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2
@@ -113,7 +114,7 @@ def test_nothing_is_left_where_a_bake_fails(
     def fail(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(point_cache, "author_clips", fail)
+    monkeypatch.setattr(chunks, "author_clips", fail)
     assert animtool("bake", *options, cwd=tmp_path).code == 130
     assert sorted(tmp_path.iterdir()) == before
 

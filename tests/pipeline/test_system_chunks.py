@@ -15,7 +15,7 @@ from support.cli import animtool
 from support.sanitized import SANITIZED
 from support.usd import validation_errors
 
-from animtool.usd import simulated
+from animtool.usd import chunks
 
 SCENE = """\
 scene: animtool/1
@@ -152,7 +152,7 @@ def test_nothing_is_left_where_a_bake_fails(
     def fail(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulated, "author_clips", fail)
+    monkeypatch.setattr(chunks, "author_clips", fail)
     assert animtool("bake", *options, cwd=tmp_path).code == 130
     assert sorted(tmp_path.iterdir()) == before
 

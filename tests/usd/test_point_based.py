@@ -36,9 +36,10 @@ def test_named_arrays_of_every_frame_are_sampled_primvars() -> None:
         layer = Sdf.Layer.CreateAnonymous(".usda")
         writer = FrameWriter("/it", 0.01)
         writer.begin(layer, frame)
-        writer.add(layer, 1.0, frame)
+        writer.write(layer, 1.0, writer.values(1.0, frame)[0])
         other = {name: values + 1 for name, values in PRIMVARS.items()}
-        writer.add(layer, 2.0, replace(frame, primvars=other))
+        changed = replace(frame, primvars=other)
+        writer.write(layer, 2.0, writer.values(2.0, changed)[0])
         stage = Usd.Stage.Open(layer)
         prim = stage.GetPrimAtPath("/it")
         for name, values in PRIMVARS.items():
