@@ -14,9 +14,9 @@ from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
 from animtool.ranges import OF_ENTRY, range_faults
-from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import Body, Family
+from animtool.systems.springs.drawing import Shape
 
 # Of many that are odd in the same way, those that are named.
 MAX_NAMED = 5

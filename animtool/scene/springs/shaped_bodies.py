@@ -18,7 +18,6 @@ from animtool.scene.springs.bodies import (
     share_out,
     some_of,
 )
-from animtool.scene.springs.shapes import Curves, Faces
 from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import (
     Body,
@@ -30,6 +29,7 @@ from animtool.systems.springs import (
     surface,
     tetrahedra,
 )
+from animtool.systems.springs.drawing import Curves, Faces
 from animtool.systems.springs.spec import (
     ClothModel,
     RopeModel,

@@ -23,7 +23,6 @@ from animtool.scene.springs.paths import (
     ties_of,
     wind_ties,
 )
-from animtool.scene.springs.run import SpringRun, Watched
 from animtool.scene.springs.setup import (
     SpringSetup,
     contact_of,
@@ -32,11 +31,12 @@ from animtool.scene.springs.setup import (
     shared,
     wind_of,
 )
-from animtool.scene.springs.shapes import Faces, TornMesh
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
+from animtool.systems.springs.drawing import Faces, TornMesh
+from animtool.systems.springs.run import SpringRun, Watched
 from animtool.systems.springs.spec_parts import FaceWindModel
 from animtool.systems.springs.trial import SpringTrial
 

@@ -16,7 +16,6 @@ from animtool.maths import so3
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
 from animtool.scene.springs.pins import numbered
-from animtool.scene.springs.shapes import Curves
 from animtool.scene.springs.system import RunningSprings
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
@@ -25,6 +24,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
+from animtool.systems.springs.drawing import Curves
 from animtool.take import Take
 from animtool.units import UpAxis, up_from_up
 

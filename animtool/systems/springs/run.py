@@ -6,6 +6,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +14,15 @@ import numpy.typing as npt
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, ToleranceError
 from animtool.maths.faces import triangulated
-from animtool.scene.progress import Progress
-from animtool.scene.springs.shapes import Faces
 from animtool.sim.trajectory import Checkpoint, Status
-from animtool.systems.springs import (
-    SpringMotion,
-    SpringOptions,
-    SpringSystem,
-    simulate_springs,
-)
+from animtool.systems.springs.drawing import Faces
+from animtool.systems.springs.options import SpringMotion
+from animtool.systems.springs.records import SpringOptions
+from animtool.systems.springs.simulating import simulate_springs
+from animtool.systems.springs.system import SpringSystem
 
+# Told how far it is; None where nobody looks.
+Progress: TypeAlias = Callable[[float], None] | None
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
 # Notices whose message says how much it is so far.

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from animtool._types import FloatArray, IntArray
 from animtool.frames import CurvesFrame, MeshFrame
 from animtool.maths.faces import sides
-from animtool.systems.springs import Springs, Tearing, tear_surface
+from animtool.systems.springs.body import Springs
+from animtool.systems.springs.tearing import Tearing, tear_surface
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
