@@ -38,6 +38,20 @@ class SpringBody:
     notices: tuple[Fault, ...] = ()  # what is odd about them
 
 
+@dataclass(frozen=True, slots=True)
+class BodyEntry:
+    """An entry that becomes a body: where its faults are noted, springs and mass."""
+
+    reader: EntryReader
+    at: Location
+    families: Families
+    mass: float  # [kg]
+
+    def note(self, code: str, message: str, *keys: str) -> None:
+        """Note a fault at a key of the entry."""
+        self.reader.note((*self.at, *keys), Fault(code, message))
+
+
 def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
     """Return a mass; what is none is noted, and 1 kg stands in for it."""
     if mass >= LIGHTEST:
@@ -108,24 +122,20 @@ def _has_one_stiffness(
     return False
 
 
-def check_grid(
-    reader: EntryReader, at: Location, what: str, resolution: Sequence[int]
-) -> None:
+def check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
     """Note a grid of too few particles some way, or of too many."""
     if min(resolution) < 2 or math.prod(resolution) > MOST:
         *first, last = resolution
         given = f"{listed(first)} and {last}"
         message = f"{what} has 2 particles or more each way, and {MOST} at most"
         message += f", not {given}"
-        reader.note((*at, "resolution"), Fault("SIM050", message))
+        entry.note("SIM050", message, "resolution")
 
 
-def refuse_keys(
-    reader: EntryReader, at: Location, model: FileModel, keys: set[str], why: str
-) -> None:
+def refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
     """Note keys that an entry gives, and that are for what it is not, and why."""
     for key in sorted(keys & model.model_fields_set):
-        reader.note((*at, key), Fault("SIM050", f"{key} {why}"))
+        entry.note("SIM050", f"{key} {why}", key)
 
 
 def share_out(

@@ -14,7 +14,7 @@ from animtool._types import IntArray
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError, counted
 from animtool.scene.entries import SceneSystem
-from animtool.scene.springs.bodies import SpringBody, families_of, mass_of
+from animtool.scene.springs.bodies import BodyEntry, SpringBody, families_of, mass_of
 from animtool.scene.springs.pins import Join, Pin, numbered, read_pins
 from animtool.scene.springs.shaped_bodies import (
     cloth_body,
@@ -253,7 +253,7 @@ def read_springs(
 def _body(reader: EntryReader, at: Location, spec: Any) -> SpringBody | None:
     families = families_of(reader, (*at, "springs"), spec.springs)
     mass = mass_of(reader, (*at, "mass"), spec.mass)
-    return _BODIES[type(spec)](reader, at, spec, families, mass)
+    return _BODIES[type(spec)](BodyEntry(reader, at, families, mass), spec)
 
 
 def _check_options(reader: EntryReader, at: Location, spec: SpringsModel) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, Severity, counted, listed
 from animtool.maths.faces import edge_counts, sides
 from animtool.scene.springs.bodies import (
     MOST,
-    Families,
+    BodyEntry,
     SpringBody,
     check_grid,
     mass_of,
@@ -18,7 +17,6 @@ from animtool.scene.springs.bodies import (
     share_out,
     some_of,
 )
-from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import (
     Body,
     block,
@@ -39,57 +37,45 @@ from animtool.systems.springs.spec import (
 from animtool.units import UpAxis
 
 
-def rope_body(
-    reader: EntryReader,
-    at: Location,
-    model: RopeModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def rope_body(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
     """Return a rope; None where what is noted leaves none."""
     if not 2 <= model.count <= MOST:
         message = f"a rope has 2 to {MOST} particles, not {model.count}"
-        reader.note((*at, "count"), Fault("SIM050", message))
+        entry.note("SIM050", message, "count")
     if model.start == model.end:
         message = "it begins and ends at one place"
-        reader.note((*at, "to"), Fault("SIM050", message))
+        entry.note("SIM050", message, "to")
     tip = model.tip_mass
     if tip is not None:
-        tip = mass_of(reader, (*at, "tip_mass"), tip)
-    if not reader.sound:
+        tip = mass_of(entry.reader, (*entry.at, "tip_mass"), tip)
+    if not entry.reader.sound:
         return None
     count = model.count
     body = rope(
         model.start,
         model.end,
         count,
-        families["structural"],
-        mass=mass / count,
+        entry.families["structural"],
+        mass=entry.mass / count,
         tip_mass=tip,
-        bend=families["bend"],
+        bend=entry.families["bend"],
     )
     places = {"start": np.array([0]), "end": np.array([count - 1])}
     shape = Curves(np.array([count]), 2 * model.radius, body.springs)
     return SpringBody(body, places, shape)
 
 
-def strands_body(
-    reader: EntryReader,
-    at: Location,
-    model: StrandsModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def strands_body(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     """Return strands; None where what is noted leaves none."""
-    points = reader.array((*at, "points"), model.points, "points")
+    points = entry.reader.array((*entry.at, "points"), model.points, "points")
     if points is not None and not _are_strands(points):
         message = f"strands have the shape (strands, 2 or more, 3), not {points.shape}"
-        reader.note((*at, "points"), Fault("SIM050", message))
-    if points is None or not reader.sound:
+        entry.note("SIM050", message, "points")
+    if points is None or not entry.reader.sound:
         return None
     many, length = points.shape[:2]
-    each = mass / (many * length)
-    along, bend = families["structural"], families["bend"]
+    each = entry.mass / (many * length)
+    along, bend = entry.families["structural"], entry.families["bend"]
     body = join([strand(row, along, mass=each, bend=bend) for row in points])
     numbers = np.arange(many * length).reshape(many, length)
     places = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
@@ -101,35 +87,29 @@ def _are_strands(points: FloatArray) -> bool:
     return points.ndim == 3 and points.shape[1] >= 2 and points.shape[2] == 3
 
 
-def cloth_body(
-    reader: EntryReader,
-    at: Location,
-    model: ClothModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def cloth_body(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     """Return cloth; None where what is noted leaves none."""
     if model.mesh is not None:
         why = "is for a sheet, and this is of a mesh"
-        refuse_keys(reader, at, model, {"corner", "across", "up", "resolution"}, why)
-        return _mesh_cloth(reader, at, model, families, mass)
+        refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
+        return _mesh_cloth(entry, model)
     columns, rows = model.resolution
-    check_grid(reader, at, "cloth", model.resolution)
+    check_grid(entry, "cloth", model.resolution)
     if not np.cross(model.across, model.up).any():
         message = "it has no area: across and up are nothing, or along each other"
-        reader.note((*at, "across"), Fault("SIM050", message))
-    if not reader.sound:
+        entry.note("SIM050", message, "across")
+    if not entry.reader.sound:
         return None
     both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
-    crossing = families["diagonals"]
+    crossing = entry.families["diagonals"]
     body = sheet(
         columns,
         rows,
-        mass=mass / (columns * rows),
-        structural=families["structural"],
+        mass=entry.mass / (columns * rows),
+        structural=entry.families["structural"],
         diagonal=None if both else crossing,
         diagonals=crossing if both else None,
-        bend=families["bend"],
+        bend=entry.families["bend"],
         corner=model.corner,
         across=model.across,
         up=model.up,
@@ -156,40 +136,32 @@ def _sheet_places(grid: IntArray) -> dict[str, IntArray]:
     }
 
 
-def _mesh_cloth(
-    reader: EntryReader,
-    at: Location,
-    model: ClothModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def _mesh_cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     from animtool.usd.prims import read_still_mesh
 
     assert model.mesh is not None
-    path = reader.input((*at, "mesh", "file"), model.mesh.file)
+    path = entry.reader.input((*entry.at, "mesh", "file"), model.mesh.file)
     if path is None:
         return None
     try:
         mesh = read_still_mesh(path, model.mesh.prim, UpAxis.Y)
     except OptionError as error:
-        reader.note((*at, "mesh", "prim"), error.faults[0])
+        entry.reader.note((*entry.at, "mesh", "prim"), error.faults[0])
         return None
     share, flat = _shares(mesh.points, mesh.counts, mesh.indices)
     light = np.flatnonzero(share == 0)
     if len(light):
         message = f"points of {model.mesh.prim} are in no face with an area: "
         message += some_of(light)
-        reader.note((*at, "mesh", "prim"), Fault("SIM051", message))
-    if not reader.sound:
+        entry.note("SIM051", message, "mesh", "prim")
+    if not entry.reader.sound:
         return None
     body = surface(
         mesh.points,
         mesh.counts,
         mesh.indices,
-        mass=mass * share,
-        structural=families["structural"],
-        diagonals=families["diagonals"],
-        bend=families["bend"],
+        mass=entry.mass * share,
+        **entry.families,
     )
     often = edge_counts(mesh.counts, mesh.indices)
     border = np.unique(often[0][often[1] == 1])
@@ -238,27 +210,25 @@ def _odd_mesh(
     )
 
 
-def volume_body(
-    reader: EntryReader,
-    at: Location,
-    model: VolumeModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def volume_body(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     """Return a volume; None where what is noted leaves none."""
     if model.tetrahedra is not None:
         why = "is for a block, and this is of tetrahedra"
-        refuse_keys(reader, at, model, {"corner", "size", "resolution"}, why)
-        return _tetrahedra(reader, at, model, families, mass)
+        refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
+        return _tetrahedra(entry, model)
     x, y, z = model.resolution
-    check_grid(reader, at, "a volume", model.resolution)
+    check_grid(entry, "a volume", model.resolution)
     if min(model.size) <= 0:
         message = f"its size must be above 0 each way, not {listed(model.size)}"
-        reader.note((*at, "size"), Fault("SIM050", message))
-    if not reader.sound:
+        entry.note("SIM050", message, "size")
+    if not entry.reader.sound:
         return None
     body = block(
-        (x, y, z), model.size, mass=mass / (x * y * z), corner=model.corner, **families
+        (x, y, z),
+        model.size,
+        mass=entry.mass / (x * y * z),
+        corner=model.corner,
+        **entry.families,
     )
     grid = np.arange(x * y * z).reshape(z, y, x)
     places = {
@@ -272,35 +242,29 @@ def volume_body(
     return SpringBody(body, places, _skin(body))
 
 
-def _tetrahedra(
-    reader: EntryReader,
-    at: Location,
-    model: VolumeModel,
-    families: Families,
-    mass: float,
-) -> SpringBody | None:
+def _tetrahedra(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     assert model.tetrahedra is not None
-    place = (*at, "tetrahedra")
-    points = reader.array((*place, "points"), model.tetrahedra.points, "points")
-    cells = reader.array((*place, "cells"), model.tetrahedra.cells, "cells")
-    edges = families["structural"]
+    place = (*entry.at, "tetrahedra")
+    points = entry.reader.array((*place, "points"), model.tetrahedra.points, "points")
+    cells = entry.reader.array((*place, "cells"), model.tetrahedra.cells, "cells")
+    edges = entry.families["structural"]
     if edges is None:
         message = "tetrahedra have structural springs, along their edges"
-        reader.note((*at, "springs"), Fault("SIM050", message))
+        entry.note("SIM050", message, "springs")
     for name in ("face_diagonals", "body_diagonals"):
-        if families[name] is not None:
+        if entry.families[name] is not None:
             message = f"{name} are for a block, and this is of tetrahedra"
-            reader.note((*at, "springs", name), Fault("SIM050", message))
+            entry.note("SIM050", message, "springs", name)
     if points is None or cells is None or edges is None:
         return None
     message = _tetrahedra_fault(points, cells)
     if message:
-        reader.note(place, Fault("SIM051", message))
-    if not reader.sound:
+        entry.note("SIM051", message, "tetrahedra")
+    if not entry.reader.sound:
         return None
     corners = cells.astype(np.int64)
     share = _volumes(points, corners)
-    body = tetrahedra(points, corners, edges, mass=mass * share)
+    body = tetrahedra(points, corners, edges, mass=entry.mass * share)
     return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin(body))
 
 

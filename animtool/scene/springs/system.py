@@ -15,7 +15,7 @@ from animtool.errors import Fault, Severity, counted, percent
 from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
-from animtool.scene.springs.paths import (
+from animtool.scene.springs.pins import (
     Tie,
     Ties,
     air_of,
