@@ -26,8 +26,8 @@ from animtool.scene.systems.entries import EntryReader
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.springs import SelfContact, Solver, SpringOptions
+from animtool.systems.springs.checks import check_keeping_apart, check_options
 from animtool.systems.springs.drawing import Faces
-from animtool.systems.springs.options import check_keeping_apart, check_options
 from animtool.systems.springs.spec import (
     ClothModel,
     RopeModel,

@@ -31,7 +31,7 @@ from animtool.systems.attach.strands import (
     StrandStepper,
     depth_at_bind,
 )
-from animtool.systems.springs.self_contact import tangle_notices
+from animtool.systems.springs.checks import tangle_notices
 from animtool.units import UpAxis
 
 

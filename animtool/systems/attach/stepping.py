@@ -21,8 +21,8 @@ from animtool.systems.springs.body import (
     spring_layers,
     spring_network,
 )
+from animtool.systems.springs.motion import Through
 from animtool.systems.springs.records import SelfContact
-from animtool.systems.springs.self_contact import Through
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0

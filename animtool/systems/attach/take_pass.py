@@ -17,7 +17,7 @@ from animtool.systems.attach.network import odd_surface
 from animtool.systems.attach.saved import Saved, read_states, write_states
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import Closing, Simulation
-from animtool.systems.springs.self_contact import through_notices
+from animtool.systems.springs.motion import through_notices
 from animtool.take import TakeStream
 
 # Springs may be this much longer than aimed at before it is worth a warning [1].

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from animtool.systems.springs.body import Springs as Springs
     from animtool.systems.springs.body import join as join
     from animtool.systems.springs.body import springs_between as springs_between
-    from animtool.systems.springs.options import SpringMotion as SpringMotion
+    from animtool.systems.springs.motion import SpringMotion as SpringMotion
     from animtool.systems.springs.paths import Air as Air
     from animtool.systems.springs.paths import Pins as Pins
     from animtool.systems.springs.paths import Targets as Targets
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "body": ("Body", "Springs", "join", "springs_between"),
-    "options": ("SpringMotion",),
+    "motion": ("SpringMotion",),
     "paths": ("Air", "Pins", "Targets"),
     "records": ("Family", "SelfContact", "Solver", "SpringOptions"),
     "resting": ("Rest", "find_rest"),

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.ranges import range_faults
 from animtool.systems.springs.body import Body, Springs
+from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import Pins, Targets
+from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
 # Of many that are wrong in the same way, those that are named.
 MAX_NAMED = 5
@@ -162,3 +166,95 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
         for bad, message in found
         for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
     ]
+
+
+def check_self_contact(contact: SelfContact, body: Body) -> None:
+    """Raise where a body cannot keep apart from itself in this way.
+
+    Raises:
+        OptionError: A number is out of its range, positions at rest do not fit, or the
+            body has no triangles (SIM045), with every such fault.
+    """
+    messages = [fault.message for fault in range_faults(contact)]
+    if not len(body.triangles):
+        messages.append("a body without triangles does not keep apart from itself")
+    if contact.rest is not None:
+        rest = np.asarray(contact.rest, np.float64)
+        if rest.shape != body.positions.shape:
+            wanted = body.positions.shape
+            messages.append(f"rest must have shape {wanted}, not {rest.shape}")
+        elif not np.isfinite(rest).all():
+            messages.append("rest must be finite")
+    if messages:
+        raise OptionError(
+            [Fault("SIM045", message, where="self_contact") for message in messages]
+        )
+
+
+def tangle_notices(
+    positions: FloatArray, triangles: IntArray, what: str = "the surface"
+) -> list[Fault]:
+    """Return a warning where a surface of points ``(N, 3)`` [m] is tangled (SIM166).
+
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
+    >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
+    >>> (notice,) = tangle_notices(points, np.array([[0, 1, 2], [3, 4, 5]]))
+    >>> notice.message
+    'the surface begins in a tangle: its edges go through its triangles in 2 places'
+    """
+    pierced = _kernels.pierced_edges(
+        np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)
+    )
+    if not pierced:
+        return []
+    places = counted(pierced, "place")
+    message = (
+        f"{what} begins in a tangle: its edges go through its triangles in {places}"
+    )
+    hint = "what is through is not told from what is not: it may stay so"
+    return [warning("SIM166", message, hint)]
+
+
+def check_options(options: SpringOptions) -> Solver:
+    """Return the solver that options name, and raise where they make no sense.
+
+    Raises:
+        OptionError: There is no such solver (SIM001), or a number is out of its range
+            (SIM004).
+    """
+    faults = []
+    names = [str(solver) for solver in Solver]
+    if options.solver not in names:
+        message = f"there is no solver {options.solver!r}"
+        hint = f"they are {', '.join(names)}"
+        faults.append(Fault("SIM001", message, where="solver", hint=hint))
+    faults += range_faults(options)
+    if faults:
+        raise OptionError(faults)
+    return Solver(options.solver)
+
+
+def check_substeps(solver: Solver, rate: float, most: float) -> None:
+    """Raise where a solver needs more steps a second than it may take.
+
+    Raises:
+        OptionError: It does (SIM004).
+    """
+    if rate <= most:
+        return
+    message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g} at most"
+    hint = "take xpbd or auto, less stiffness or damping, or more mass"
+    raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
+
+
+def check_keeping_apart(wanted: Solver) -> None:
+    """Raise where a solver does not keep a surface apart from itself.
+
+    Raises:
+        OptionError: It does not (SIM046).
+    """
+    if wanted in {Solver.AUTO, Solver.XPBD}:
+        return
+    message = f"{wanted} does not keep a surface apart from itself"
+    hint = "take xpbd or auto"
+    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))

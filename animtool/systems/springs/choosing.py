@@ -11,11 +11,8 @@ from animtool._types import FloatArray
 from animtool.quantities import plain
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
-from animtool.systems.springs.options import (
-    MAX_SUBSTEPS,
-    check_keeping_apart,
-    check_substeps,
-)
+from animtool.systems.springs.checks import check_keeping_apart, check_substeps
+from animtool.systems.springs.motion import MAX_SUBSTEPS
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.slopes import LoadedBody
 from animtool.systems.springs.solvers import SHORTEST

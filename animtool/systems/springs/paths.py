@@ -13,7 +13,7 @@ from animtool.errors import Fault, Severity
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.options import Grid
+from animtool.systems.springs.motion import Grid
 
 # A step ends on a jump that is this much behind its end [s]: rounding of times.
 SLACK = 1e-9

@@ -16,7 +16,7 @@ from animtool.errors import Fault, OptionError, Severity, ToleranceError
 from animtool.maths.faces import triangulated
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.springs.drawing import Faces
-from animtool.systems.springs.options import SpringMotion
+from animtool.systems.springs.motion import SpringMotion
 from animtool.systems.springs.records import SpringOptions
 from animtool.systems.springs.simulating import simulate_springs
 from animtool.systems.springs.system import SpringSystem

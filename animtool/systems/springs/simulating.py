@@ -14,15 +14,17 @@ from animtool.quantities import length_text, plain
 from animtool.sim.checks import Watch, check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Checkpoint, Stats, Status
+from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.choosing import Choice, choose, explicit_limit
-from animtool.systems.springs.options import (
+from animtool.systems.springs.motion import (
     MAX_SUBSTEPS,
     Grid,
     SpringMotion,
-    check_options,
+    Through,
+    through_notices,
+    warning,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.self_contact import Through, through_notices
 from animtool.systems.springs.solvers import ADVANCE
 from animtool.systems.springs.system import SpringSystem
 
@@ -326,22 +328,20 @@ def _notices(
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {plain(h)} s"
-        found.append(_warning("SIM101", message, f"up to {plain(limit)} s are"))
+        found.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
-        found.append(_warning("SIM102", message, hint))
+        found.append(warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED:
         message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-        found.append(_warning("SIM105", message, "take a shorter step"))
+        found.append(warning("SIM105", message, "take a shorter step"))
     if not run.grid.stretch <= options.stretch:
         message = (
             f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
             f"own give; {options.stretch:.1%} is allowed"
         )
-        found.append(
-            _warning("SIM141", message, "take bdf2, or less stiffness or mass")
-        )
+        found.append(warning("SIM141", message, "take bdf2, or less stiffness or mass"))
     elif run.longest > 1 + GIVES * options.stretch:
         message = (
             f"springs are longer than at rest by {GIVES * options.stretch:.3g} of that "
@@ -355,9 +355,5 @@ def _notices(
             "colliders at once"
         )
         hint = "they start inside, or colliders close in on them from several sides"
-        found.append(_warning("SIM143", message, hint))
+        found.append(warning("SIM143", message, hint))
     return found + through_notices(run.grid.through)
-
-
-def _warning(code: str, message: str, hint: str) -> Fault:
-    return Fault(code, message, hint=hint, severity=Severity.WARNING)

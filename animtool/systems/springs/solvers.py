@@ -12,9 +12,8 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.springs.options import Grid
+from animtool.systems.springs.motion import Grid, Through
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.self_contact import Through
 from animtool.systems.springs.system import SpringSystem
 
 # Steps of xpbd are not shorter than this [s].

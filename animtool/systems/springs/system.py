@@ -28,11 +28,12 @@ from animtool.systems.springs.checks import (
     check_body,
     check_limit,
     check_path,
+    check_self_contact,
     start_notices,
+    tangle_notices,
 )
 from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
 from animtool.systems.springs.records import SelfContact
-from animtool.systems.springs.self_contact import check_self_contact, tangle_notices
 from animtool.systems.springs.slopes import fastest
 
 # Of the speed of targets, where no step says over which time to take it [s].

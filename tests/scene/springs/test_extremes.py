@@ -15,7 +15,7 @@ from fuzz.targets.springs import _SYSTEMS as SYSTEMS
 from animtool.errors import AnimtoolError
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.springs.self_contact import Through, through_notices
+from animtool.systems.springs.motion import Through, through_notices
 
 
 def last_points(folder: Path, kind: str, changes: dict[str, Any]) -> np.ndarray:

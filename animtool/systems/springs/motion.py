@@ -1,66 +1,39 @@
-"""How to simulate springs, and what comes of it."""
+"""What springs come to over time, where they stand, and what went through them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError
-from animtool.ranges import range_faults
+from animtool.errors import Fault, Severity, counted
 from animtool.sim.trajectory import Trajectory
-from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.self_contact import Through
+from animtool.systems.springs.records import Solver
 
 # Steps that a cell of time is divided into, at most.
 MAX_SUBSTEPS = 4096
 
 
-def check_options(options: SpringOptions) -> Solver:
-    """Return the solver that options name, and raise where they make no sense.
+@dataclass(frozen=True, slots=True)
+class Through:
+    """What of a surface went through itself, at most at a time."""
 
-    Raises:
-        OptionError: There is no such solver (SIM001), or a number is out of its range
-            (SIM004).
-    """
-    faults = []
-    names = [str(solver) for solver in Solver]
-    if options.solver not in names:
-        message = f"there is no solver {options.solver!r}"
-        hint = f"they are {', '.join(names)}"
-        faults.append(Fault("SIM001", message, where="solver", hint=hint))
-    faults += range_faults(options)
-    if faults:
-        raise OptionError(faults)
-    return Solver(options.solver)
+    passed: int = 0  # particles through triangles that were not yet brought back
+    cut: int = 0  # pairs of edges through each other
+    # Steps a second in which what went too far in one would have been seen [1/s]; 0
+    # where nothing did.
+    rate: float = 0.0
 
-
-def check_substeps(solver: Solver, rate: float, most: float) -> None:
-    """Raise where a solver needs more steps a second than it may take.
-
-    Raises:
-        OptionError: It does (SIM004).
-    """
-    if rate <= most:
-        return
-    message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g} at most"
-    hint = "take xpbd or auto, less stiffness or damping, or more mass"
-    raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
-
-
-def check_keeping_apart(wanted: Solver) -> None:
-    """Raise where a solver does not keep a surface apart from itself.
-
-    Raises:
-        OptionError: It does not (SIM046).
-    """
-    if wanted in {Solver.AUTO, Solver.XPBD}:
-        return
-    message = f"{wanted} does not keep a surface apart from itself"
-    hint = "take xpbd or auto"
-    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+    def with_more(self, more: Through) -> Through:
+        """Return the most of both."""
+        return Through(
+            max(self.passed, more.passed),
+            max(self.cut, more.cut),
+            max(self.rate, more.rate),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,3 +93,29 @@ class SpringMotion(Trajectory):
     unresolved: int
     passed: int = 0
     cut: int = 0
+
+
+def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
+    """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
+    found = []
+    if through.passed:
+        message = f"{counted(through.passed, 'particle')} went through {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(warning("SIM144", message, hint))
+    if through.cut:
+        times = counted(through.cut, "pair")
+        message = f"{times} of edges cut through each other in {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(warning("SIM167", message, hint))
+    if through.rate:
+        message = f"parts of {what} went over each other by many thicknesses in a step"
+        hint = "take a shorter step"
+        if math.isfinite(through.rate):
+            hint = f"{math.ceil(through.rate)} steps a second miss nothing"
+        found.append(warning("SIM165", message, hint))
+    return found
+
+
+def warning(code: str, message: str, hint: str) -> Fault:
+    """Return a warning of a motion."""
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)
