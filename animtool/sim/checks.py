@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.quantities import plain
-from animtool.sim.division import divide
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
 from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions
+from animtool.sim.run import divide
 from animtool.sim.system import Energy, System
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
@@ -74,14 +73,6 @@ def _advice(stable_step: float | None) -> str:
     if stable_step == 0:
         return f"no step of it is: take {STEADY}"
     return f"steps up to {plain(stable_step)} s are stable"
-
-
-class Signs(Protocol):
-    """What looks for signs of a blow-up."""
-
-    def sign(self, t: float, state: FloatArray) -> str:
-        """Return why a state is beyond bounds, empty where it is not."""
-        ...
 
 
 class Watch:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.sim import adaptive, external, fixed
+from animtool.sim import adaptive, external
 from animtool.sim.checks import (
     Watch,
     check_fit,
@@ -21,12 +21,12 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Integrator
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import IntegrateOptions, check_options, finer
-from animtool.sim.run import Run
+from animtool.sim.run import Run, advance_evenly
 from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Stats, Status, Trajectory
 
 _ADVANCE = {
-    Control.FIXED: fixed.advance,
+    Control.FIXED: advance_evenly,
     Control.ADAPTIVE: adaptive.advance,
     Control.SCIPY: external.advance,
 }

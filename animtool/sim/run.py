@@ -1,21 +1,32 @@
-"""A motion under way: where it stands, what it took."""
+"""A motion under way: where it stands, what it took, and its even steps."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.checks import Signs
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.options import IntegrateOptions
+from animtool.sim.system import Native
 from animtool.sim.trajectory import Status
 
+# A time within this share of a step is on a multiple of it.
+ON_GRID = 1e-9
 # Steps between two looks for signs of a blow-up.
 LOOK_EVERY = 32
+
+
+class Signs(Protocol):
+    """What looks for signs of a blow-up."""
+
+    def sign(self, t: float, state: FloatArray) -> str:
+        """Return why a state is beyond bounds, empty where it is not."""
+        ...
 
 
 @dataclass(slots=True)
@@ -81,3 +92,84 @@ class Run:
         """Say why to go no further."""
         self.reason = reason
         return status
+
+
+@dataclass(frozen=True, slots=True)
+class Division:
+    """Even steps from a time to another."""
+
+    start: float  # [s]
+    end: float  # [s]
+    count: int  # of steps
+    h: float  # each step [s]
+    # Where the times are multiples of the step, which multiple the start is; None where
+    # they are not.
+    first: int | None
+
+    def time(self, i: int) -> float:
+        """Return when step i begins [s]; i may be the count."""
+        if self.first is not None:
+            return (self.first + i) * self.h
+        return self.end if i == self.count else self.start + i * self.h
+
+
+def divide(start: float, end: float, step: float) -> Division:
+    """Return the even steps, none longer than a step, between two times.
+
+    Where both times are multiples of the step, it is taken as it is, and steps begin
+    at multiples of it: so it is the same steps whichever values are asked for between,
+    and wherever a motion is gone on from.
+
+    >>> divide(0.5, 1.0, 0.2).h
+    0.16666666666666666
+    >>> divide(0.1 + 0.2, 0.6, 0.1)
+    Division(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
+    """
+    first, last = start / step, end / step
+    near, far = round(first), round(last)
+    # What rounding of the times alone makes of a multiple.
+    slack = ON_GRID + 4 * math.ulp(max(abs(first), abs(last)))
+    on_grid = max(abs(first - near), abs(last - far)) <= slack < 0.5
+    if on_grid and far > near:
+        return Division(start, end, far - near, step, near)
+    count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
+    return Division(start, end, count, (end - start) / count, None)
+
+
+def advance_evenly(run: Run, target: float) -> Status:
+    """Bring a motion to a later time, in even steps."""
+    assert run.options.step is not None
+    division = divide(run.time, target, run.options.step)
+    native = run.equations.system.native(run.integrator.name)
+    go = _stepwise(run, division) if native is None else _blocks(run, division, native)
+    # The last step's end is the time asked for, but for rounding.
+    run.time = target if go is Status.OK else run.time
+    return go
+
+
+def _stepwise(run: Run, division: Division) -> Status:
+    take = run.integrator.step
+    assert take is not None
+    for i in range(division.count):
+        t = division.time(i)
+        step = take(run.equations, t, run.state, division.h, run.memory)
+        if step is None:
+            reason = "Newton's method found no solution"
+            return run.stop(Status.NOT_SOLVED, reason)
+        go = run.keep(step, division.time(i + 1), division.h)
+        if go is not Status.OK:
+            return go
+    return Status.OK
+
+
+def _blocks(run: Run, division: Division, native: Native) -> Status:
+    """Take the steps many at once, as many as may go without a look."""
+    each = run.integrator.evaluations or 1
+    for i in range(0, division.count, LOOK_EVERY):
+        count = min(LOOK_EVERY, division.count - i)
+        run.state = native(division.time(i), run.state, division.h, count)
+        run.equations.evaluations += each * count
+        go = run.count(division.time(i + count), division.h, count)
+        if go is not Status.OK:
+            return go
+    return Status.OK

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.sim.division import divide
+from animtool.sim.run import divide
 
 
 @given(st.integers(1, 10**7), st.integers(1, 500), st.sampled_from([24, 25, 30, 60]))
