@@ -1,4 +1,4 @@
-"""What a moving prim is at one time: points, curves or a mesh, with named arrays."""
+"""What a moving prim is at one time: points, curves, a mesh or copies of meshes."""
 
 from __future__ import annotations
 
@@ -47,4 +47,19 @@ class MeshFrame:
     primvars: Primvars = field(default_factory=dict)
 
 
-Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame
+@dataclass(frozen=True, slots=True)
+class TransformsFrame:
+    """Copies of meshes that appear and disappear, each placed as a whole."""
+
+    ids: IntArray  # (N,)
+    points: FloatArray  # where the origin of each is (N, 3) [m]
+    velocities: FloatArray  # of these (N, 3) [m/s]
+    rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
+    spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
+    scales: FloatArray  # (N, 3) [1]
+    copied: IntArray  # which of the meshes each is (N,)
+    meshes: tuple[MeshFrame, ...]  # about their own origins, the same in every frame
+    primvars: Primvars = field(default_factory=dict)
+
+
+Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame | TransformsFrame

@@ -235,10 +235,10 @@ def attribute(
     return made
 
 
-def relationship(spec: Any, name: str, target: str) -> None:
-    """Make a relationship to one prim."""
+def relationship(spec: Any, name: str, *targets: str) -> None:
+    """Make a relationship to prims."""
     made = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
-    made.targetPathList.explicitItems = [Sdf.Path(target)]
+    made.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
 
 def save_layer(layer: Any, path: Path | None) -> int:

@@ -14,7 +14,7 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.finite import Labels, check_value, narrowed
-from animtool.usd.layers import attribute, author_order, prim
+from animtool.usd.layers import attribute, author_order, prim, relationship
 from animtool.usd.names import RigPaths, distinct_names
 from animtool.usd.point_based import author_linear, author_width
 
@@ -255,10 +255,7 @@ def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> 
     attribute(
         spec, "skel:blendShapes", _TYPES.TokenArray, Vt.TokenArray(wanted), uniform=True
     )
-    made = Sdf.RelationshipSpec(
-        spec, "skel:blendShapeTargets", False, Sdf.VariabilityUniform
-    )
-    made.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
+    relationship(spec, "skel:blendShapeTargets", *targets)
     for target, shape in zip(targets, surface.shapes, strict=True):
         _shape(prim(layer, target, "BlendShape"), shape, meters_per_unit)
 

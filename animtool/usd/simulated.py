@@ -21,6 +21,7 @@ from animtool.usd.chunks import (
     author_span,
     growing_crate,
 )
+from animtool.usd.frame_writer import FrameWriter
 from animtool.usd.layers import (
     StageMetadata,
     attribute,
@@ -31,7 +32,7 @@ from animtool.usd.layers import (
     prim,
     quaternion,
 )
-from animtool.usd.point_based import CachedMesh, FrameWriter
+from animtool.usd.point_based import CachedMesh
 
 # Of each frame its time code, and what each prim is then.
 Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]

@@ -18,8 +18,8 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.animation import round_blocks
 from animtool.usd.curves import author_curve
 from animtool.usd.finite import Labels, narrowed, rounded
+from animtool.usd.frame_writer import FrameWriter
 from animtool.usd.layers import Samples, attribute, new_layer, prim
-from animtool.usd.point_based import FrameWriter
 
 TYPES = Sdf.ValueTypeNames
 RIG = """\
@@ -196,7 +196,7 @@ def test_a_spline_has_finite_numbers() -> None:
 
 def test_every_number_goes_through_the_gate(root: Path) -> None:
     """Only these modules put values into a layer by themselves."""
-    known = {"layers.py", "point_based.py"}
+    known = {"layers.py", "frame_writer.py"}
     puts = re.compile(r"\bSetTimeSample\b|\.default = ")
     found = {
         path.relative_to(root / "animtool/usd").as_posix()

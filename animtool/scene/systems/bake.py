@@ -264,4 +264,4 @@ def _meet(one: str, other: str) -> bool:
 def _is_other(target: RigTarget, path: str) -> bool:
     """Return whether a shot has another prim there than an earlier bake's."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
-    return bool(prim) and not prim.IsA("PointBased")
+    return bool(prim) and not any(map(prim.IsA, ("PointBased", "PointInstancer")))

@@ -1,0 +1,321 @@
+"""Prims of what is simulated: each frame is a record of a prim's values, and a sample.
+
+How a type of frame becomes a prim is a row of `FORMS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Vt
+
+from animtool._types import Float32Array, FloatArray, IntArray
+from animtool.frames import (
+    CurvesFrame,
+    Frame,
+    MeshFrame,
+    PointsFrame,
+    TransformsFrame,
+)
+from animtool.maths import so3
+from animtool.maths.faces import triangulated, vertex_normals
+from animtool.usd.finite import Labels, check_value, largest, narrowed, rounded
+from animtool.usd.layers import attribute, prim, relationship
+from animtool.usd.point_based import (
+    ATTRIBUTES,
+    CachedMesh,
+    Kind,
+    author_linear,
+    author_width,
+)
+
+_TYPES = Sdf.ValueTypeNames
+FrameT = TypeVar("FrameT", CurvesFrame, MeshFrame, PointsFrame, TransformsFrame)
+
+
+class FrameForm(Generic[FrameT]):
+    """How a type of frame is written: its prim, attributes and values."""
+
+    type_name: ClassVar[str]
+    sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
+    points: ClassVar[str] = "points"  # what the prim calls its points
+
+    def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
+        """Return attributes of whole numbers that say how points are joined."""
+        return {}
+
+    def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
+        """Return whether the shape may be another at another frame."""
+        return False
+
+    def describe(self, spec: Any, frame: FrameT, unit: float) -> None:
+        """Write what else the prim is, which no frame changes."""
+
+    def values(
+        self, writer: FrameWriter, frame: FrameT, points: Float32Array, code: float
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return what a frame has beside points ``(N, 3)`` and velocities."""
+        raise NotImplementedError
+
+
+class _Curves(FrameForm[CurvesFrame]):
+    type_name = "BasisCurves"
+    sampled = ("points", "velocities", "extent")
+
+    def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
+        """Return how many points each curve has."""
+        return {"curveVertexCounts": frame.counts.astype(np.int32)}
+
+    def tears(self, frame: CurvesFrame) -> bool:
+        """Return whether a curve may become two."""
+        return frame.tears
+
+    def describe(self, spec: Any, frame: CurvesFrame, unit: float) -> None:
+        """Write kind and width of the curves."""
+        author_linear(spec)
+        author_width(spec, frame.width / unit)
+
+    def values(
+        self,
+        writer: FrameWriter,
+        frame: CurvesFrame,
+        points: Float32Array,
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return bounds of what is drawn."""
+        return {"extent": bounds(points, frame.width / writer.unit / 2)}
+
+
+class _Mesh(FrameForm[MeshFrame]):
+    type_name = "Mesh"
+    sampled = ("points", "velocities", "extent", "normals")
+
+    def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
+        """Return the faces."""
+        return {
+            "faceVertexCounts": frame.counts.astype(np.int32),
+            "faceVertexIndices": frame.indices.astype(np.int32),
+        }
+
+    def describe(self, spec: Any, frame: MeshFrame, unit: float) -> None:  # noqa: ARG002
+        """Write that it is no cage, and whether both sides are visible."""
+        attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
+        if not frame.closed:
+            attribute(spec, "doubleSided", _TYPES.Bool, True, uniform=True)
+
+    def values(
+        self,
+        writer: FrameWriter,
+        frame: MeshFrame,
+        points: Float32Array,
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return bounds and normals; the faces are those of the first frame."""
+        normals = vertex_normals(frame.points, writer.triangles)
+        return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
+
+
+class _Points(FrameForm[PointsFrame]):
+    type_name = "Points"
+    sampled = ("points", "velocities", "ids", "widths")
+
+    def values(
+        self, writer: FrameWriter, frame: PointsFrame, points: Float32Array, code: float
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return ids, widths and bounds of the balls."""
+        widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
+        extent = bounds(points, widths[:, None] / 2)
+        return {"ids": frame.ids, "widths": widths, "extent": extent}
+
+
+class _Transforms(FrameForm[TransformsFrame]):
+    type_name = "PointInstancer"
+    sampled = (
+        "positions",
+        "velocities",
+        "ids",
+        "orientationsf",
+        "angularVelocities",
+        "scales",
+        "protoIndices",
+    )
+    points = "positions"
+
+    def describe(self, spec: Any, frame: TransformsFrame, unit: float) -> None:
+        """Write the meshes below the prim."""
+        above = prim(spec.layer, f"{spec.path}/Prototypes", "Scope")
+        paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(frame.meshes))]
+        for path, mesh in zip(paths, frame.meshes, strict=True):
+            author_still(spec.layer, path, mesh, unit)
+        relationship(spec, "prototypes", *paths)
+
+    def values(
+        self,
+        writer: FrameWriter,
+        frame: TransformsFrame,
+        points: Float32Array,
+        code: float,
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return which mesh each is, its turn and scale, and bounds of all."""
+        boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
+        corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
+        corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
+        extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
+        return {
+            "ids": frame.ids,
+            "orientationsf": writer.narrowed("orientationsf", frame.rotations, code),
+            "angularVelocities": writer.narrowed(
+                "angularVelocities", np.degrees(frame.spins), code
+            ),
+            "scales": writer.narrowed("scales", frame.scales, code),
+            "protoIndices": frame.copied.astype(np.int32),
+            "extent": bounds(extent, 0.0),
+        }
+
+
+def _corners(points: FloatArray) -> FloatArray:
+    """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+
+
+FORMS: dict[type[Frame], FrameForm[Any]] = {
+    CurvesFrame: _Curves(),
+    MeshFrame: _Mesh(),
+    PointsFrame: _Points(),
+    TransformsFrame: _Transforms(),
+}
+
+
+def _primvar_kind(name: str, values: npt.NDArray[Any]) -> Kind:
+    """Return how a named array of points ``(N,)`` or ``(N, 3)`` is written."""
+    if np.issubdtype(values.dtype, np.integer):
+        return Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
+    if values.ndim == 1:
+        return Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
+    color = name == "displayColor"
+    kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
+    return Kind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
+
+
+def bounds(
+    points: Float32Array, margin: float | FloatArray | Float32Array
+) -> Float32Array:
+    """Return bounds ``(2, 3)`` of points and what is about them; zeros of none."""
+    if not len(points):
+        return np.zeros((2, 3), np.float32)
+    if isinstance(margin, float):
+        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    else:
+        low, high = (points - margin).min(axis=0), (points + margin).max(axis=0)
+    return np.stack([low, high]).astype(np.float32)
+
+
+class FrameWriter:
+    """Writes the frames of one prim: its attributes once, then all of every frame."""
+
+    def __init__(self, path: str, meters_per_unit: float) -> None:
+        self.report = CachedMesh(path)
+        self.unit = meters_per_unit  # of the layer [m]
+        self._first: Any = None
+        self._kinds: dict[str, Kind] = {}  # of what every frame has, in order
+        self._letters: dict[str, str] = {}  # of what has a default
+
+    @cached_property
+    def triangles(self) -> IntArray:
+        """Faces of the first frame as triangles ``(T, 3)``."""
+        return triangulated(self._first.counts, self._first.indices)
+
+    def begin(self, layer: Any, frame: Frame) -> None:
+        """Write the prim of a first frame: attributes, and what no frame changes."""
+        self._first, form = frame, FORMS[type(frame)]
+        self._kinds = {name: ATTRIBUTES[name] for name in form.sampled}
+        for name, values in frame.primvars.items():
+            self._kinds[f"primvars:{name}"] = _primvar_kind(name, values)
+        self._kinds["extent"] = ATTRIBUTES["extent"]
+        spec = prim(layer, self.report.path, form.type_name)
+        for name, kind in self._kinds.items():
+            attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
+        self.report.sampled = list(self._kinds)
+        tears = form.tears(frame)
+        for name, values in form.shape(frame).items():
+            kind = ATTRIBUTES[name]
+            value = None if tears else kind.make(values)
+            attribute(spec, name, kind.type_name, value)
+            self.report.sampled += [name] if tears else []
+        form.describe(spec, frame, self.unit)
+
+    def values(self, code: float, frame: Frame) -> tuple[dict[str, Any], int]:
+        """Return attributes of a frame, counted in the report, and their bytes."""
+        report, form = self.report, FORMS[type(frame)]
+        points, error, vertex = self._rounded(form.points, frame.points, code)
+        values = {form.points: points, **form.values(self, frame, points, code)}
+        for name, array in frame.primvars.items():
+            values[f"primvars:{name}"] = (
+                array.astype(np.int32)
+                if np.issubdtype(array.dtype, np.integer)
+                else self.narrowed(f"primvars:{name}", array, code)
+            )
+        values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
+        size = sum(array.nbytes for array in values.values())
+        held = {name: kind.make(values[name]) for name, kind in self._kinds.items()}
+        for name, array in form.shape(frame).items() if form.tears(frame) else ():
+            held[name] = ATTRIBUTES[name].make(array)
+            size += array.nbytes
+        report.vertices = max(report.vertices, len(points))
+        report.samples += 1
+        report.bytes += size
+        report.moved(error, code, vertex)
+        return held, size
+
+    def write(self, layer: Any, code: float, values: Mapping[str, Any]) -> None:
+        """Write attributes of a frame to a layer that has the prim."""
+        for name, value in values.items():
+            self.put(layer, code, name, value)
+
+    def put(self, layer: Any, code: float, name: str, value: Any) -> None:
+        """Write the value of an attribute at a time code; the first is its default."""
+        path = f"{self.report.path}.{name}"
+        if name not in self._letters:
+            spec = layer.GetAttributeAtPath(path)
+            self._letters[name] = largest(spec.typeName)
+            spec.default = value
+        if letter := self._letters[name]:
+            check_value(value, letter, self._labels(name), code)
+        layer.SetTimeSample(path, code, value)
+
+    def narrowed(
+        self, name: str, values: npt.NDArray[Any], code: float
+    ) -> Float32Array:
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
+        labels, codes = self._labels(name), np.array([code])
+        return np.asarray(narrowed(values[None], "f", labels, codes)[0], np.float32)
+
+    def _rounded(
+        self, name: str, values: FloatArray, code: float
+    ) -> tuple[Float32Array, float, int]:
+        """Return ``(N, 3)`` in the layer's unit, the largest error [m], its point."""
+        labels, codes = self._labels(name), np.array([code])
+        rows, error, _, vertex = rounded(values[None], self.unit, labels, codes)
+        return rows[0], error, vertex
+
+    def _labels(self, name: str) -> Labels:
+        return Labels(f"{self.report.path}.{name}", "point")
+
+
+def author_still(layer: Any, path: str, frame: Frame, unit: float) -> None:
+    """Write a frame as a prim that never moves.
+
+    unit: of the layer [m].
+    """
+    writer = FrameWriter(path, unit)
+    writer.begin(layer, frame)
+    spec = layer.GetPrimAtPath(path)
+    spec.RemoveProperty(spec.attributes["velocities"])
+    for name, value in writer.values(0.0, frame)[0].items():
+        if name != "velocities":
+            spec.attributes[name].default = value
