@@ -9,7 +9,7 @@ from support.ik import every_goal, mixed_rig, random_pose, reached_by
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
-from animtool.ik.goals import pack
+from animtool.ik.goals import KINDS, PARTS, GoalKind, pack
 from animtool.ik.solving import chain_targets
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
@@ -100,6 +100,24 @@ def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
     still = np.zeros(problem.degrees)
     _, residual, jacobian, _ = look(problem, pose, targets, still)
     gradient = -jacobian.T @ residual
+    for d, direction in enumerate(np.eye(problem.degrees)):
+        ahead = cost(problem, pose, targets, 1e-6 * direction)
+        behind = cost(problem, pose, targets, -1e-6 * direction)
+        assert abs((ahead - behind) / 2e-6 - gradient[d]) < 1e-8
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=PARTS)
+def test_the_gradient_of_each_kind_is_exact(kind: GoalKind) -> None:
+    weights = {"position": 0.0} | {kind.name: 0.6}
+    goal = Goal("piston", (0.05, 0.0, 0.0), aim_axis=(0.6, 0.0, 0.8), **weights)
+    problem = free_problem([goal])
+    target = np.random.default_rng(5).normal(size=(1, 1, kind.value.value))
+    targets = chain_targets(problem, Targets(**{kind.targets: target}))
+    pose, still = random_pose(problem, 3), np.zeros(problem.degrees)
+    _, residual, jacobian, _ = look(problem, pose, targets, still)
+    assert residual.shape == (kind.rows,)
+    gradient = -jacobian.T @ residual
+    assert np.abs(gradient).max() > 1e-3
     for d, direction in enumerate(np.eye(problem.degrees)):
         ahead = cost(problem, pose, targets, 1e-6 * direction)
         behind = cost(problem, pose, targets, -1e-6 * direction)

@@ -29,7 +29,7 @@ def exported() -> set[str]:
     """Return the names of all functions, classes and methods of the kernels."""
     names = set()
     for name, value in vars(_kernels).items():
-        if name.startswith("_"):
+        if name.startswith("_") or not callable(value):
             continue
         names.add(name)
         if isinstance(value, type):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.ik.goals import KINDS, WEIGHTS
 from fuzz.kernels import Maker
 from fuzz.kernels.curves import rotations
 from fuzz.kernels.points import parents
@@ -41,7 +42,7 @@ class Problem:
             tip = int(rng.integers(count))
             row[:] = [tip, rng.integers(tip + 1), rng.integers(tip + 1), 0]
         self.goals[:, 3] = rng.integers(0, max(goals, 1), goals)
-        numbers = rng.normal(size=(goals, 13))
+        numbers = rng.normal(size=(goals, 9 + len(KINDS)))
         numbers[:, 6:9] = [0, 0, 1]
         numbers[:, 9:] = rng.choice([0.0, 0.1, 1.0], (goals, 4))
         self.arrays = {**self.chain, "goals": self.goals, "goal_numbers": numbers}
@@ -80,17 +81,17 @@ class Problem:
         return values
 
     def targets(self, rng: Rng, batch: int) -> Any:
-        """Return targets ``(B, E, 17)``."""
-        values = rng.normal(scale=0.5, size=(batch, len(self.goals), 17))
+        """Return targets ``(B, E, W)``."""
+        values = rng.normal(scale=0.5, size=(batch, len(self.goals), WEIGHTS.stop))
         values[..., 3:7] = rotations(rng, batch, len(self.goals))
-        values[..., 13:] = rng.choice([0.0, 1.0], values[..., 13:].shape)
+        values[..., WEIGHTS] = rng.choice([0.0, 1.0], values[..., WEIGHTS].shape)
         return values
 
 
 def _place(rng: Rng) -> dict[str, Any]:
     batch, goals = (int(n) for n in rng.integers(0, 5, 2))
     return {
-        "targets": rng.normal(size=(batch, goals, 17)),
+        "targets": rng.normal(size=(batch, goals, WEIGHTS.stop)),
         "frames": rotations(rng, goals),
         "length": 1.7,
     }
