@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.choosing import SAFE, explicit_limit
+from animtool.systems.springs.solvers import SAFE, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
 # Of the weight, or pull, of a particle, what is left of the forces on it.

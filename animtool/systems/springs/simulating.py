@@ -15,7 +15,6 @@ from animtool.sim.checks import Watch, check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.systems.springs.checks import check_options
-from animtool.systems.springs.choosing import Choice, choose, explicit_limit
 from animtool.systems.springs.motion import (
     MAX_SUBSTEPS,
     Grid,
@@ -25,7 +24,7 @@ from animtool.systems.springs.motion import (
     warning,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import ADVANCE
+from animtool.systems.springs.solvers import ADVANCE, Choice, choose, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
 # A time within this share of a cell is at its start.

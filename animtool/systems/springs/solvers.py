@@ -1,9 +1,10 @@
-"""From a cell of time to later ones, by each solver."""
+"""Solvers that take springs from cell to cell of time, and which is chosen."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,9 +12,14 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.quantities import plain
 from animtool.sim.colliders import Collider, Colliders
-from animtool.systems.springs.motion import Grid, Through
+from animtool.sim.integrators import find_integrator
+from animtool.sim.modes import allowed_step
+from animtool.systems.springs.checks import check_keeping_apart, check_substeps
+from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, Through
 from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.slopes import LoadedBody
 from animtool.systems.springs.system import SpringSystem
 
 # Steps of xpbd are not shorter than this [s].
@@ -23,9 +29,147 @@ LONG_CELL = 131072
 # Newton's corrections of implicit steps go on until they are below this share of the
 # mean length of springs.
 SOLVED = 1e-6
-
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
+# Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
+# 30, 48, 60 and 120 a second.
+CELL = 1 / 240
+# Of the limit of explicit steps, what is taken.
+SAFE = 0.8
+# Time for each second of motion that is short enough for explicit steps anyway [s].
+LITTLE = 0.03
+# What is less accurate is to take this share of the time at most: explicit steps of the
+# same time are ten times as near as those of xpbd on sheets.
+WORTH = 0.5
+# Steps in a cell to begin with.
+FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
+# Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
+# 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
+# more of each, in all solvers about alike. Only how they compare decides.
+COSTS = {
+    # Springs of neighbours are pulled four at a time, from columns of particles.
+    Solver.SYMPLECTIC_EULER: 2.8e-9,
+    # Each spring reads what the one before it wrote, wherever it is.
+    Solver.XPBD: 9.5e-9,
+    # Newton's corrections, each of some ten products of a matrix.
+    Solver.BDF2: 150e-9,
+}
+# Of a spring's stretch xpbd asks twice of what is not its own give.
+TWICE = 2.0
+
+
+def projected_rate(system: LoadedBody, stretch: float) -> float:
+    """Return how many steps a second xpbd is expected to take, from what springs bear.
+
+    A step of length h moves the ends of a spring that bears a force F by F w h² as
+    those beside it are gone through, w being what its ends weigh, inverse and added
+    up. At each pin or target hangs its part of the whole weight. Speeds are not
+    counted: a motion may take twice as many, or half. A spring may be longer by the
+    stretch, over its length at rest [1].
+    """
+    springs = system.body.springs
+    firm = (springs.rest > 0) & (springs.stiffness > 0)
+    free = ~system.fixed
+    if not firm.any() or not free.any():
+        return 0.0
+    holders = np.count_nonzero(system.fixed) + len(system.draws.particles) or len(free)
+    pull = float(np.linalg.norm(system.gravity))
+    force = float(system.body.masses[free].sum()) * pull / holders
+    ends = springs.ends[firm]
+    moved = system.inverse_masses[ends].sum(axis=1) / springs.rest[firm]
+    rate = np.sqrt(TWICE * force * float(np.median(moved)) / stretch)
+    return min(float(rate), 1 / SHORTEST)
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A solver and its steps."""
+
+    solver: Solver  # not `Solver.AUTO`
+    cell: float  # of time [s]
+    substeps: int  # steps in a cell
+    reason: str  # why, in words
+    limit: float  # the largest stable step of semi-implicit Euler [s]
+
+
+def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
+    """Return the largest stable step of semi-implicit Euler [s]."""
+    modes = system.frequencies(t, state)
+    if modes is None:
+        return math.inf
+    limit = allowed_step(find_integrator("symplectic_euler"), modes)
+    return math.inf if limit is None else limit
+
+
+def choose(
+    system: SpringSystem,
+    options: SpringOptions,
+    wanted: Solver,
+    t: float,
+    state: FloatArray,
+) -> Choice:
+    """Return the solver asked for, or the one that is expected to take least time.
+
+    Raises:
+        OptionError: The one that is wanted does not keep a surface apart from itself
+            (SIM046), or needs more steps than are taken (SIM004).
+    """
+    limit = explicit_limit(system, t, state)
+    rate = 1 / (SAFE * limit) if limit > 0 else math.inf
+    solver, reason = wanted, "it was asked for"
+    if system.self_contact is not None:
+        check_keeping_apart(wanted)
+        if wanted is Solver.AUTO:
+            solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
+    elif wanted is Solver.AUTO:
+        solver, reason = (
+            _cheapest(system, options, rate)
+            if options.step is None
+            else _steady(options, options.step, limit)
+        )
+    if options.step is not None:
+        return Choice(solver, options.step, 1, reason, limit)
+    if solver is Solver.SYMPLECTIC_EULER:
+        check_substeps(solver, rate, MAX_SUBSTEPS / CELL)
+        steps = max(1, math.ceil(CELL * rate))
+        return Choice(solver, CELL, steps, reason, limit)
+    return Choice(solver, CELL, FIRST[solver], reason, limit)
+
+
+def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
+    """Return what takes steps of one length."""
+    says = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+    if step <= SAFE * limit:
+        return Solver.SYMPLECTIC_EULER, says
+    if options.error is None:
+        return Solver.XPBD, f"{says}, and xpbd with any"
+    return Solver.BDF2, f"{says}, and bdf2 with longer ones"
+
+
+def _cheapest(
+    system: SpringSystem, options: SpringOptions, rate: float
+) -> tuple[Solver, str]:
+    """Return what is expected to take least time: steps, times what each costs."""
+    says = f"semi-implicit Euler needs {rate:.0f} steps a second"
+    if options.error is None:
+        other, most = Solver.XPBD, WORTH
+        steps = projected_rate(system, options.stretch)
+    else:
+        other, most, steps = Solver.BDF2, 1.0, 0.0
+    steps = max(steps, FIRST[other] / CELL)
+    explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
+    props = f"about {steps:.0f} of {other}"
+    if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
+        return other, f"{says}, which are too many"
+    if explicit * len(system.body.springs.rest) <= LITTLE:
+        return Solver.SYMPLECTIC_EULER, f"{says}, which take little time"
+    if explicit <= instead:
+        return Solver.SYMPLECTIC_EULER, f"{says}, which take less time than {props}"
+    if explicit * most <= instead:
+        longer = f"which take little longer than {props}"
+        return Solver.SYMPLECTIC_EULER, f"{says}, {longer}, and are far nearer"
+    share = f"{props} take {instead / explicit:.0%} of their time"
+    return other, f"{says}, and {share}"
 
 
 def cell_colliders(

@@ -10,10 +10,10 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.system import Energy
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
-from animtool.systems.springs.choosing import choose
 from animtool.systems.springs.motion import SpringMotion
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulating import simulate_springs
+from animtool.systems.springs.solvers import choose
 from animtool.systems.springs.system import SpringSystem
 
 # What others are compared with: of the second order, and stable.

@@ -12,7 +12,7 @@ from animtool.systems.springs import (
     SpringSystem,
     sheet,
 )
-from animtool.systems.springs.choosing import (
+from animtool.systems.springs.solvers import (
     CELL,
     COSTS,
     FIRST,

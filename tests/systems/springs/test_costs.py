@@ -14,8 +14,7 @@ from animtool.systems.springs import (
     sheet,
     simulate_springs,
 )
-from animtool.systems.springs.choosing import COSTS, projected_rate
-from animtool.systems.springs.solvers import SHORTEST
+from animtool.systems.springs.solvers import COSTS, SHORTEST, projected_rate
 
 
 def hanging(count: int = 11, mass: float = 0.01, pull: float = 10.0) -> SpringSystem:
