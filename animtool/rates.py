@@ -213,7 +213,7 @@ def rate_option(
     Raises:
         OptionError: It is not a positive number.
 
-    >>> rate_option("29.97", "CLI006")
+    >>> rate_option("29.97", "SCN022")
     Fraction(30000, 1001)
     """
     try:

@@ -87,7 +87,7 @@ def test_a_take_that_does_not_fit(motion: Motion, count: int, codes: list[str]) 
 
 
 def test_notices_stay_with_a_take() -> None:
-    note = Fault("BVH109", "small")
+    note = Fault("RIG217", "small")
     take = replace(take_of(dense_motion()), notices=(note,))
     assert TakeStream.of(take).collect().notices == (note,)
 

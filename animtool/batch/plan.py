@@ -168,7 +168,7 @@ def check_places(batch: Batch) -> None:
 
     Raises:
         OptionError: Two items write one file, or files that are one on some disks, as
-            their names differ only in case or in how accents are encoded (BAT006); or
+            their names differ only in case or in how accents are encoded (OUT007); or
             an output is an input (OUT003).
         OutputError: A folder cannot be made or written to (OUT002).
     """
@@ -197,10 +197,10 @@ def _clashes(
             if other is not item:
                 message = f"would be written for both {other.label} and {item.label}"
                 hint = _apart(item, other)
-                yield Fault("BAT006", message, str(path), (), hint)
+                yield Fault("OUT007", message, str(path), (), hint)
             elif name in own:
                 message = f"would be written twice for {item.label}"
-                yield Fault("BAT006", message, str(path))
+                yield Fault("OUT007", message, str(path))
             own.add(name)
 
 

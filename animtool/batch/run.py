@@ -242,7 +242,7 @@ def run_batch(
     Raises:
         FormatError: A scene, or a record of an earlier run, is malformed.
         NothingFoundError: There is no input (BAT005).
-        OptionError: Outputs clash (BAT006), are inputs (OUT003), or exist and were
+        OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist and were
             made by nobody here (OUT001); or an option makes no sense.
         OutputError: Another run goes on (BAT010), or a folder cannot be written to
             (OUT002, BAT012).

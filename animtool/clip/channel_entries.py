@@ -231,7 +231,7 @@ class ChannelReader:
         rotations, wrong = file_quaternions(values)
         for k in wrong:
             message = f"quaternion {values[k].tolist()} has no length"
-            self.document.add("CLIP014", (*at, "keys", k, "v"), message)
+            self.document.add("RIG006", (*at, "keys", k, "v"), message)
         return rotations
 
 

@@ -123,10 +123,10 @@ class _Reader:
         if first > last:
             message = f"the range from {first:g} to {last:g} is reversed"
             hint = f"write [{last:g}, {first:g}]"
-            self.document.add("TGT003", ("range",), message, hint)
+            self.document.add("CLIP006", ("range",), message, hint)
         if max(abs(first), abs(last)) > MAX_FRAME:
             message = f"a frame is beyond {MAX_FRAME:.0e}"
-            self.document.add("TGT003", ("range",), message)
+            self.document.add("CLIP006", ("range",), message)
         return Fraction(first), Fraction(last)
 
     def _goal(self, at: Location, model: GoalModel) -> GoalTrack | None:

@@ -79,7 +79,7 @@ class TargetTracks:
         """The frames that the file is about: its range, else all that it mentions.
 
         Raises:
-            OptionError: There are more than 10 million (TGT003).
+            OptionError: There are more than 10 million (CLIP006).
         """
         first, last = self.first, self.last
         if first is None or last is None:
@@ -88,7 +88,7 @@ class TargetTracks:
         count = int((last - first) // 1) + 1
         if count > MAX_FRAMES:
             message = f"the range has {count} frames; at most {MAX_FRAMES} are solved"
-            raise OptionError(Fault("TGT003", message, str(self.path)))
+            raise OptionError(Fault("CLIP006", message, str(self.path)))
         return Clock(self.fps or USUAL_RATE, first, Fraction(1), count)
 
     def placed(self, clock: Clock) -> TargetTracks:

@@ -188,7 +188,7 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
         f"--range {wanted.first}-{wanted.last} reaches beyond the take; "
         f"{float(times.first):g} to {float(times.last):g} are written"
     )
-    return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
+    return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:

@@ -240,7 +240,7 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
         message = "there is no control whose curve could be kept"
         hint = "clips have such curves; a pass that changes a control drops its curve"
         plan.notices.append(
-            Fault("CLI102", message, str(plan.source), (), hint, Severity.WARNING)
+            Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
         )
     start = float(Fraction(1) if stream.start is None else stream.start)
     ratio = float(plan.fps / stream.fps)

@@ -59,7 +59,7 @@ class BakeOptions:
         overwrite: Replace outputs that exist.
 
     Raises:
-        OptionError: fps is no rate (CLI006).
+        OptionError: fps is no rate (SCN022).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -288,7 +288,7 @@ class BakeOptions:
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
         if self.fps is not None:
-            object.__setattr__(self, "fps", rate_option(self.fps, "CLI006"))
+            object.__setattr__(self, "fps", rate_option(self.fps, "SCN022"))
         if self.shot is not None:
             if self.frame_range is None:
                 frames = FrameRange(self.shot.start, self.shot.end)

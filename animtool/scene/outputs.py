@@ -65,7 +65,7 @@ def bake_scene(
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied.
         OptionError: An option makes no sense, an output exists, or two are one file
-            (SCN040).
+            (OUT007).
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
@@ -138,7 +138,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
             first = owners.setdefault(name_key(target(path).final), output)
             if first is not output:
                 message = f"{str(path)!r} is written by {first.place.where} too"
-                faults.append(output.place.fault("SCN040", message, "name another"))
+                faults.append(output.place.fault("OUT007", message, "name another"))
         try:
             _check_one(scene, output, options)
         except AnimtoolError as error:

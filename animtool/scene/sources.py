@@ -56,7 +56,7 @@ class SourceOptions:
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
-        OptionError: fps is no rate (CLI006).
+        OptionError: fps is no rate (SCN022).
     """
 
     unit: LengthUnit | None = None
@@ -72,7 +72,7 @@ class SourceOptions:
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
         if self.fps is not None:
-            object.__setattr__(self, "fps", rate_option(self.fps, "CLI006"))
+            object.__setattr__(self, "fps", rate_option(self.fps, "SCN022"))
 
 
 def is_usd(path: Path) -> bool:

@@ -70,7 +70,7 @@ PROFILES: dict[str, Profile] = {
             "MOT221": None,
             "USD227": _NOTE,
             "USD229": _NOTE,
-            "USD246": None,
+            "RIG209": None,
             "USD250": _NOTE,
             "USD252": _ERROR,
             "USD255": _ERROR,

@@ -109,7 +109,7 @@ def test_chunks_by_costs(takes: Path) -> None:
         (("a.batch.yaml", "-o", "x", "--chunk", "0"), 2, "auto"),
         (("a.batch.yaml", "-o", "a.batch.yaml"), 2, "file"),
         (("b.batch.yaml", "-o", "x"), 5, "BAT005"),
-        (("c.batch.yaml", "-o", "x"), 2, "BAT006"),
+        (("c.batch.yaml", "-o", "x"), 2, "OUT007"),
     ],
 )
 def test_what_makes_no_job(

@@ -35,7 +35,7 @@ def refused(found: Batch) -> AnimtoolError:
 def test_outputs_of_one_name(takes: Path) -> None:
     error = refused(batch(takes, "out/{stem}.usdc"))
     assert isinstance(error, OptionError)
-    assert [fault.code for fault in error.faults] == ["BAT006", "BAT006"]
+    assert [fault.code for fault in error.faults] == ["OUT007", "OUT007"]
     assert "a/take000.bvh and" in error.faults[0].message
     check_places(batch(takes, "out/{parent}/{stem}.usdc"))
 
@@ -44,14 +44,14 @@ def test_names_that_differ_by_capital_letters(takes: Path) -> None:
     text = (takes / "takes/a/take000.bvh").read_text()
     (takes / "takes/a/TAKE000.bvh").write_text(text)
     error = refused(batch(takes, "out/{parent}/{stem}.usdc"))
-    assert [fault.code for fault in error.faults] == ["BAT006"]
+    assert [fault.code for fault in error.faults] == ["OUT007"]
 
 
 def test_a_folder_by_two_names(takes: Path) -> None:
     (takes / "out").mkdir()
     (takes / "out/a").mkdir()
     (takes / "out/b").symlink_to("a")
-    assert refused(batch(takes, "out/{parent}/{stem}.usdc")).code == "BAT006"
+    assert refused(batch(takes, "out/{parent}/{stem}.usdc")).code == "OUT007"
 
 
 def test_files_props_an_output_count(takes: Path) -> None:
@@ -60,7 +60,7 @@ def test_files_props_an_output_count(takes: Path) -> None:
     )
     (takes / "takes/a/x.bvh").write_text((takes / "takes/a/take000.bvh").read_text())
     check_places(batch(takes, "out/{parent}/{stem}.usda"))
-    assert refused(batch(takes, "out/{parent}/{stem}.usda", "split")).code == "BAT006"
+    assert refused(batch(takes, "out/{parent}/{stem}.usda", "split")).code == "OUT007"
 
 
 def test_an_output_that_is_an_input(takes: Path) -> None:

@@ -119,7 +119,7 @@ def test_a_scene_names_several_outputs_of_each_item(takes: Path) -> None:
     # The second would be one file of all items.
     with pytest.raises(OptionError) as caught:
         check_places(find_batch(replace(spec, inputs=("takes",))))
-    assert caught.value.code == "BAT006"
+    assert caught.value.code == "OUT007"
     scene.write_text(f"{SCENE}output: [{{file: a.usda}}, {{file: A.usda}}]\n")
     with pytest.raises(OptionError, match="twice"):
         check_places(find_batch(spec))

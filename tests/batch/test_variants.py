@@ -196,7 +196,7 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
     with pytest.raises(OptionError) as caught:
         check_places(find_batch(clash))
     (fault,) = caught.value.faults
-    assert fault.code == "BAT006"
+    assert fault.code == "OUT007"
     assert "(k=1)" in fault.message
     assert "(k=2)" in fault.message
     assert "{k}" in str(fault.hint)

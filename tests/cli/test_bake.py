@@ -191,7 +191,7 @@ def test_numbers_beyond_reason(take: Path, arguments: list[str]) -> None:
 def test_a_range_beyond_the_take_is_said(take: Path, tmp_path: Path) -> None:
     done = animtool("bake", take, "-o", tmp_path / "o.usda", "--range", "5-500")
     assert done.code == 0
-    assert "CLI101" in done.stderr
+    assert "SCN202" in done.stderr
     strict = animtool("bake", take, "-o", "-", "--range", "5-500", "--strict")
     assert (strict.code, strict.stdout) == (1, "")
 
@@ -244,7 +244,7 @@ def test_rates(take: Path, tmp_path: Path) -> None:
 
 def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
     done = animtool("bake", walk, "-o", tmp_path / "o.usda", "--units", "cm")
-    assert "BVH109" not in done.stderr
+    assert "RIG217" not in done.stderr
     for command in (["info", walk], ["bake", walk, "-o", tmp_path / "m.usda"]):
         done = animtool(*command, "--units", "m")
         assert done.code == 0
@@ -258,7 +258,7 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
     path.write_text("\n".join(text))
     done = animtool("bake", path, "--strict", "--bones")
     assert done.code == 0
-    assert "BVH109" in done.stderr
+    assert "RIG217" in done.stderr
     assert "--units m" in done.stderr
 
 

@@ -111,7 +111,7 @@ def test_a_source_without_controls_says_so(walk: Path, tmp_path: Path) -> None:
     output = tmp_path / "o.usda"
     done = animtool("bake", walk, "-o", output, "--keep-curves")
     assert done.code == 0
-    assert "CLI102" in done.stderr
+    assert "SCN208" in done.stderr
     assert animtool("bake", walk, "-o", "x.usda", "--keep-curves", "--strict").code == 1
 
 
@@ -133,7 +133,7 @@ def test_a_pass_drops_the_curves_of_what_it_changes(
     done = animtool("bake", scene)
     assert done.code == 0, done.stderr
     assert (tmp_path / "o.usda").read_text().count(".spline = ") == kept
-    assert ("CLI102" in done.stderr) is (kept == 0)
+    assert ("SCN208" in done.stderr) is (kept == 0)
 
 
 def test_samples_are_reduced(walk: Path, tmp_path: Path) -> None:

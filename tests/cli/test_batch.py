@@ -188,7 +188,7 @@ def test_variables_of_the_command_line_come_before_those_of_files(takes: Path) -
         (("none*.bvh",), 5, "BAT005"),
         (("takes", "a.batch.yaml"), 2, "give it alone"),
         (("a.batch.yaml",), 3, "IO001"),
-        (("takes", "-o", "one.usdc"), 2, "BAT006"),
+        (("takes", "-o", "one.usdc"), 2, "OUT007"),
         (("takes", "-o", "{stm}.usdc"), 2, "BAT004"),
         (("takes", "-j", "none"), 2, "auto"),
         (("takes", "--items", "2-9"), 2, "BAT033"),

@@ -273,7 +273,7 @@ def test_motion_of_another_file_goes_to_joints_of_the_same_names(place: Path) ->
 BAD = {
     "unknown": ("effector: leg_r", "effector: leg_q", 3, "TGT001"),
     "nan": ("[-10, 20, 20]", "[-10, .nan, 20]", 3, "DOC022"),
-    "reversed range": ("range: [1, 12]", "range: [12, 1]", 3, "TGT003"),
+    "reversed range": ("range: [1, 12]", "range: [12, 1]", 3, "CLIP006"),
     "rate": ("fps: 24", "fps: 30", 2, "TGT014"),
 }
 

@@ -151,9 +151,9 @@ def test_two_outputs_that_are_one_file_on_some_disks(
     if len(list((show / "takes").iterdir())) < 2:
         reason = "this disk takes the two for one"
         pytest.skip(reason)
-    refused(show, "BAT006", "batch", "takes", "-o", "out/{stem}.usdc")
+    refused(show, "OUT007", "batch", "takes", "-o", "out/{stem}.usdc")
     entries = json.dumps([{"file": f"{name}.usda"} for name in names])
     scene = f"scene: animtool/1\nsource: {{file: take000.bvh}}\noutput: {entries}\n"
     (show / "s.scene.yaml").write_text(scene, "utf-8")
-    refused(show, "SCN040", "bake", "s.scene.yaml")
-    record_property(FAULTS, f"outputs that differ in {form} | BAT006, SCN040 | nothing")
+    refused(show, "OUT007", "bake", "s.scene.yaml")
+    record_property(FAULTS, f"outputs that differ in {form} | OUT007, OUT007 | nothing")

@@ -29,7 +29,7 @@ FAULTS = {
     "CLIP004": "- {effector: leg_l, position: {keys: [{t: 2, v: [0, 0, 0]}, "
     "{t: 1, v: [0, 0, 0]}]}}",
     "CLIP007": "- {effector: leg_l, position: {keys: [{t: 2, v: 0}]}}",
-    "CLIP014": "- {effector: leg_l, orientation: {keys: [{t: 2, v: [0, 0, 0, 0]}]}}",
+    "RIG006": "- {effector: leg_l, orientation: {keys: [{t: 2, v: [0, 0, 0, 0]}]}}",
     "DOC020": "- {effector: leg_l, positon: [0, 0, 0], hold: [[1, 2]]}",
     "DOC021": "- {position: [0, 0, 0]}",
     "DOC022": "- {effector: leg_l, position: [0, .nan, 0]}",
@@ -101,8 +101,8 @@ def test_each_fault_has_its_line(folder: Path, code: str, goal: str) -> None:
 @pytest.mark.parametrize(
     ("head", "code", "line"),
     [
-        ("targets: animtool/1\nrange: [9, 1]\n", "TGT003", 2),
-        ("targets: animtool/1\nrange: [1, 1e12]\n", "TGT003", 2),
+        ("targets: animtool/1\nrange: [9, 1]\n", "CLIP006", 2),
+        ("targets: animtool/1\nrange: [1, 1e12]\n", "CLIP006", 2),
         ("targets: animtool/1\nfps: fast\n", "TGT004", 2),
         ("targets: animtool/2\n", "DOC012", 1),
         ("clip: animtool/1\n", "DOC009", 1),

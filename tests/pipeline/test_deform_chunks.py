@@ -108,7 +108,7 @@ def test_nothing_is_left_where_a_bake_fails(
     options = ("pair.clip.yaml", "-o", "o.usdc", "--deform", "--chunk", "2")
     done = animtool("bake", *options, "--range", "1-99", "--strict", cwd=tmp_path)
     assert done.code == 1
-    assert "CLI101" in done.stderr
+    assert "SCN202" in done.stderr
     assert sorted(tmp_path.iterdir()) == before
 
     def fail(*_: object) -> None:

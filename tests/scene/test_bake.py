@@ -87,7 +87,7 @@ def test_rates_are_taken_as_they_are_written(record: Any) -> None:
     for fps in (0, Fraction(0), -24, "none", True, [24]):
         with pytest.raises(OptionError) as caught:
             record(fps=fps)
-        assert caught.value.faults[0].code == "CLI006"
+        assert caught.value.faults[0].code == "SCN022"
 
 
 @pytest.mark.parametrize(

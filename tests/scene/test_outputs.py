@@ -127,7 +127,7 @@ def test_two_outputs_of_one_file(shot: Path) -> None:
     with pytest.raises(OptionError) as caught:
         bake_scene(load_scene(shot))
     [fault] = caught.value.faults
-    assert (fault.code, fault.lines, fault.where) == ("SCN040", (9,), "output[1]")
+    assert (fault.code, fault.lines, fault.where) == ("OUT007", (9,), "output[1]")
 
 
 def test_an_output_that_is_read(shot: Path) -> None:

@@ -627,7 +627,7 @@ BROKEN = [
         f"{BODY}.skel:blendShapes",
     ),
     Case(
-        "USD246",
+        "RIG209",
         "a shape without effect",
         both(
             rows(OFFSETS, lambda o: o * 0),
@@ -950,9 +950,9 @@ NEAR = [
             target(f"{BODY}.skel:blendShapeTargets", f"{BODY}/both", f"{BODY}/bulge"),
         ),
     ),
-    Case("USD246", "a shape that comes and goes", rows(OFFSETS, lambda o: o * 0)),
+    Case("RIG209", "a shape that comes and goes", rows(OFFSETS, lambda o: o * 0)),
     Case(
-        "USD246",
+        "RIG209",
         "a shape that turns normals alone",
         both(rows(OFFSETS, lambda o: o * 0), rows(STEP, lambda o: o * 0)),
     ),

@@ -130,7 +130,7 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
     hint = "--units says what it is in"
     if fitting:
         hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"
-    return [Fault("BVH109", message, path, (), hint, Severity.NOTE)]
+    return [Fault("RIG217", message, path, (), hint, Severity.NOTE)]
 
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:

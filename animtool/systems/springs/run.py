@@ -26,7 +26,7 @@ Progress: TypeAlias = Callable[[float], None] | None
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
 # Notices whose message says how much it is so far.
-_GROWING = {"SIM141", "SIM143"}
+_GROWING = {"SIM131", "SIM123"}
 # Times this near to each other are one [s].
 SAME = 1e-9
 
@@ -194,7 +194,7 @@ class SpringRun:
         for fault in motion.notices:
             # Of what has a number that changes, the first, or the worst.
             key = fault.code if fault.code in _GROWING else str(fault)
-            worse = fault.code == "SIM141" and motion.stretch >= self._worst
+            worse = fault.code == "SIM131" and motion.stretch >= self._worst
             if key not in self._said or worse:
                 self._said[key] = fault
         self._worst = max(self._worst, motion.stretch)

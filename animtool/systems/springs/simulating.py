@@ -340,7 +340,7 @@ def _notices(
             f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
             f"own give; {options.stretch:.1%} is allowed"
         )
-        found.append(warning("SIM141", message, "take bdf2, or less stiffness or mass"))
+        found.append(warning("SIM131", message, "take bdf2, or less stiffness or mass"))
     elif run.longest > 1 + GIVES * options.stretch:
         message = (
             f"springs are longer than at rest by {GIVES * options.stretch:.3g} of that "
@@ -354,5 +354,5 @@ def _notices(
             "colliders at once"
         )
         hint = "they start inside, or colliders close in on them from several sides"
-        found.append(warning("SIM143", message, hint))
+        found.append(warning("SIM123", message, hint))
     return found + through_notices(run.grid.through)

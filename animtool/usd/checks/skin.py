@@ -210,7 +210,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     inbetweens = list(shape.GetInbetweens())
     moves = [offsets, normals, *(_rows(step.GetAttr()) for step in inbetweens)]
     if len(offsets) and not any(rows.any() for rows in moves):
-        yield finding("USD246", path, f"all {len(offsets)} offsets are 0")
+        yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
     count = wanted if wanted is not None else len(offsets)
     yield from _normals(shape.GetNormalOffsetsAttr(), count)
     yield from _inbetweens(inbetweens, count)

@@ -24,11 +24,15 @@ GROUPS = ("joints", "meshes", "shapes")
 HINT = "the second gets a number there; rename one"
 
 
-def in_rig(rig: RigSubject) -> Iterator[Fault]:
-    """Yield names of a rig that become one (RIG219)."""
-    for key in GROUPS:
-        for name, message in _collisions(names_in(rig, key)):
-            yield rig.fault("RIG219", rig.at(key, name), message, HINT)
+def names_apart(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
+    """Yield names of a rig, or of joints in a capture, that become one (RIG219)."""
+    if isinstance(subject, RigSubject):
+        for key in GROUPS:
+            for name, message in _collisions(names_in(subject, key)):
+                yield subject.fault("RIG219", subject.at(key, name), message, HINT)
+        return
+    for name, message in _collisions(subject.take.rig.names):
+        yield subject.fault("RIG219", name, message, HINT)
 
 
 def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
@@ -50,12 +54,6 @@ def not_in_usd(rig: RigSubject) -> Iterator[Fault]:
 def names_in(rig: RigSubject, key: str) -> list[str]:
     """Return the names of one of `GROUPS`."""
     return [entry.name for entry in getattr(rig.rig, key)]
-
-
-def in_capture(subject: TakeSubject) -> Iterator[Fault]:
-    """Yield names of joints in a capture that become one (BVH201)."""
-    for name, message in _collisions(subject.take.rig.names):
-        yield subject.fault("BVH201", name, message, HINT)
 
 
 def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:

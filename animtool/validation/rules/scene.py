@@ -26,7 +26,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that are inputs too (SCN203)."""
+    """Yield outputs that are inputs too (OUT003)."""
     scene = subject.scene
     read = {*subject.read, *scene.inputs, scene.path}
     for at, output in subject.outputs:
@@ -38,7 +38,7 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
         over = [repr(path.name) for path in files if path.resolve() in inputs]
         if over:
             message = f"writes over {' and '.join(over)}, which it reads"
-            yield subject.fault("SCN203", (*at, "file"), message, "name another")
+            yield subject.fault("OUT003", (*at, "file"), message, "name another")
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:

@@ -88,7 +88,7 @@ def open_clip_document(document: Document) -> Opened:
         check_clip(file)
         message = "names no rig, without which its targets cannot be checked"
         hint = "write 'rig: hero.rig.yaml' into it"
-        fault = document.fault("VAL007", ("clip",), message, hint)
+        fault = document.fault("CLIP011", ("clip",), message, hint)
         return Opened(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
     rig = load_rig_of(file)
     clip = load_clip(file, rig)

@@ -253,7 +253,7 @@ def _pinched(way: str) -> None:
     system = alone((0, 0, 0), *closing)
     if not way.startswith("integrate"):
         motion = taken(system, way, np.arange(25) * FRAME)
-        assert "SIM143" in codes(motion)
+        assert "SIM123" in codes(motion)
         check_pinched(motion)
         return
     checkpoint, touches = None, set()

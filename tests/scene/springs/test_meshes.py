@@ -120,7 +120,7 @@ def test_a_rope_lies_on_stairs(tmp_path: Path) -> None:
     heights = np.select([line[:, 0] < 0.3, line[:, 0] < 0.6], [0.6, 0.3], 0.0)
     assert (line[:, 1] - heights).min() > 0.01
     assert (line[:, 1] < 0.1).any()
-    assert not [fault for fault in report.notices if fault.code == "SIM143"]
+    assert not [fault for fault in report.notices if fault.code == "SIM123"]
 
 
 @pytest.mark.usefixtures("props")

@@ -264,7 +264,7 @@ def test_what_begins_inside_leaves_without_a_pop(solver: Solver) -> None:
         assert climbed.max() < 0.5 * 0.4 / 12 + 2e-3
         early = run(system, 0.1, solver)
         assert early.unresolved == 1
-        assert "SIM143" in [fault.code for fault in early.notices]
+        assert "SIM123" in [fault.code for fault in early.notices]
 
 
 @pytest.mark.parametrize(

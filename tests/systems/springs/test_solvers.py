@@ -101,7 +101,7 @@ def test_what_starts_inside_leaves_without_a_pop(solver: Solver) -> None:
     motion = run(system, 0.4, solver)
     assert np.linalg.norm(motion.velocities, axis=2).max() <= 0.8 * 1.001
     assert motion.unresolved == 1
-    assert "SIM143" in [notice.code for notice in motion.notices]
+    assert "SIM123" in [notice.code for notice in motion.notices]
     assert run(system, 1.0, solver).positions[-1, 0, 2] >= 1 - 1e-6
 
 

@@ -117,7 +117,7 @@ def test_overshoot_after_what_has_no_limits(clip: Path) -> None:
 def test_a_clip_without_a_rig_is_noted(clip: Path) -> None:
     clip.write_text("clip: animtool/1\nfps: 24\nrange: [1, 9]\nchannels: []\n", "utf-8")
     (fault,) = open_clip_document(read_document(clip)).faults
-    assert (fault.code, fault.severity) == ("VAL007", Severity.NOTE)
+    assert (fault.code, fault.severity) == ("CLIP011", Severity.NOTE)
 
 
 def test_overshoot_names_its_key_and_frames(clip: Path) -> None:

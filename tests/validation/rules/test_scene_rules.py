@@ -174,7 +174,7 @@ def test_a_scene_that_writes_over_its_source_is_an_error(shot: Path) -> None:
     text = f"{SCENE}output: {{file: a.usda, as: layer, rig_layer: a.usda}}\n"
     shot.write_text(text, "utf-8")
     (fault,) = validate(shot)
-    assert (fault.code, fault.severity) == ("SCN203", Severity.ERROR)
+    assert (fault.code, fault.severity) == ("OUT003", Severity.ERROR)
 
 
 def test_the_last_step_is_what_a_scene_opens_as(shot: Path) -> None:
@@ -211,7 +211,7 @@ def test_passes_behind_ik(behind: str, wanted: list[str], shot: Path) -> None:
 @pytest.mark.parametrize(
     ("output", "wanted"),
     [
-        ("[{file: a.usdc}, {file: limb.clip.yaml}]", ["SCN203"]),
+        ("[{file: a.usdc}, {file: limb.clip.yaml}]", ["OUT003"]),
         ("[{file: a.usdc}, {file: b.usda, bones: true, as: layer}]", ["SCN207"] * 2),
         ("[{file: a.usdc, keep_curves: true}, {file: b.bvh}]", ["SCN208"]),
         ("[{file: a.usdc}, {file: other.usdc}]", ["SCN204"]),
@@ -250,4 +250,4 @@ def test_a_scene_that_writes_over_what_its_targets_follow(shot: Path) -> None:
     goal = "- {effector: arm, position: {prim: /prop, file: prop.usda}}\n"
     (shot.parent / "page.targets.yaml").write_text(TARGETS + goal, "utf-8")
     shot.write_text(f"{SOLVED}output: {{file: prop.usda}}\n", "utf-8")
-    assert "SCN203" in codes(shot)
+    assert "OUT003" in codes(shot)
