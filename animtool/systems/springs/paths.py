@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
 from animtool.systems.springs.motion import Grid
+
+# Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
+Path: TypeAlias = tuple[FloatArray, FloatArray]
 
 # A step ends on a jump that is this much behind its end [s]: rounding of times.
 SLACK = 1e-9
@@ -82,7 +86,7 @@ class Air:
 
 
 def over_knots(
-    paths: Sequence[tuple[FloatArray, FloatArray]],
+    paths: Sequence[Path],
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
@@ -98,6 +102,30 @@ def over_knots(
         same = still or np.array_equal(times, knots)
         found.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
     return knots, found
+
+
+def position_at(path: Path, t: float) -> FloatArray:
+    """Return positions on a path at a time [s] ``(P, 3)`` [m]."""
+    times, places = path
+    row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
+    place: FloatArray = places[row]
+    if times[0] < t < times[-1]:
+        share = (t - times[row]) / (times[row + 1] - times[row])
+        place = place + (places[row + 1] - place) * share
+    return place
+
+
+def speed_of(path: Path) -> float:
+    """Return the largest speed on a path [m/s]."""
+    times, places = path
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    return float((steps / np.diff(times)[:, None]).max(initial=0.0))
+
+
+def travel_of(path: Path) -> float:
+    """Return how far a path leads from its start at most [m]."""
+    places = path[1]
+    return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
 
 
 def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
@@ -121,7 +149,7 @@ class Teleports:
         self,
         body: Body,
         held: IntArray,
-        paths: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]],
+        paths: tuple[Path, Path],
         limit: float,
     ) -> None:
         self._held, self._limit = held, limit
@@ -162,7 +190,7 @@ class Teleports:
         ahead = [self.cell(jump, grid) - grid.index for jump in range(len(self))]
         return min((count for count in ahead if count > 0), default=math.inf)
 
-    def paths(self, stage: int) -> list[tuple[FloatArray, FloatArray]]:
+    def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins and of targets in a stage."""
         first = np.zeros(len(self._held), np.int64)
         last = np.full(len(self._held), len(self._knots) - 1)

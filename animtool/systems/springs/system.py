@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,17 @@ from animtool.systems.springs.checks import (
     start_notices,
     tangle_notices,
 )
-from animtool.systems.springs.paths import Air, Pins, Targets, Teleports, over_knots
+from animtool.systems.springs.paths import (
+    Air,
+    Path,
+    Pins,
+    Targets,
+    Teleports,
+    over_knots,
+    position_at,
+    speed_of,
+    travel_of,
+)
 from animtool.systems.springs.records import SelfContact
 from animtool.systems.springs.slopes import fastest
 
@@ -40,8 +50,6 @@ from animtool.systems.springs.slopes import fastest
 EPSILON_TIME = 1e-6
 # Steps that a kernel takes in one call, at most.
 AT_ONCE = 1 << 20
-# Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
-Path: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 class _Stage(NamedTuple):
@@ -237,10 +245,10 @@ class SpringSystem(SecondOrder):
             drag: What slows all motion, over mass and speed [1/s].
         """
         stage = self._stage(self.jumps.stage(t))
-        aims, draws = _position(stage.targets, t), self.draws
+        aims, draws = position_at(stage.targets, t), self.draws
         return SpringSystem(
             body,
-            pins=Pins(self.pinned, _position(stage.pins, t)),
+            pins=Pins(self.pinned, position_at(stage.pins, t)),
             targets=Targets(draws.particles, aims, draws.stiffness, draws.damping),
             gravity=self.gravity,
             drag=drag,
@@ -281,7 +289,7 @@ class SpringSystem(SecondOrder):
         potential -= float(masses @ x @ self.gravity)
         draws = self.draws
         if len(draws.particles):
-            gaps = x[draws.particles] - _position(stage.targets, t)
+            gaps = x[draws.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
         return Energy(kinetic, potential, self._supply)
 
@@ -302,14 +310,14 @@ class SpringSystem(SecondOrder):
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         # What is put elsewhere brings no speed.
-        speed = min(max(_speed(path) for path in self._ways), self.speed_limit)
-        travel = max(_travel(path) for path in self._ways)
+        speed = min(max(speed_of(path) for path in self._ways), self.speed_limit)
+        travel = max(travel_of(path) for path in self._ways)
         pull = float(np.linalg.norm(self.gravity))
         return mass, wind**2 + pull * travel, speed
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
-        return _position(self._wind_path, t)
+        return position_at(self._wind_path, t)
 
     def _lengths(self, x: FloatArray) -> FloatArray:
         ends = self.body.springs.ends
@@ -349,7 +357,7 @@ class SpringSystem(SecondOrder):
         begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
         moved = self.jumps.across(moved, begin, end)
         was = self.jumps.across(before, begin, end)[0, self.pinned]
-        moved[0, self.pinned] = _position(self._stage(end).pins, t)
+        moved[0, self.pinned] = position_at(self._stage(end).pins, t)
         moved[1, self.pinned] = (moved[0, self.pinned] - was) / h
         return moved
 
@@ -412,24 +420,3 @@ def _drawn(targets: Targets | None) -> tuple[Draws, Path]:
         for value in (targets.stiffness, targets.damping)
     )
     return Draws(drawn, stiffness, damping), path
-
-
-def _position(path: Path, t: float) -> FloatArray:
-    times, places = path
-    row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
-    place: FloatArray = places[row]
-    if times[0] < t < times[-1]:
-        share = (t - times[row]) / (times[row + 1] - times[row])
-        place = place + (places[row + 1] - place) * share
-    return place
-
-
-def _speed(path: Path) -> float:
-    times, places = path
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
-    return float((steps / np.diff(times)[:, None]).max(initial=0.0))
-
-
-def _travel(path: Path) -> float:
-    places = path[1]
-    return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))

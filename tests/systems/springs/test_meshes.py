@@ -16,18 +16,16 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim import Status
 from animtool.sim.colliders import Box, Collider, Colliders, Mesh, Poses, Sheet, Sphere
 from animtool.systems.springs import (
-    Body,
     Family,
     Solver,
-    SpringMotion,
     SpringOptions,
-    Springs,
     SpringSystem,
     rope,
     sheet,
     simulate_springs,
 )
 from tests.support.balls import ball_mesh, box_mesh
+from tests.support.loose import loose, run
 
 SOLVERS = [solver for solver in Solver if solver is not Solver.AUTO]
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -64,23 +62,6 @@ def still(points: FloatArray, faces: IntArray, **options: float) -> Colliders:
     return moving(lambda _: points, faces, **options)
 
 
-def loose(
-    points: object,
-    colliders: Colliders | list[Collider],
-    velocity: tuple[float, ...] = (0, 0, 0),
-    radius: float = 0.0,
-    gravity: float = -9.81,
-) -> SpringSystem:
-    """Return particles without springs."""
-    places = np.array(points, float).reshape(-1, 3)
-    body = Body(places, np.ones(len(places)), Springs.none(), np.zeros((0, 3), int))
-    speeds = np.tile(np.array(velocity, float), (len(places), 1))
-    return SpringSystem(
-        body, colliders=colliders, velocities=speeds, radius=radius,
-        gravity=(0, 0, gravity),
-    )  # fmt: skip
-
-
 def cloth(colliders: Colliders | list[Collider], height: float = 0.32) -> SpringSystem:
     body = sheet(
         11, 11, mass=0.002, structural=Family(200.0, ratio=0.3),
@@ -88,13 +69,6 @@ def cloth(colliders: Colliders | list[Collider], height: float = 0.32) -> Spring
         corner=[-0.3, -0.3, height], across=[0.6, 0, 0], up=[0, 0.6, 0],
     )  # fmt: skip
     return SpringSystem(body, colliders=colliders, radius=0.005, drag=1.0)
-
-
-def run(
-    system: SpringSystem, end: float, solver: Solver, step: float = 1 / 960
-) -> SpringMotion:
-    times = np.linspace(0, end, 13)
-    return simulate_springs(system, times, SpringOptions(solver, step=step))
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

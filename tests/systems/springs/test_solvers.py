@@ -8,18 +8,18 @@ import pytest
 from animtool.sim import Status
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 from animtool.systems.springs import (
-    Body,
     Family,
     Pins,
     Solver,
     SpringMotion,
     SpringOptions,
-    Springs,
     SpringSystem,
     rope,
     sheet,
     simulate_springs,
 )
+from tests.support.loose import loose
+from tests.support.loose import run as run_loose
 
 SOLVERS = [solver for solver in Solver if solver is not Solver.AUTO]
 UP = (0.0, 0.0, 1.0)
@@ -30,22 +30,11 @@ def alone(
     *points: list[float], velocity: tuple[float, ...] = (0, 0, 0)
 ) -> SpringSystem:
     """Return particles without springs above a floor."""
-    return dropped(points, [Collider(Plane(UP), friction=0.5)], velocity)
-
-
-def dropped(
-    points: object, colliders: list[Collider], velocity: tuple[float, ...] = (0, 0, 0)
-) -> SpringSystem:
-    places = np.array(points, float)
-    body = Body(places, np.ones(len(places)), Springs.none(), np.zeros((0, 3), int))
-    speeds = np.tile(np.array(velocity, float), (len(places), 1))
-    return SpringSystem(body, colliders=colliders, velocities=speeds)
+    return loose(points, [Collider(Plane(UP), friction=0.5)], velocity)
 
 
 def run(system: SpringSystem, end: float, solver: Solver | str) -> SpringMotion:
-    options = SpringOptions(solver, step=1 / 960)
-    times = np.linspace(0, end, 25)
-    return simulate_springs(system, times, options)
+    return run_loose(system, end, solver, times=25)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -72,7 +61,7 @@ def test_friction_holds_on_a_slope(solver: Solver) -> None:
     for slope, slides in ((0.4, False), (0.6, True)):
         tilted = (-slope, 0.0, 1.0)
         floor = Collider(Plane(tilted), friction=0.5)
-        motion = run(dropped([[0, 0, 0]], [floor]), 0.5, solver)
+        motion = run(loose([[0, 0, 0]], [floor]), 0.5, solver)
         assert (abs(motion.positions[-1, 0, 0]) > 1e-3) == slides
 
 
@@ -89,7 +78,7 @@ def test_friction_holds_on_a_slope(solver: Solver) -> None:
     ids=["sphere", "capsule", "box", "mesh"],
 )  # fmt: skip
 def test_nothing_fast_goes_through(solver: Solver, shape: object) -> None:
-    system = dropped([[0, 0, 1]], [Collider(shape)], (0, 0, -150.0))  # type: ignore[arg-type]
+    system = loose([[0, 0, 1]], [Collider(shape)], (0, 0, -150.0))  # type: ignore[arg-type]
     motion = run(system, 0.1, solver)
     assert motion.positions[-1, 0, 2] == pytest.approx(0.1, abs=1e-6)
 
@@ -97,7 +86,7 @@ def test_nothing_fast_goes_through(solver: Solver, shape: object) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_what_starts_inside_leaves_without_a_pop(solver: Solver) -> None:
     ball = Collider(Sphere(1.0), depenetration=0.8)
-    system = dropped([[0, 0, 0.5]], [ball])
+    system = loose([[0, 0, 0.5]], [ball])
     motion = run(system, 0.4, solver)
     assert np.linalg.norm(motion.velocities, axis=2).max() <= 0.8 * 1.001
     assert motion.unresolved == 1
@@ -115,7 +104,7 @@ def test_what_is_pinched_stays_finite(solver: Solver) -> None:
         )
         for side in (1, -1)
     ]
-    system = dropped([[0, 0, 0]], closing)
+    system = loose([[0, 0, 0]], closing)
     motion = run(system, 1.0, solver)
     assert np.isfinite(motion.states).all()
     assert np.linalg.norm(motion.velocities, axis=2).max() < 10
@@ -129,7 +118,7 @@ def test_a_moving_collider_carries_what_lies_on_it(solver: Solver) -> None:
         Poses([0, 1], [[0, 0, 0], [0.5, 0, 1.0]], STILL * 2),
         friction=10.0,
     )
-    motion = run(dropped([[0, 0, 0.1]], [lift]), 1.0, solver)
+    motion = run(loose([[0, 0, 0.1]], [lift]), 1.0, solver)
     np.testing.assert_allclose(motion.positions[-1, 0], [0.5, 0, 1.1], atol=0.02)
     np.testing.assert_allclose(motion.velocities[-1, 0], [0.5, 0, 1.0], atol=0.05)
 
@@ -140,7 +129,7 @@ def test_a_collider_that_jumps_hits_nothing_on_its_way(solver: Solver) -> None:
         Sphere(0.5), Poses([0, 0.1, 0.15], [[-50, 0, 0], [-50, 0, 0], [50, 0, 0]],
                            STILL * 3)
     )  # fmt: skip
-    system = dropped([[0, 0, 0]], [ball])
+    system = loose([[0, 0, 0]], [ball])
     motion = run(system, 0.2, solver)
     assert np.abs(motion.positions[:, 0, 0]).max() == 0
     assert "SIM120" in [notice.code for notice in motion.notices]
