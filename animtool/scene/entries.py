@@ -24,20 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where in a file something is said.
+    """Where in a file something is said."""
 
-    Attributes:
-        path: The file.
-        line: 1-based.
-        column: 1-based.
-        where: Such as ``passes[1].trim``.
-        keys: Line and column of keys that are there below it.
-    """
-
-    path: Path
-    line: int
-    column: int
-    where: str
+    path: Path  # the file
+    line: int  # 1-based
+    column: int  # 1-based
+    where: str  # such as ``passes[1].trim``
+    # Line and column of keys that are there below it.
     keys: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
 
     def fault(
@@ -89,84 +82,54 @@ def place_of_entry(
 
 @dataclass(frozen=True, slots=True)
 class SceneSource:
-    """One source of a scene.
+    """One source of a scene."""
 
-    Attributes:
-        path: The file.
-        options: How to open it.
-        place: Of the entry.
-        tracks: Of several, what it brings; None is what it moves.
-        timecode: SMPTE time code of its first frame; None states none.
-        timecode_fps: Frames a second that this counts; None is the source's rate.
-    """
-
-    path: Path
-    options: SourceOptions
-    place: Place
+    path: Path  # the file
+    options: SourceOptions  # how to open it
+    place: Place  # of the entry
+    # Of several, what it brings; None is what it moves.
     tracks: TrackNames | None = None
-    timecode: str | None = None
+    timecode: str | None = None  # SMPTE time code of its first frame; None states none
+    # Frames a second that this counts; None is the source's rate.
     timecode_fps: Fraction | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class SceneProp:
-    """A thing beside the character of a scene.
+    """A thing beside the character of a scene."""
 
-    Attributes:
-        file: The USD file that it is read from.
-        prim: Path of its prim.
-        path: Where it is written: below the character, or from ``/`` on.
-        frame: Time code of its file that comes with the first frame; None is the
-            number of that frame.
-        retimed: Whether passes retime it with the take; else it has the frames of
-            what comes out of them.
-        attributes: Names of what is read of it beside its place.
-        reference: File that shows it; None is nothing.
-        place: Of the entry.
-    """
-
-    file: Path
-    prim: str
-    path: str
+    file: Path  # the USD file that it is read from
+    prim: str  # path of its prim
+    path: str  # where it is written: below the character, or from ``/`` on
+    # Time code of its file that comes with the first frame; None is the number of that
+    # frame.
     frame: Fraction | None
+    # Whether passes retime it with the take; else it has the frames of what comes out
+    # of them.
     retimed: bool
-    attributes: tuple[str, ...]
-    reference: Path | None
-    place: Place
+    attributes: tuple[str, ...]  # names of what is read of it beside its place
+    reference: Path | None  # file that shows it; None is nothing
+    place: Place  # of the entry
 
 
 @dataclass(frozen=True, slots=True)
 class ScenePass:
-    """One entry of a scene's passes.
+    """One entry of a scene's passes."""
 
-    Attributes:
-        pass_: What to do.
-        options: Its own record.
-        place: Of the entry.
-    """
-
-    pass_: Pass
-    options: Any
-    place: Place
+    pass_: Pass  # what to do
+    options: Any  # its own record
+    place: Place  # of the entry
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSystem:
-    """One entry of a scene's systems.
+    """One entry of a scene's systems."""
 
-    Attributes:
-        name: Of its prim.
-        kind: Of `SYSTEM_KINDS`.
-        setup: What it is made of.
-        place: Of the entry.
-        written: Whether it goes into the output; else another needs it.
-    """
-
-    name: str
-    kind: str
-    setup: SystemSetup
-    place: Place
-    written: bool = True
+    name: str  # of its prim
+    kind: str  # of `SYSTEM_KINDS`
+    setup: SystemSetup  # what it is made of
+    place: Place  # of the entry
+    written: bool = True  # whether it goes into the output; else another needs it
 
 
 class OutputKind(StrEnum):
@@ -191,16 +154,10 @@ def kind_of(path: Path) -> OutputKind:
 
 @dataclass(frozen=True, slots=True)
 class SceneOutput:
-    """One output of a scene.
+    """One output of a scene."""
 
-    Attributes:
-        path: The file to write; None where it names none.
-        bake: Options that it sets, those of the whole scene among them.
-        place: Of the entry.
-        systems: Names of those that go into it; None is all.
-    """
-
-    path: Path | None
-    bake: BakeOptions
-    place: Place
+    path: Path | None  # the file to write; None where it names none
+    bake: BakeOptions  # options that it sets, those of the whole scene among them
+    place: Place  # of the entry
+    # Names of those that go into it; None is all.
     systems: tuple[str, ...] | None = None

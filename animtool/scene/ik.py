@@ -52,58 +52,39 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class IkJob:
-    """What `animtool ik` is told.
+    """What `animtool ik` is told."""
 
-    Attributes:
-        rig: Rig file, USD file or BVH.
-        targets: Targets file.
-        start: File with the poses to start from; None is the rest pose.
-        source: What that file is.
-        pose: Solve one frame only.
-        frame: Which; None is the first.
-        options: How to solve.
-        tolerance: A position that is off by more is missed [m], and none is solved to
-            less; None is a tenth of a millimetre, or what `options` solve to where
-            that is more.
-        angle_tolerance: An orientation, aim or pole likewise [rad]; None is a tenth of
-            a degree.
-        strict: Refuse to write what misses, or what there are warnings about.
-        output: USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
-        to_stdout: Write usda to stdout.
-        bake: How USD is written; its ``reduce`` and ``overwrite`` are for others too.
-    """
-
-    rig: Path
-    targets: Path
+    rig: Path  # rig file, USD file or BVH
+    targets: Path  # targets file
+    # File with the poses to start from; None is the rest pose.
     start: Path | None = None
-    source: SourceOptions = field(default_factory=SourceOptions)
-    pose: bool = False
-    frame: Fraction | None = None
-    options: TakeOptions = field(default_factory=TakeOptions)
+    source: SourceOptions = field(default_factory=SourceOptions)  # what that file is
+    pose: bool = False  # solve one frame only
+    frame: Fraction | None = None  # which; None is the first
+    options: TakeOptions = field(default_factory=TakeOptions)  # how to solve
+    # A position that is off by more is missed [m], and none is solved to less; None is
+    # a tenth of a millimetre, or what `options` solve to where that is more.
     tolerance: float | None = None
+    # An orientation, aim or pole likewise [rad]; None is a tenth of a degree.
     angle_tolerance: float | None = None
+    # Refuse to write what misses, or what there are warnings about.
     strict: bool = False
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
     output: Path | None = None
-    to_stdout: bool = False
+    to_stdout: bool = False  # write usda to stdout
+    # How USD is written; its ``reduce`` and ``overwrite`` are for others too.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
 
 @dataclass(slots=True)
 class IkReport:
-    """What came of it.
+    """What came of it."""
 
-    Attributes:
-        solved: The take at its targets.
-        goals: What became of each goal.
-        notices: Warnings and notes.
-        seconds: Wall time by stage.
-        written: The report of what was written; None where nothing was.
-    """
-
-    solved: TakeIk
-    goals: list[GoalReport]
-    notices: list[Fault]
-    seconds: dict[str, float]
+    solved: TakeIk  # the take at its targets
+    goals: list[GoalReport]  # what became of each goal
+    notices: list[Fault]  # warnings and notes
+    seconds: dict[str, float]  # wall time by stage
+    # The report of what was written; None where nothing was.
     written: BakeReport | ConvertReport | None = None
 
     @property
@@ -128,21 +109,13 @@ class MissedGoalsError(ToleranceError):
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """A rig, its targets, and the take to bring to them.
+    """A rig, its targets, and the take to bring to them."""
 
-    Attributes:
-        tracks: The targets.
-        take: The poses to start from.
-        still: They are the rest pose.
-        only: Index of the one frame to solve; None is all.
-        notices: What is odd so far.
-    """
-
-    tracks: TargetTracks
-    take: Take
-    still: bool
-    only: int | None
-    notices: list[Fault]
+    tracks: TargetTracks  # the targets
+    take: Take  # the poses to start from
+    still: bool  # they are the rest pose
+    only: int | None  # index of the one frame to solve; None is all
+    notices: list[Fault]  # what is odd so far
 
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> Opened:

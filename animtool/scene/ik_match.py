@@ -29,50 +29,31 @@ from animtool.take import Take
 
 @dataclass(frozen=True, slots=True)
 class MatchJob:
-    """What `animtool ik --match` is told.
+    """What `animtool ik --match` is told."""
 
-    Attributes:
-        rig: Rig file, USD file or BVH, with chains.
-        take: File with the poses.
-        output: Targets file to write.
-        source: What the file of poses is.
-        chains: Names of chains, or patterns; none is all.
-        pose: Match one frame only.
-        frame: Which; None is the first.
-        reduce: How far sparse keys may be off [m]; None writes every frame.
-        overwrite: Replace outputs that exist.
-        strict: Refuse to write what there are warnings about.
-    """
-
-    rig: Path
-    take: Path
-    output: Path
+    rig: Path  # rig file, USD file or BVH, with chains
+    take: Path  # file with the poses
+    output: Path  # targets file to write
+    # What the file of poses is.
     source: SourceOptions = field(default_factory=SourceOptions)
-    chains: tuple[str, ...] = ()
-    pose: bool = False
-    frame: Fraction | None = None
+    chains: tuple[str, ...] = ()  # names of chains, or patterns; none is all
+    pose: bool = False  # match one frame only
+    frame: Fraction | None = None  # which; None is the first
+    # How far sparse keys may be off [m]; None writes every frame.
     reduce: float | None = None
-    overwrite: bool = False
-    strict: bool = False
+    overwrite: bool = False  # replace outputs that exist
+    strict: bool = False  # refuse to write what there are warnings about
 
 
 @dataclass(frozen=True, slots=True)
 class MatchReport:
-    """What came of it.
+    """What came of it."""
 
-    Attributes:
-        tracks: The targets.
-        clock: Of the poses.
-        outputs: The files written.
-        notices: Warnings and notes.
-        seconds: Wall time by stage.
-    """
-
-    tracks: TargetTracks
-    clock: Clock
-    outputs: list[Path]
-    notices: list[Fault]
-    seconds: dict[str, float]
+    tracks: TargetTracks  # the targets
+    clock: Clock  # of the poses
+    outputs: list[Path]  # the files written
+    notices: list[Fault]  # warnings and notes
+    seconds: dict[str, float]  # wall time by stage
 
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:

@@ -20,48 +20,29 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 
 @dataclass(frozen=True, slots=True)
 class IkTableRow:
-    """One setting and what it gives.
+    """One setting and what it gives."""
 
-    Attributes:
-        setting: The tolerance or the method, in words.
-        tolerance: Of positions [m].
-        angle_tolerance: Of the others [rad].
-        method: Which solver.
-        refused: Why the method cannot solve this; empty where it can.
-        microseconds: Of solving, a frame.
-        position: The worst miss [m].
-        angle: The worst miss of an orientation, aim or pole [rad].
-        iterations: Mean of the frames.
-        converged: Share of the frames that reached all.
-    """
-
-    setting: str
-    tolerance: float
-    angle_tolerance: float
-    method: IkMethod
-    refused: str = ""
-    microseconds: float = 0.0
-    position: float = 0.0
-    angle: float = 0.0
-    iterations: float = 0.0
-    converged: float = 0.0
+    setting: str  # the tolerance or the method, in words
+    tolerance: float  # of positions [m]
+    angle_tolerance: float  # of the others [rad]
+    method: IkMethod  # which solver
+    refused: str = ""  # why the method cannot solve this; empty where it can
+    microseconds: float = 0.0  # of solving, a frame
+    position: float = 0.0  # the worst miss [m]
+    angle: float = 0.0  # the worst miss of an orientation, aim or pole [rad]
+    iterations: float = 0.0  # mean of the frames
+    converged: float = 0.0  # share of the frames that reached all
 
 
 @dataclass(frozen=True, slots=True)
 class IkTable:
-    """Rows for one input.
+    """Rows for one input."""
 
-    Attributes:
-        frames: How many were solved.
-        degrees: Degrees of freedom of the problem.
-        tolerances: A row for each of `TOLERANCES`, by the method asked for.
-        methods: A row for each `IkMethod`, at the tolerance asked for.
-    """
-
-    frames: int
-    degrees: int
+    frames: int  # how many were solved
+    degrees: int  # degrees of freedom of the problem
+    # A row for each of `TOLERANCES`, by the method asked for.
     tolerances: list[IkTableRow]
-    methods: list[IkTableRow]
+    methods: list[IkTableRow]  # A row for each `IkMethod`, at the tolerance asked for
 
 
 def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:

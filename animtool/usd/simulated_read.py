@@ -37,42 +37,27 @@ _PIECES = {
 
 @dataclass(frozen=True, slots=True)
 class PointPrim:
-    """A prim of points.
+    """A prim of points."""
 
-    Attributes:
-        path: Of the prim.
-        type: Of the prim; empty of one that only goes over another layer's.
-        points: Least and most points at a sample.
-        pieces: What they are joined to, `faces` or `curves`; empty where they are not.
-        piece_count: Least and most of these.
-        samples: Of the points; 0 where they never move.
-        first: Time code of the first; None where there is none.
-        last: Time code of the last; likewise.
-        fixed: Whether the same points stay, joined alike, as far as numbers of points,
-            ids at both ends and what may change tell.
-        velocities: Whether there are any.
-        widths: Likewise.
-        ids: Likewise.
-        normals: Likewise.
-        primvars: Names of those that it has.
-        extent: Lowest and highest corner over all samples, in its own space, as it is
-            stated; None where none is.
-    """
-
-    path: str
-    type: str
-    points: tuple[int, int]
+    path: str  # of the prim
+    type: str  # of the prim; empty of one that only goes over another layer's
+    points: tuple[int, int]  # least and most points at a sample
+    # What they are joined to, `faces` or `curves`; empty where they are not.
     pieces: str
-    piece_count: tuple[int, int]
-    samples: int
-    first: float | None
-    last: float | None
+    piece_count: tuple[int, int]  # least and most of these
+    samples: int  # of the points; 0 where they never move
+    first: float | None  # time code of the first; None where there is none
+    last: float | None  # time code of the last; likewise
+    # Whether the same points stay, joined alike, as far as numbers of points, ids at
+    # both ends and what may change tell.
     fixed: bool
-    velocities: bool
-    widths: bool
-    ids: bool
-    normals: bool
-    primvars: list[str]
+    velocities: bool  # whether there are any
+    widths: bool  # likewise
+    ids: bool  # likewise
+    normals: bool  # likewise
+    primvars: list[str]  # names of those that it has
+    # Lowest and highest corner over all samples, in its own space, as it is stated;
+    # None where none is.
     extent: tuple[list[float], list[float]] | None
 
     def as_dict(self) -> dict[str, object]:
@@ -87,44 +72,26 @@ class PointPrim:
 
 @dataclass(frozen=True, slots=True)
 class ChunkSet:
-    """Files that hold the samples of a prim and what is below it, in turn.
+    """Files that hold the samples of a prim and what is below it, in turn."""
 
-    Attributes:
-        path: Of the prim.
-        name: Of the set.
-        files: As the layer names them.
-        missing: Those that are not there.
-    """
-
-    path: str
-    name: str
-    files: list[str]
-    missing: list[str]
+    path: str  # of the prim
+    name: str  # of the set
+    files: list[str]  # as the layer names them
+    missing: list[str]  # those that are not there
 
 
 @dataclass(frozen=True, slots=True)
 class PointStage:
-    """A stage without a character.
+    """A stage without a character."""
 
-    Attributes:
-        fps: Time codes a second, exact.
-        start: First time code: of the stage, or of the samples.
-        end: Last time code; likewise.
-        unit: Unit of the stage.
-        up: Its up axis.
-        prims: Of points.
-        chunks: Sets of value clips.
-        notices: What is odd.
-    """
-
-    fps: Fraction
-    start: Fraction
-    end: Fraction
-    unit: str
-    up: str
-    prims: list[PointPrim]
-    chunks: list[ChunkSet]
-    notices: list[Fault]
+    fps: Fraction  # time codes a second, exact
+    start: Fraction  # first time code: of the stage, or of the samples
+    end: Fraction  # last time code; likewise
+    unit: str  # unit of the stage
+    up: str  # its up axis
+    prims: list[PointPrim]  # of points
+    chunks: list[ChunkSet]  # sets of value clips
+    notices: list[Fault]  # what is odd
 
 
 def read_points(path: Path) -> PointStage | None:
