@@ -64,6 +64,24 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     return found, often
 
 
+def closed(counts: IntArray, indices: IntArray) -> bool:
+    """Return whether each side of polygons is of two of them: none has an open edge.
+
+    Args:
+        counts: Corners of each ``(M,)``.
+        indices: Corners, one polygon after the other ``(C,)``.
+
+    >>> tetrahedron = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3])
+    >>> closed(np.full(4, 3), tetrahedron), closed(np.full(3, 3), tetrahedron[:9])
+    (True, False)
+    """
+    low, high = np.sort(sides(counts, indices), axis=1).astype(np.int64).T
+    ends = np.sort(low * (high.max(initial=0) + 1) + high).reshape(-1)
+    pairs = ends[: len(ends) // 2 * 2].reshape(-1, 2)
+    twice = len(ends) % 2 == 0 and bool((pairs[:, 0] == pairs[:, 1]).all())
+    return twice and bool((np.diff(pairs[:, 0]) > 0).all())
+
+
 def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
     """Return each two of some sides ``(C, 2)`` that have the same ends: their numbers.
 

@@ -29,6 +29,7 @@ from animtool.usd.point_based import (
     ATTRIBUTES,
     CachedMesh,
     Kind,
+    author_faces,
     author_linear,
     author_width,
 )
@@ -103,9 +104,7 @@ class _Mesh(FrameForm[MeshFrame]):
 
     def describe(self, spec: Any, frame: MeshFrame, unit: float) -> None:  # noqa: ARG002
         """Write that it is no cage, and whether both sides are visible."""
-        attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
-        if not frame.closed:
-            attribute(spec, "doubleSided", _TYPES.Bool, True, uniform=True)
+        author_faces(spec, "none", closed=frame.closed)
 
     def values(
         self,

@@ -10,13 +10,14 @@ from pxr import Gf, Sdf, UsdGeom, Vt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity
+from animtool.maths.faces import closed
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.finite import Labels, check_value, narrowed
 from animtool.usd.layers import attribute, author_order, prim, relationship
 from animtool.usd.names import RigPaths, distinct_names
-from animtool.usd.point_based import author_linear, author_width
+from animtool.usd.point_based import author_faces, author_linear, author_width
 
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
@@ -172,8 +173,8 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
         attribute(
             spec, "normals", _TYPES.Normal3fArray, normals, interpolation="vertex"
         )
-    scheme = SUBDIVISION[surface.subdivision]
-    attribute(spec, "subdivisionScheme", _TYPES.Token, scheme, uniform=True)
+    whole = closed(surface.counts, surface.indices)
+    author_faces(spec, SUBDIVISION[surface.subdivision], closed=whole)
     return spec
 
 

@@ -66,6 +66,13 @@ class CachedMesh:
             self.error, self.error_code, self.error_vertex = error, code, vertex
 
 
+def author_faces(spec: Any, subdivision: str, *, closed: bool) -> None:
+    """State how a mesh is subdivided, and that an open one is visible from inside."""
+    attribute(spec, "subdivisionScheme", _TYPES.Token, subdivision, uniform=True)
+    if not closed:
+        attribute(spec, "doubleSided", _TYPES.Bool, True, uniform=True)
+
+
 def author_linear(spec: Any) -> None:
     """State that curves are polylines with two ends."""
     attribute(spec, "type", _TYPES.Token, "linear", uniform=True)

@@ -11,6 +11,7 @@ from support.suite import examples
 
 from animtool._types import IntArray
 from animtool.maths.faces import (
+    closed,
     distinct_pairs,
     edge_counts,
     edges,
@@ -80,3 +81,12 @@ def test_nothing_has_no_pairs() -> None:
     none = np.zeros((0, 2), np.int64)
     assert distinct_pairs(none).shape == (0, 2)
     assert [len(part) for part in of_one_edge(none)] == [0, 0]
+
+
+@given(POLYGONS)
+@FEW
+def test_what_is_closed_has_two_faces_at_every_edge(polygons: list[list[int]]) -> None:
+    both = [*polygons, *polygons]
+    for some in (polygons, both):
+        found = closed(*flat(some))
+        assert found == bool((edge_counts(*flat(some))[1] == 2).all())

@@ -16,7 +16,7 @@ from support.usd import open_stage, validation_errors
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
-from animtool.rig.parts import Mesh
+from animtool.rig.parts import HeldArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.skin.deform import DeformedMesh, deform
@@ -177,6 +177,23 @@ def test_a_mesh_with_shapes_alone_comes_back_to_its_place(tmp_path: Path) -> Non
     cap = replace(rig.meshes[1], geom_bind=bind)
     write_rig_layer(replace(rig, meshes=(rig.meshes[0], cap)), tmp_path / "x.usda")
     assert read_rig(tmp_path / "x.usda").meshes[1].geom_bind == bind
+
+
+def test_an_open_mesh_is_visible_from_inside(tmp_path: Path) -> None:
+    rig = shaped_rig()
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3.0]])
+    one, other = (
+        Mesh(name, held(np.vstack([np.zeros(3), np.eye(3)])), HeldArray(some))
+        for name, some in (("whole", faces), ("open", faces[:3]))
+    )
+    write_rig_layer(replace(rig, meshes=(one, other), shapes=()), tmp_path / "x.usda")
+    stage = open_stage(tmp_path / "x.usda")
+    sides = {
+        prim.GetName(): UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get()
+        for prim in stage.Traverse()
+        if prim.IsA(UsdGeom.Mesh)
+    }
+    assert sides == {"whole": False, "open": True}
 
 
 def test_weights_are_normalised_and_it_is_said(tmp_path: Path) -> None:
