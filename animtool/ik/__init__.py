@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from animtool.ik.on_take import solve_take as solve_take
     from animtool.ik.options import IkMethod as IkMethod
     from animtool.ik.options import TakeOptions as TakeOptions
+    from animtool.ik.path import smooth as smooth
     from animtool.ik.problem import Problem as Problem
     from animtool.ik.problem import build as build
     from animtool.ik.result import IkResult as IkResult
     from animtool.ik.result import IkStatus as IkStatus
     from animtool.ik.result import Jump as Jump
-    from animtool.ik.smoothing import smooth as smooth
     from animtool.ik.solving import IkOptions as IkOptions
     from animtool.ik.solving import solve as solve
-    from animtool.ik.take_ik import TakeIk as TakeIk
+    from animtool.ik.take_run import TakeIk as TakeIk
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
 _PUBLIC = {
@@ -38,7 +38,7 @@ _PUBLIC = {
     "Jump": "animtool.ik.result",
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
-    "TakeIk": "animtool.ik.take_ik",
+    "TakeIk": "animtool.ik.take_run",
     "TakeOptions": "animtool.ik.options",
     "TargetTracks": "animtool.ik.tracks",
     "Targets": "animtool.ik.goals",
@@ -46,7 +46,7 @@ _PUBLIC = {
     "follow": "animtool.ik.clip_solver",
     "load_targets": "animtool.ik.file",
     "match": "animtool.ik.matching",
-    "smooth": "animtool.ik.smoothing",
+    "smooth": "animtool.ik.path",
     "solve": "animtool.ik.solving",
     "solve_take": "animtool.ik.on_take",
 }

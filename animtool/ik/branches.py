@@ -9,12 +9,11 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.ik.chain import BALL, Chain
+from animtool.ik.chain import BALL, Chain, difference, moved, unwound, with_periods
 from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, solve
-from animtool.ik.tangent import difference, moved, unwound, with_periods
 
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4

@@ -10,14 +10,22 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
+from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, rows_of
 from animtool.ik.options import IkMethod
-from animtool.ik.path import explained, jumping, named, path_of, strain
+from animtool.ik.path import (
+    at_poses,
+    explained,
+    jumping,
+    named,
+    path_of,
+    rate_faults,
+    smooth,
+    strain,
+)
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.smoothing import at_poses, rate_faults, smooth
 from animtool.ik.solving import IkOptions, pose_rows, solve
-from animtool.ik.tangent import difference
 
 # A stretch that is looked through begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25

@@ -20,7 +20,7 @@ from animtool.clip.tracks import euler_order
 from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
-from animtool.ik.chain import refuse_scales
+from animtool.ik.chain_frame import refuse_scales
 from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig

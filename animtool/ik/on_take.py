@@ -13,15 +13,18 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
-from animtool.ik.chain import refuse_scales
-from animtool.ik.chain_frame import parts_of
-from animtool.ik.free import FreeEffector
+from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.options import TakeOptions
 from animtool.ik.sub_rig import sub_rig, with_types
-from animtool.ik.take_ik import SolvedPart, TakeIk, gathered_take
-from animtool.ik.take_run import TakeRun, check_options
-from animtool.ik.tracks import GoalTrack, TargetTracks
+from animtool.ik.take_run import (
+    SolvedPart,
+    TakeIk,
+    TakeRun,
+    check_options,
+    gathered_take,
+)
+from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig

@@ -8,13 +8,13 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.ik.chain import BALL
+from animtool.errors import Fault, OptionError
+from animtool.ik.chain import BALL, difference, seamless, unwound
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
-from animtool.ik.result import Jump
+from animtool.ik.result import IkResult, IkStatus, Jump
 from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
-from animtool.ik.tangent import difference, seamless, unwound
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 
@@ -22,6 +22,12 @@ from animtool.rig.joints import coordinate_slices
 ROUNDS = 30
 # Of the preference for where a path was when its speed is evened out.
 HARDLY = 1e-6
+# A joint jumps that moves by more than this [rad], or share of the chain's length, and
+# this a second, and so many times what the targets move by, all together.
+LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
+# Slower ones are named too, where the joint moves so many times farther than within
+# so many frames before and after.
+MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
 
 
 @dataclass(frozen=True)
@@ -123,14 +129,6 @@ def path_of(
     return Path(problem, packed, extend(problem.limbs, packed), drifts, options)
 
 
-# A joint jumps that moves by more than this [rad], or share of the chain's length, and
-# this a second, and so many times what the targets move by, all together.
-LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
-# Slower ones are named too, where the joint moves so many times farther than within
-# so many frames before and after.
-MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
-
-
 def explained(path: Path, fps: float) -> FloatArray:
     """Return how far joints may go from frame to frame ``(F - 1,)``.
 
@@ -218,3 +216,84 @@ def _joints(problem: Problem) -> list[str]:
             name = owners[int(chain.columns[column])]
             names += [name] * (3 if kind == BALL else 1)
     return names
+
+
+def smooth(
+    result: IkResult,
+    targets: Targets,
+    seconds: float,
+    *,
+    fps: float,
+    start: ArrayLike | None = None,
+    options: IkOptions | None = None,
+) -> IkResult:
+    """Return the poses of a clip with less acceleration of the joints.
+
+    Over all frames at once, the sum of ``|q - q0|^2 + seconds^4 |q''|^2`` is brought
+    down, where q0 are the poses given: what the goals leave free and changes within
+    less than ``seconds`` is evened out, a slower motion stays (the smoothing of
+    E. Whittaker, On a new method of graduation, 1923, with second derivatives). Goals
+    that are reached stay within the tolerance; in frames that miss one, all goals stay
+    where these have them. Limits are kept.
+
+    Args:
+        result: F frames of one problem, in the order of time.
+        targets: What was asked.
+        seconds: Time over which motion is evened out [s]; 0 changes nothing, and .03
+            to .3 serve most clips.
+        fps: Frames a second.
+        start: Poses ``(F, Q)`` of a clip whose own acceleration is kept; only that of
+            the change from it is brought down.
+        options: Tolerances.
+
+    Raises:
+        OptionError: ``seconds`` is less than 0 or ``fps`` not more than 0 (IK014);
+            targets or start do not fit (IK010 to IK013).
+
+    Limits of the method: the poses are the least near by; where a path has to turn
+    from one way round to another, the turn stays. A goal that jumps makes joints jump.
+    It holds the Jacobians of all frames, F M D numbers.
+    """
+    options = options or IkOptions()
+    faults = rate_faults(seconds, fps)
+    if faults:
+        raise OptionError(faults)
+    if seconds == 0 or len(result.coordinates) < 3:
+        return result
+    path = path_of(result.problem, targets, start, options)
+    poses = result.problem.chain.from_rig(result.coordinates)
+    poses, misses = path.smoothed(poses, (seconds * fps) ** 4)
+    return at_poses(result, poses, misses, path)
+
+
+def rate_faults(seconds: float, fps: float) -> list[Fault]:
+    """Return what is wrong with a time to smooth over, and a rate."""
+    faults = []
+    if not (np.isfinite(seconds) and seconds >= 0):
+        faults.append(Fault("IK014", f"smooth must be at least 0, not {seconds}"))
+    if not (np.isfinite(fps) and fps > 0):
+        faults.append(Fault("IK014", f"fps must be more than 0, not {fps}"))
+    return faults
+
+
+def at_poses(
+    result: IkResult, poses: FloatArray, misses: FloatArray, path: Path
+) -> IkResult:
+    """Return a result with other poses of the chain ``(F, C)``."""
+    chain = result.problem.chain
+    met = path.excess(misses) <= 1
+    statuses = tuple(
+        IkStatus.CONVERGED
+        if good
+        else IkStatus.NEAREST
+        if status is IkStatus.CONVERGED
+        else status
+        for good, status in zip(met, result.statuses, strict=True)
+    )
+    return replace(
+        result,
+        coordinates=chain.into_rig(poses, result.coordinates),
+        statuses=statuses,
+        misses=misses * by_unit(chain.length, 1.0),
+        reached=path.excesses(misses) <= 1,
+    )

@@ -14,7 +14,7 @@ from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
-from animtool.ik.take_ik import TakeIk
+from animtool.ik.take_run import TakeIk
 from animtool.quantities import angle_text, length_text
 from animtool.units import parse_length
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.channels import ClipUnits
-from animtool.clip.write import curve_lines
+from animtool.clip.clip import curve_lines
 from animtool.documents.names import flow, number, scaled, text
 from animtool.ik.goals import PARTS, Goal
 from animtool.ik.schema import GoalModel

@@ -205,8 +205,8 @@ def _to_clip(
     progress: Progress,
     opener: Opener,
 ) -> ConvertReport:
+    from animtool.clip.clip import clip_text
     from animtool.clip.keyed_take import keyed_take
-    from animtool.clip.write import clip_text
     from animtool.rig.store import with_file
     from animtool.rig.write import rig_text
     from animtool.scene.convert_rig import write_arrays

@@ -23,8 +23,13 @@ from animtool.skin.character import (
     character_meshes,
     character_strands,
 )
-from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
-from animtool.skin.displaced import displaced_points
+from animtool.skin.deform import (
+    Deformed,
+    block_frames,
+    deform,
+    deform_blocks,
+    displaced_points,
+)
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.point_based import PointBlock, PointSpace
 from animtool.usd.point_cache import round_points

@@ -34,7 +34,7 @@ from animtool.ik.report import (
     missed_notices,
     span_notices,
 )
-from animtool.ik.take_ik import TakeIk
+from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs

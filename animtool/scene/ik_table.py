@@ -10,7 +10,7 @@ from animtool.errors import OptionError
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import IkMethod
 from animtool.ik.result import IkStatus
-from animtool.ik.take_ik import TakeIk
+from animtool.ik.take_run import TakeIk
 from animtool.scene.ik import IkJob, Opened, open_ik
 from animtool.scene.progress import Progress
 

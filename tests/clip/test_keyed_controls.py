@@ -12,10 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool._types import FloatArray
-from animtool.clip.clip import Clip
+from animtool.clip.clip import Clip, clip_text
 from animtool.clip.keyed_take import KeyedTake, keyed_take
 from animtool.clip.sample import sample_values
-from animtool.clip.write import clip_text
 from animtool.clock import Clock
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig

@@ -20,9 +20,8 @@ from support.data import data_files
 
 from animtool import compare
 from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
-from animtool.clip.clip import Clip
+from animtool.clip.clip import Clip, clip_text
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.write import clip_text
 from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
 from animtool.maths.euler import ORDERS

@@ -8,7 +8,7 @@ from support.ik import arm, random_pose, reached_by
 from animtool._types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
 from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
-from animtool.ik.tangent import difference
+from animtool.ik.chain import difference
 
 FRAMES = 12
 

@@ -9,9 +9,9 @@ import pytest
 from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.ik import Goal, IkOptions, build, follow
+from animtool.ik.chain import seamless
 from animtool.ik.path import Path, explained, jumping, named, path_of, strain
 from animtool.ik.result import Jump
-from animtool.ik.tangent import seamless
 from animtool.rig.limits import RangeLimit
 
 

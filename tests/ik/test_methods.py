@@ -22,7 +22,7 @@ from animtool.ik import (
     build,
     solve,
 )
-from animtool.ik.methods import serving
+from animtool.ik.solving import serving
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 

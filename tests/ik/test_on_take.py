@@ -18,7 +18,7 @@ from animtool.ik.options import TakeOptions
 from animtool.ik.report import apart_notices, goal_reports
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
-from animtool.ik.take_ik import TakeIk
+from animtool.ik.take_run import TakeIk
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.limits import RangeLimit

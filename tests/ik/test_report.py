@@ -18,7 +18,7 @@ from animtool.ik.report import (
     status_counts,
 )
 from animtool.ik.result import Jump
-from animtool.ik.take_ik import TakeIk
+from animtool.ik.take_run import TakeIk
 
 
 @pytest.fixture

@@ -6,8 +6,19 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.skins import Array, random_case
 
 from animtool.errors import FormatError
+from animtool.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
-from animtool.skin.deform import DeformedMesh, deform, deform_blocks, extents
+from animtool.rig.parts import Subdivision
+from animtool.rig.surfaces import Surface
+from animtool.skin.deform import (
+    Deformed,
+    DeformedMesh,
+    deform,
+    deform_blocks,
+    displaced_points,
+    extents,
+    vertex_normals,
+)
 from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
 from animtool.skin.skinning import prepare_skin, skin_normals, skin_points
 
@@ -152,3 +163,48 @@ def test_parts_that_do_not_fit_are_refused() -> None:
 def test_normals_of_vertices_that_are_not_there_are_refused() -> None:
     with pytest.raises(FormatError, match="SKIN002"):
         DeformedMesh(np.eye(3), normals=np.eye(3)[:1], normal_vertices=np.array([3]))
+
+
+def square() -> Surface:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]])
+    counts, indices = np.array([4, 3]), np.array([0, 1, 2, 3, 1, 4, 2])
+    normals = np.tile([0.0, 0.0, 1.0], (5, 1))
+    return Surface(
+        "s", points, counts, indices, normals, np.eye(4), None, (), Subdivision.NONE
+    )
+
+
+def test_normals_are_those_of_the_faces() -> None:
+    surface = square()
+    flat = surface.points[None]
+    tilted = flat @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    assert_allclose(vertex_normals(surface, flat)[0], surface.normals)
+    assert_allclose(
+        vertex_normals(surface, tilted)[0], np.tile([0.0, -1.0, 0.0], (5, 1))
+    )
+
+
+def test_only_frames_that_differ_get_other_normals() -> None:
+    surface = square()
+    kept = np.tile([0.6, 0.0, 0.8], (3, 5, 1))
+    still = np.repeat(surface.points[None], 3, axis=0)
+    made = Deformed(still, extents(still), kept)
+    values = still.copy()
+    values[1, :, 2] += 1.0
+    moved = Channel(values[0], np.arange(5), values)
+    found = displaced_points(made, moved, slice(0, 3), surface, None)
+    assert found.normals is not None
+    assert_array_equal(found.normals[[0, 2]], kept[[0, 2]])
+    assert_allclose(found.normals[1], surface.normals)
+    assert_array_equal(found.points, values)
+
+
+def test_velocities_look_beyond_the_block() -> None:
+    times = np.arange(6) / 24
+    values = np.sin(3 * times)[:, None, None] * np.ones((1, 2, 3))
+    moved = Channel(values[0], np.arange(2), values)
+    whole = np.gradient(values, times, axis=0)
+    zero = np.zeros((2, 2, 3))
+    made = Deformed(zero, extents(zero), None, zero)
+    found = displaced_points(made, moved, slice(2, 4), None, times)
+    assert_allclose(found.velocities, whole[2:4])

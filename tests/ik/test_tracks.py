@@ -15,10 +15,10 @@ from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
-from animtool.ik.free import FreeEffector, swung
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
+from animtool.ik.tracks import FreeEffector, swung
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, JointType, Rig
