@@ -77,11 +77,7 @@ class System(Protocol):
         return None
 
     def settle(
-        self,
-        t: float,
-        h: float,
-        before: FloatArray,
-        after: FloatArray,
+        self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
         """Return the state to go on with after a step: contacts, constraints, pins.
 
@@ -148,10 +144,7 @@ class SecondOrder(System, Protocol):
         ...
 
     def jacobians(
-        self,
-        t: float,
-        x: FloatArray,
-        v: FloatArray,
+        self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
         """Return the derivatives of accelerations by positions and by velocities.
 

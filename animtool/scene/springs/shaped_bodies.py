@@ -186,10 +186,7 @@ def _shares(
 
 
 def _odd_mesh(
-    prim: str,
-    points: FloatArray,
-    flat: IntArray,
-    shared: tuple[IntArray, IntArray],
+    prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
 ) -> tuple[Fault, ...]:
     """Return warnings of what cloth bears, and nobody means."""
     _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)

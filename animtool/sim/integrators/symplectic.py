@@ -67,8 +67,7 @@ VELOCITY_VERLET = Integrator(
     form=Form.ACCELERATIONS,
     step=velocity_verlet,
     limit=jury_limit(
-        lambda z: [2, -2 * z, z * z - 1, 0.5 * z],
-        lambda z: [1, -2 * z, z * z],
+        lambda z: [2, -2 * z, z * z - 1, 0.5 * z], lambda z: [1, -2 * z, z * z]
     ),
     drag_order=1,
     symplectic=True,

@@ -60,12 +60,7 @@ class Actor:
     """Carries one attachment from frame to frame."""
 
     def __init__(
-        self,
-        rig: Rig,
-        body: Body,
-        settings: Settings,
-        span: float,
-        pose: Pose,
+        self, rig: Rig, body: Body, settings: Settings, span: float, pose: Pose
     ) -> None:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings

@@ -15,17 +15,9 @@ from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
-from animtool.skin.character import (
-    CharacterMesh,
-    character_meshes,
-    character_strands,
-)
+from animtool.skin.character import CharacterMesh, character_meshes, character_strands
 from animtool.skin.deform import deform
-from animtool.systems.attach.network import (
-    Network,
-    diagonals_of_faces,
-    folds_of_faces,
-)
+from animtool.systems.attach.network import Network, diagonals_of_faces, folds_of_faces
 from animtool.systems.attach.poses import Way
 
 

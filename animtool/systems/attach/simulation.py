@@ -296,11 +296,7 @@ def _back(state: State, travel: Travel) -> State:
 
 
 def _pointed(
-    block: Motion,
-    name: str,
-    moved: FloatArray,
-    targets: FloatArray,
-    share: FloatArray,
+    block: Motion, name: str, moved: FloatArray, targets: FloatArray, share: FloatArray
 ) -> Motion:
     """Return a motion that says where points are."""
     values = moved

@@ -65,10 +65,7 @@ def check_limit(speed: float) -> None:
 
 
 def check_path(
-    name: str,
-    positions: ArrayLike,
-    times: ArrayLike | None,
-    count: int,
+    name: str, positions: ArrayLike, times: ArrayLike | None, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return times ``(K,)`` and positions ``(K, count, 3)`` of a path.
 

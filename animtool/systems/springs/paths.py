@@ -85,9 +85,7 @@ class Air:
     times: ArrayLike | None = None
 
 
-def over_knots(
-    paths: Sequence[Path],
-) -> tuple[FloatArray, list[FloatArray]]:
+def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
     >>> times, (path,) = over_knots([(np.array([0.0, 1.0]), np.zeros((2, 1, 3)))])
@@ -146,11 +144,7 @@ class Teleports:
     """
 
     def __init__(
-        self,
-        body: Body,
-        held: IntArray,
-        paths: tuple[Path, Path],
-        limit: float,
+        self, body: Body, held: IntArray, paths: tuple[Path, Path], limit: float
     ) -> None:
         self._held, self._limit = held, limit
         self._pins = paths[0][1].shape[1]

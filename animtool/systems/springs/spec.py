@@ -162,9 +162,7 @@ class ClothModel(SpringsModel):
         examples=[[0, 0, -1]],
     )
     resolution: Annotated[list[Whole], Len(2, 2)] = Field(
-        default=[20, 20],
-        description="Particles across and up.",
-        examples=[[31, 21]],
+        default=[20, 20], description="Particles across and up.", examples=[[31, 21]]
     )
     mesh: PrimMeshModel | None = Field(
         default=None,

@@ -118,9 +118,7 @@ class VolumeSpringsModel(FileModel):
         examples=[{"stiffness": 1000}],
     )
     body_diagonals: FamilyModel | None = Field(
-        default=None,
-        description="Through each cell.",
-        examples=[{"stiffness": 1000}],
+        default=None, description="Through each cell.", examples=[{"stiffness": 1000}]
     )
 
 
