@@ -9,7 +9,7 @@ from typing import Annotated
 import pytest
 
 from animtool.ranges import OF_ENTRY, Range, above, at_least, or_more, range_faults
-from animtool.systems.springs.spec_parts import FaceWindModel
+from animtool.systems.springs.spec import RopeModel
 
 RANGES = {
     "above": (above(1, "SIM004"), [1.5, math.inf, None], [1, 0, -math.inf, math.nan]),
@@ -44,9 +44,10 @@ def test_every_number_is_checked_by_its_own_range() -> None:
 
 
 def test_models_of_files_declare_ranges_too() -> None:
-    assert range_faults(FaceWindModel(density=1.0)) == []
-    faults = range_faults(FaceWindModel(density=-1.0, lift=-2.0), OF_ENTRY)
+    keys = {"from": [0, 1, 0], "to": [1, 1, 0], "count": 3, "mass": 1.0, "springs": {}}
+    assert range_faults(RopeModel(**keys)) == []
+    faults = range_faults(RopeModel(**keys, drag=-1.0, speed_limit=0.0), OF_ENTRY)
     assert [(fault.code, fault.where, fault.message) for fault in faults] == [
-        ("SIM050", "density", "its density must be 0 or more, not -1"),
-        ("SIM050", "lift", "its lift must be 0 or more, not -2"),
+        ("SIM050", "drag", "its drag must be 0 or more, not -1"),
+        ("SIM050", "speed_limit", "its speed_limit must be above 0, not 0"),
     ]

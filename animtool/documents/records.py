@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import MISSING, fields
+from inspect import get_annotations
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 from annotated_types import Ge, Gt
@@ -21,7 +22,7 @@ _TYPES: dict[Any, Any] = {float: Real, float | None: Real | None}
 def with_fields(
     record: type[Any], *names: str, before: str = "", bounds: bool = False
 ) -> Callable[[type[Model]], type[Model]]:
-    """Give a model the fields of a record as keys.
+    """Give a model the fields of a record as keys, beside its own.
 
     Args:
         record: A dataclass; the annotation of each field has a `Key`.
@@ -33,14 +34,15 @@ def with_fields(
 
     def decorate(model: type[Model]) -> type[Model]:
         own: dict[str, Any] = {
-            name: (info.annotation, info) for name, info in model.model_fields.items()
+            name: (model.model_fields[name].annotation, model.model_fields[name])
+            for name in get_annotations(model)
         }
         at = list(own).index(before) if before else len(own)
         given = {name: _definition(record, name, bounds=bounds) for name in names}
         ahead, behind = list(own.items())[:at], list(own.items())[at:]
         made: Any = create_model(
             model.__name__,
-            __base__=FileModel,
+            __base__=model.__base__,
             __module__=model.__module__,
             __doc__=model.__doc__,
             **dict([*ahead, *given.items(), *behind]),

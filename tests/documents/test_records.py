@@ -71,3 +71,14 @@ def test_ranges_are_left_to_who_reads_the_file_unless_asked_for() -> None:
         "mass": 1.0,
         "slack": None,
     }
+
+
+@with_fields(Cord, "slack")
+class LongModel(BoundedModel):
+    mass: float = Field(default=2.0, description="Its own.", examples=[3])
+
+
+def test_keys_of_the_model_before_stay_and_own_ones_count() -> None:
+    assert list(LongModel.model_fields) == ["mass", "slack"]
+    assert LongModel.model_fields["mass"].description == "Its own."
+    assert issubclass(LongModel, BoundedModel)

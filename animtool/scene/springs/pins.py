@@ -316,10 +316,10 @@ def moved_to_pins(
 def air_of(wind: FaceWindModel) -> Air:
     """Return the air as faces bear it."""
     velocity, gusts = np.array(wind.velocity), gusts_of(wind)
+    numbers = {name: getattr(wind, name) for name in ("drag", "lift", "density")}
     if not len(gusts):
-        return Air(velocity, wind.drag, wind.lift, wind.density)
-    winds = velocity + gusts[:, 1:]
-    return Air(winds, wind.drag, wind.lift, wind.density, gusts[:, 0])
+        return Air(velocity, **numbers)
+    return Air(velocity + gusts[:, 1:], times=gusts[:, 0], **numbers)
 
 
 def gusts_of(wind: WindModel) -> FloatArray:

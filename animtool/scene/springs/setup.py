@@ -13,9 +13,10 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError, counted
+from animtool.ranges import OF_ENTRY, range_faults
 from animtool.scene.entries import SceneSystem
 from animtool.scene.springs.bodies import BodyEntry, SpringBody, families_of, mass_of
-from animtool.scene.springs.pins import Join, Pin, numbered, read_pins
+from animtool.scene.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.scene.springs.shaped_bodies import (
     cloth_body,
     rope_body,
@@ -271,4 +272,6 @@ def _check_wind(reader: EntryReader, at: Location, model: WindModel | None) -> N
         return
     if any(after[0] <= before[0] for before, after in pairwise(model.gusts)):
         reader.note((*at, "gusts"), Fault("SIM044", "its times must ascend"))
-    reader.note_ranges(at, model)
+    if isinstance(model, FaceWindModel):
+        for fault in range_faults(air_of(model), OF_ENTRY):
+            reader.note((*at, fault.where or ""), fault)

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from animtool.systems.springs.body import join as join
     from animtool.systems.springs.body import springs_between as springs_between
     from animtool.systems.springs.motion import SpringMotion as SpringMotion
-    from animtool.systems.springs.paths import Air as Air
     from animtool.systems.springs.paths import Pins as Pins
     from animtool.systems.springs.paths import Targets as Targets
+    from animtool.systems.springs.records import Air as Air
     from animtool.systems.springs.records import Family as Family
     from animtool.systems.springs.records import SelfContact as SelfContact
     from animtool.systems.springs.records import Solver as Solver
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "body": ("Body", "Springs", "join", "springs_between"),
     "motion": ("SpringMotion",),
-    "paths": ("Air", "Pins", "Targets"),
-    "records": ("Family", "SelfContact", "Solver", "SpringOptions"),
+    "paths": ("Pins", "Targets"),
+    "records": ("Air", "Family", "SelfContact", "Solver", "SpringOptions"),
     "resting": ("Rest", "find_rest"),
     "shapes": (
         "Welded",

@@ -62,29 +62,6 @@ class Targets:
     times: ArrayLike | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Air:
-    """Air that moves past the triangles of a body.
-
-    A triangle of area A, through whose normal n air flows at u against it, bears
-    ½ density A (drag |u·n| u + lift (u·n) (|u| n - (u·n) u/|u|)), its corners a third
-    each.
-
-    Attributes:
-        wind: Velocity of the air ``(3,)``, or at the times ``(K, 3)`` [m/s].
-        drag: Coefficient along the flow [1].
-        lift: Coefficient across it [1].
-        density: [kg/m³]
-        times: Ascending ``(K,)`` [s]; None where the wind is steady.
-    """
-
-    wind: ArrayLike = (0.0, 0.0, 0.0)
-    drag: float = 1.0
-    lift: float = 0.5
-    density: float = 1.2
-    times: ArrayLike | None = None
-
-
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 

@@ -61,7 +61,42 @@ class Family:
             0.9,
         ),
     ] = 1.0
-    axial_stiffness: Annotated[float | None, or_more(0, "SIM042")] = None
+    axial_stiffness: Annotated[
+        float | None,
+        or_more(0, "SIM042"),
+        Key(
+            "In place of `stiffness`: force over strain [N], the same however many "
+            "particles there are. A spring gets it divided by its length at rest.",
+            5000,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """Air that moves past the triangles of a body.
+
+    A triangle of area A, through whose normal n air flows at u against it, bears
+    ½ density A (drag |u·n| u + lift (u·n) (|u| n - (u·n) u/|u|)), its corners a third
+    each.
+
+    Attributes:
+        wind: Velocity of the air ``(3,)``, or at the times ``(K, 3)`` [m/s].
+        drag: Coefficient along the flow [1].
+        lift: Coefficient across it [1].
+        density: [kg/m³]
+        times: Ascending ``(K,)`` [s]; None where the wind is steady.
+    """
+
+    wind: ArrayLike = (0.0, 0.0, 0.0)
+    drag: Annotated[
+        float, or_more(0, "SIM050"), Key("Coefficient along the flow.", 1.5)
+    ] = 1.0
+    lift: Annotated[float, or_more(0, "SIM050"), Key("Coefficient across it.", 0)] = 0.5
+    density: Annotated[float, or_more(0, "SIM050"), Key("Of the air [kg/m³].", 0.9)] = (
+        1.2
+    )
+    times: ArrayLike | None = None
 
 
 class Solver(StrEnum):

@@ -17,7 +17,7 @@ from animtool.systems.fields import (
     OwnCharacter,
     TimedVector,
 )
-from animtool.systems.springs import Family, SelfContact
+from animtool.systems.springs import Air, Family, SelfContact
 
 
 @with_fields(SelfContact, "thickness", "friction", "speed", bounds=True)
@@ -39,6 +39,7 @@ class FamilyModel(FileModel):
     """What springs of a family have in common."""
 
 
+@with_fields(Family, "axial_stiffness")
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
 
@@ -47,12 +48,6 @@ class LineFamilyModel(FamilyModel):
         description="Force over lengthening of each spring [N/m]. Not given: "
         "`axial_stiffness` is.",
         examples=[1e4],
-    )
-    axial_stiffness: Real | None = Field(
-        default=None,
-        description="In place of `stiffness`: force over strain [N], the same however "
-        "many particles there are. A spring gets it divided by its length at rest.",
-        examples=[5000],
     )
 
 
@@ -227,18 +222,9 @@ class WindModel(FileModel):
     )
 
 
+@with_fields(Air, "density", "drag", "lift")
 class FaceWindModel(WindModel):
     """The air that faces bear."""
-
-    density: Annotated[Real, or_more(0, "SIM050")] = Field(
-        default=1.2, description="Of the air [kg/m³].", examples=[0.9]
-    )
-    drag: Annotated[Real, or_more(0, "SIM050")] = Field(
-        default=1.0, description="Coefficient along the flow.", examples=[1.5]
-    )
-    lift: Annotated[Real, or_more(0, "SIM050")] = Field(
-        default=0.5, description="Coefficient across it.", examples=[0]
-    )
 
 
 FaceWindField = Annotated[

@@ -33,7 +33,6 @@ from animtool.systems.springs.checks import (
     tangle_notices,
 )
 from animtool.systems.springs.paths import (
-    Air,
     Path,
     Pins,
     Targets,
@@ -43,7 +42,7 @@ from animtool.systems.springs.paths import (
     speed_of,
     travel_of,
 )
-from animtool.systems.springs.records import SelfContact
+from animtool.systems.springs.records import Air, SelfContact
 from animtool.systems.springs.slopes import fastest
 
 # Of the speed of targets, where no step says over which time to take it [s].
