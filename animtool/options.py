@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "choice", "unit", "axis", "rate", "range",
-    "frame", "offsets", "length", "lengths", "count",
+    "frame", "rest", "offsets", "length", "lengths", "count",
 ]  # fmt: skip
 
 
@@ -32,6 +32,11 @@ class Option:
     not_for: frozenset[str]  # uses that refuse it
     scene: Key | None
     batch: Key | None
+    help: str  # of the command line; empty where commands have another such option
+    metavar: str | None  # what help calls the value; None is the usual word of the kind
+    choices: tuple[str, ...]  # on the command line; of a switch, off and on
+    least: int  # of a count
+    reason: str  # why a source may not take it
 
 
 def option(
@@ -44,10 +49,26 @@ def option(
     scene: Key | None = None,
     batch: Key | None = None,
     both: Key | None = None,
+    help: str = "",
+    metavar: str | None = None,
+    choices: tuple[str, ...] = (),
+    least: int = 0,
+    reason: str = "",
 ) -> Any:
     """Return the field of an option; ``both`` is the key of scenes and batches."""
-    scene, batch = scene or both, batch or both
-    described = Option(kind, flag, label, frozenset(not_for), scene, batch)
+    described = Option(
+        kind,
+        flag,
+        label,
+        frozenset(not_for),
+        scene or both,
+        batch or both,
+        help,
+        metavar,
+        choices,
+        least,
+        reason,
+    )
     return field(default=default, metadata={"option": described})
 
 

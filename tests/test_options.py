@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from animtool.cli.bake import bake
+from animtool.cli.options import declared
 from animtool.options import Key, keys_of, option, options_of, refused_options
 from animtool.scene.options import BakeOptions
 
@@ -51,3 +55,23 @@ def test_what_a_use_refuses_has_a_name_there() -> None:
     for name, described in options_of(BakeOptions).items():
         assert described.flag.startswith("--"), name
         assert bool(described.label) == ("systems" in described.not_for), name
+
+
+def test_the_command_has_every_option_that_is_declared() -> None:
+    parameters = {parameter.name: parameter for parameter in bake.params}
+    for name, described in options_of(BakeOptions).items():
+        # Of a take that is written, scenes alone say the name.
+        if name != "take":
+            flag = described.flag.split()[0]
+            found = parameters[name]
+            assert flag in {*found.opts, *found.secondary_opts}, name
+            assert described.help or name in {"strict", "overwrite"}, name
+
+
+def test_an_option_is_added_to_a_command_by_its_declaration() -> None:
+    cuts = options_of(Cut)
+    command = click.command()(lambda **given: click.echo(sorted(given.items())))
+    for name in ("sharp", "width"):
+        command = declared(cuts[name], name)(command)
+    done = CliRunner().invoke(command, ["--sharp", "--width", "2mm"])
+    assert done.output == "[('sharp', True), ('width', 0.002)]\n"

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.options import (
-    INPUT,
-    LENGTH,
-    RATE,
     Command,
-    Parsed,
-    reduce_at_option,
-    rig_layer_options,
+    bake_option,
+    read_value,
     set_option,
+    source_option,
     source_options,
     source_options_record,
-    source_prim_option,
-    take_option,
 )
 from animtool.cli.shot_options import SHOT_OPTIONS
 from animtool.documents.names import is_named
+from animtool.options import options_of
+from animtool.scene.options import BakeOptions
 
 if TYPE_CHECKING:
-    from animtool.scene.options import BakeOptions
     from animtool.scene.scene import Scene
 
 
@@ -78,166 +74,37 @@ def default_bake_output(source: Path | Scene) -> Path:
     return source.output or default_output(source.path)
 
 
-def _parsed(name: str) -> Parsed:
-    def parse(text: str) -> Any:
-        from animtool.scene import options
-
-        return getattr(options, f"parse_{name}")(text)
-
-    return Parsed(name, parse)
-
-
-# As ``--help`` lists them.
-_OPTIONS = (
-    click.option(
-        "--as",
-        "form",
-        type=click.Choice(["stage", "layer"]),
-        help="One file with skeleton and animation, or only the animation, over a rig "
-        "layer.  [default: layer where there is --rig-layer, else stage]",
-    ),
+# As ``--help`` lists them; what records declare and this leaves out comes last.
+_ORDER: tuple[str | Callable[[Command], Command], ...] = (
+    "form",
     click.option(
         "--split",
         is_flag=True,
         help="A stage in three files: X.rig.usda, X.anim.usdc, X.",
     ),
-    rig_layer_options,
-    click.option(
-        "--bones", is_flag=True, help="Add light geometry that shows the joints."
-    ),
-    click.option(
-        "--strip-namespace",
-        type=click.IntRange(0),
-        default=0,
-        metavar="N",
-        show_default=True,
-        help="Drop the first N 'ns:' parts of joint names.",
-    ),
-    click.option(
-        "--rest",
-        "rest_frame",
-        type=_parsed("rest"),
-        metavar="offsets|frame:N",
-        help="Where the rest pose comes from.  [default: offsets]",
-    ),
-    click.option(
-        "--rig",
-        type=INPUT,
-        metavar="FILE",
-        help="Rig of a clip, in place of the one that it names.",
-    ),
-    click.option(
-        "--clamp",
-        is_flag=True,
-        help="Bring a clip's controls into their ranges and joints into their limits.",
-    ),
+    *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
+    source_option("rig", "clamp"),
     set_option,
     source_options,
-    source_prim_option,
-    take_option,
-    click.option(
-        "--to-units",
-        type=click.Choice(["m", "cm", "mm", "in"]),
-        help="Unit of the output.",
-    ),
-    click.option(
-        "--to-up",
-        type=click.Choice(["Y", "Z"], case_sensitive=False),
-        help="Up axis of the output.",
-    ),
-    click.option(
-        "--fps", type=RATE, metavar="RATE", help="Frames a second of the output."
-    ),
-    click.option(
-        "--range",
-        "frame_range",
-        type=_parsed("frame_range"),
-        metavar="A-B[xN]",
-        help="Frames to write, such as 1-240, 1-240x2 or 12, as the output numbers "
-        "them.",
-    ),
-    click.option(
-        "--start",
-        type=_parsed("frame"),
-        metavar="FRAME",
-        help="Time code of the first frame.  [default: the rig layer's, the "
-        "project's, 1; of a shot the timeline's, the project's, 1001]",
-    ),
+    source_option("prim_path", "take"),
+    *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
-    click.option(
-        "--samples",
-        type=_parsed("offsets"),
-        metavar="OFFSETS",
-        default=(),
-        help="Samples around each frame, such as -.25,0,.25.",
-    ),
-    click.option("--keep-samples", is_flag=True, help="Keep the source's own samples."),
-    click.option(
-        "--root-motion",
-        type=click.Choice(["joint", "skelroot"]),
-        default="joint",
-        show_default=True,
-        help="What carries the root's motion.",
-    ),
-    click.option(
-        "--sparse", is_flag=True, help="Write only the joints that leave their rest."
-    ),
-    click.option(
-        "--keep-curves",
-        is_flag=True,
-        help="Write the curves of a clip's controls too, as splines that stay "
-        "editable.",
-    ),
-    click.option(
-        "--reduce",
-        type=LENGTH,
-        metavar="LENGTH",
-        help="Leave out samples that the others give back within so much, such as "
-        "0.5mm.",
-    ),
-    reduce_at_option,
-    click.option(
-        "--deform",
-        is_flag=True,
-        help="Write the meshes and strands of the rig deformed, as point caches, in "
-        "place "
-        "of a skinned character: points, extent, and normals of meshes that have them.",
-    ),
-    click.option(
-        "--velocities",
-        is_flag=True,
-        help="With --deform, how fast points move too, per second, for motion blur.",
-    ),
-    click.option(
-        "--normals/--no-normals",
-        default=None,
-        help="With --deform, whether meshes keep normals, which are half of the file.  "
-        "[default: normals]",
-    ),
-    click.option(
-        "--chunk",
-        type=click.IntRange(1),
-        metavar="N",
-        help="Of --deform and of a scene's systems, for long takes, a file for every N "
-        "samples, joined as value clips; memory holds two or three of them.",
-    ),
 )
+# Commands have them with a help of their own; a take that is written has no flag.
+_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
 def bake_options(command: Command) -> Command:
-    """Add them."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
+    """Add all options of `BakeOptions`, and what states the source."""
+    rest = [n for n in options_of(BakeOptions) if n not in {*_ORDER, *_ELSEWHERE}]
+    for entry in reversed((*_ORDER, *rest)):
+        add = bake_option(entry) if isinstance(entry, str) else entry
+        command = add(command)
     return command
 
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    from animtool.options import options_of
-    from animtool.scene.options import BakeOptions
-    from animtool.units import LengthUnit, UpAxis
-
-    units, up = given["to_units"], given["to_up"]
     source = source_options_record(
         given,
         given["source_prim"],
@@ -246,15 +113,10 @@ def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
         take=given["take"],
     )
     # --take names one of the source, not the one that is written.
-    names = options_of(BakeOptions).keys() & given.keys() - {"take"}
-    return BakeOptions(
-        source=source,
-        shot=given["shot"],
-        **{name: given[name] for name in names}
-        | {
-            "form": "split" if given["split"] else given["form"],
-            "to_units": None if units is None else LengthUnit(units),
-            "to_up": None if up is None else UpAxis(up.upper()),
-            "root_motion": given["root_motion"] == "skelroot",
-        },
-    )
+    values = {
+        name: read_value(found, given[name])
+        for name, found in options_of(BakeOptions).items()
+        if name in given and name != "take"
+    }
+    values["form"] = "split" if given["split"] else values["form"]
+    return BakeOptions(source=source, shot=given["shot"], **values)

@@ -11,13 +11,13 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     LENGTH,
+    bake_option,
     common_options,
     format_option,
-    reduce_at_option,
+    source_option,
     source_options,
     source_options_record,
     strict_option,
-    take_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
 from animtool.documents.names import is_named
@@ -38,14 +38,14 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@take_option
+@source_option("take")
 @click.option(
     "--reduce",
     type=LENGTH,
     metavar="LENGTH",
     help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: 0.5mm]",
 )
-@reduce_at_option
+@bake_option("reduce_at")
 @click.option(
     "--base",
     type=INPUT,

@@ -21,10 +21,9 @@ from animtool.cli.options import (
     common_options,
     format_option,
     rig_layer_options,
+    source_option,
     source_options,
     source_options_record,
-    source_prim_option,
-    take_option,
 )
 from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
 from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
@@ -254,8 +253,7 @@ Examples:
     "--match, how far sparse keys may be off.",
 )
 @source_options
-@source_prim_option
-@take_option
+@source_option("prim_path", "take")
 @existing_options
 @format_option
 @common_options

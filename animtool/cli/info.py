@@ -14,9 +14,9 @@ from animtool.cli.options import (
     common_options,
     format_option,
     set_option,
+    source_option,
     source_options,
     source_options_record,
-    take_option,
 )
 from animtool.documents.names import is_named
 
@@ -34,7 +34,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@take_option
+@source_option("take")
 @set_option
 @format_option
 @common_options

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from animtool.cli.console import Console
+from animtool.options import Option, options_of
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions
+from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
     from animtool.shot import Shot
@@ -151,16 +156,105 @@ def common_options(command: Command) -> Command:
     return command
 
 
-def reduce_at_option(command: Command) -> Command:
-    """Add ``--reduce-at``."""
+def _of_scene(name: str) -> Callable[[str], Any]:
+    def parse(text: str) -> Any:
+        from animtool.scene import options
+
+        return getattr(options, f"parse_{name}")(text)
+
+    return parse
+
+
+# How the command line takes a value, by its kind: its type, and what help calls it.
+_TYPES: dict[str, tuple[Any, str | None]] = {
+    "text": (str, None),
+    "file": (INPUT, "FILE"),
+    "unit": (click.Choice(["m", "cm", "mm", "in"]), None),
+    "axis": (click.Choice(["Y", "Z"], case_sensitive=False), None),
+    "rate": (RATE, "RATE"),
+    "range": (Parsed("frame_range", _of_scene("frame_range")), "A-B[xN]"),
+    "frame": (Parsed("frame", _of_scene("frame")), "FRAME"),
+    "rest": (Parsed("rest", _of_scene("rest")), None),
+    "offsets": (Parsed("offsets", _of_scene("offsets")), "OFFSETS"),
+    "length": (LENGTH, "LENGTH"),
+    "lengths": (Parsed("joint_length", _joint_length), "JOINT=LENGTH"),
+}
+
+
+def declared(
+    option: Option, name: str, default: Any = None
+) -> Callable[[Command], Command]:
+    """Return what adds an option that a record declares to a command."""
+    flag, shown = option.flag.split()[0], option.metavar
+    if option.kind == "answer":
+        flags = f"{flag.replace('--no-', '--')}/{flag}"
+        return click.option(flags, name, default=None, help=option.help)
+    if option.choices:
+        chosen = click.Choice(option.choices)
+        usual = option.choices[0] if option.kind == "switch" else None
+        return click.option(flag, name, type=chosen, default=usual, help=option.help)
+    if option.kind == "switch":
+        return click.option(flag, name, is_flag=True, help=option.help)
+    if option.kind == "count":
+        kind: Any = click.IntRange(option.least)
+    else:
+        kind, word = _TYPES[option.kind]
+        shown = shown or word
     return click.option(
-        "--reduce-at",
-        type=Parsed("joint_length", _joint_length),
-        metavar="JOINT=LENGTH",
-        multiple=True,
-        help="Another tolerance of --reduce for a joint, or for those that fit a "
-        "pattern, such as 'hand_*=0.1mm'; can be given several times.",
-    )(command)
+        flag,
+        name,
+        type=kind,
+        metavar=shown,
+        default=default,
+        show_default=option.kind == "count" and default is not None,
+        multiple=option.kind == "lengths",
+        help=option.help,
+    )
+
+
+def read_value(option: Option, given: Any) -> Any:
+    """Return a value of the command line as records have it."""
+    if given is None:
+        return None
+    if option.kind == "unit":
+        return LengthUnit(given)
+    if option.kind == "axis":
+        return UpAxis(given.upper())
+    if option.kind == "switch" and option.choices:
+        return given == option.choices[1]
+    return given
+
+
+def source_option(*names: str) -> Callable[[Command], Command]:
+    """Return what adds some options of `SourceOptions`, in this order."""
+
+    def add(command: Command) -> Command:
+        for name in reversed(names):
+            found = options_of(SourceOptions)[name]
+            dest = _SOURCE_NAMES.get(name, name)
+            command = declared(found, dest)(command)
+        return command
+
+    return add
+
+
+def bake_option(*names: str) -> Callable[[Command], Command]:
+    """Return what adds some options of `BakeOptions`, in this order."""
+
+    def add(command: Command) -> Command:
+        defaults = {entry.name: entry.default for entry in fields(BakeOptions)}
+        for name in reversed(names):
+            found = options_of(BakeOptions)[name]
+            command = declared(found, name, defaults[name])(command)
+        return command
+
+    return add
+
+
+# What commands call options of a source, where others of theirs have the name.
+_SOURCE_NAMES = {"fps": "source_fps", "prim_path": "source_prim", "unit": "units"}
+rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
+source_options = source_option("unit", "up", "fps")
 
 
 def set_option(command: Command) -> Command:
@@ -174,28 +268,6 @@ def set_option(command: Command) -> Command:
         help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
         "several times.",
     )(command)
-
-
-def rig_layer_options(command: Command) -> Command:
-    """Add ``--rig-layer``, ``--prim-path`` and ``--force-fit``, of layers."""
-    prim_path = click.option(
-        "--prim-path",
-        metavar="PATH",
-        help="Where the character stands, such as /World/hero.",
-    )
-    rig_layer = click.option(
-        "--rig-layer",
-        type=INPUT,
-        metavar="FILE",
-        help="The rig in USD that a layer is for, or a shot that holds it; its units, "
-        "up axis, rate and start are adopted.",
-    )
-    force_fit = click.option(
-        "--force-fit",
-        is_flag=True,
-        help="Write a take that does not fit the rig all the same.",
-    )
-    return rig_layer(prim_path(force_fit(command)))
 
 
 def strict_option(command: Command) -> Command:
@@ -217,48 +289,6 @@ def format_option(command: Command) -> Command:
     )(command)
 
 
-def source_options(command: Command) -> Command:
-    """Add what states about a source what its file leaves open."""
-    for decorator in (
-        click.option(
-            "--source-fps",
-            type=RATE,
-            metavar="RATE",
-            help="The real frame rate of a BVH whose Frame Time is wrong.",
-        ),
-        click.option(
-            "--up",
-            type=click.Choice(["Y", "Z"], case_sensitive=False),
-            help="Up axis of a BVH.  [default: Y]",
-        ),
-        click.option(
-            "--units",
-            type=click.Choice(["m", "cm", "mm", "in"]),
-            help="Unit of a BVH's lengths.  [default: cm]",
-        ),
-    ):
-        command = decorator(command)
-    return command
-
-
-def take_option(command: Command) -> Command:
-    """Add ``--take``."""
-    return click.option(
-        "--take",
-        metavar="NAME",
-        help="The take to read of a clip library in USD.  [default: the one selected]",
-    )(command)
-
-
-def source_prim_option(command: Command) -> Command:
-    """Add ``--source-prim``."""
-    return click.option(
-        "--source-prim",
-        metavar="PATH",
-        help="The character to read, where a USD source has several.",
-    )(command)
-
-
 def source_options_record(
     given: Mapping[str, Any],
     prim_path: str | None = None,
@@ -267,19 +297,13 @@ def source_options_record(
     clamp: bool = False,
     take: str | None = None,
     shot: Shot | None = None,
-) -> Any:
+) -> SourceOptions:
     """Return the record of `source_options`, and of what a command has beside them."""
-    units, up = given["units"], given["up"]
-    from animtool.scene.sources import SourceOptions
-    from animtool.units import LengthUnit, UpAxis
-
+    declared_options = options_of(SourceOptions)
+    stated = {
+        name: read_value(declared_options[name], given[_SOURCE_NAMES.get(name, name)])
+        for name in ("unit", "up", "fps")
+    }
     return SourceOptions(
-        None if units is None else LengthUnit(units),
-        None if up is None else UpAxis(up.upper()),
-        given["source_fps"],
-        prim_path,
-        rig,
-        clamp,
-        take,
-        shot=shot,
+        **stated, prim_path=prim_path, rig=rig, clamp=clamp, take=take, shot=shot
     )

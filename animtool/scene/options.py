@@ -82,6 +82,9 @@ class BakeOptions:
             ("stage", "split", "layer"),
             "as",
         ),
+        choices=("stage", "layer"),
+        help="One file with skeleton and animation, or only the animation, over a rig "
+        "layer.  [default: layer where there is --rig-layer, else stage]",
     )
     rig_layer: Path | None = option(
         None,
@@ -93,12 +96,15 @@ class BakeOptions:
             "The rig in USD, or a shot that holds it, that a layer goes over.",
             "hero.usda",
         ),
+        help="The rig in USD that a layer is for, or a shot that holds it; its units, "
+        "up axis, rate and start are adopted.",
     )
     force_fit: bool = option(
         False,
         "switch",
         "--force-fit",
         both=Key("Write a take that does not fit the rig all the same.", True),
+        help="Write a take that does not fit the rig all the same.",
     )
     take: str | None = option(
         None,
@@ -121,6 +127,8 @@ class BakeOptions:
         batch=Key(
             "Where the character stands. Not given: as `bake` has it.", "/World/hero"
         ),
+        metavar="PATH",
+        help="Where the character stands, such as /World/hero.",
     )
     bones: bool = option(
         False,
@@ -129,14 +137,23 @@ class BakeOptions:
         label="bones",
         not_for=("systems", "library", "deform"),
         both=Key("Add geometry that shows the joints.", True),
+        help="Add light geometry that shows the joints.",
     )
-    strip_namespace: int = option(0, "count", "--strip-namespace")
+    strip_namespace: int = option(
+        0,
+        "count",
+        "--strip-namespace",
+        metavar="N",
+        help="Drop the first N 'ns:' parts of joint names.",
+    )
     rest_frame: int | None = option(
         None,
-        "count",
+        "rest",
         "--rest frame:N",
         label="rest",
         not_for=("systems", "library", "deform"),
+        metavar="offsets|frame:N",
+        help="Where the rest pose comes from.  [default: offsets]",
     )
     fps: Fraction | None = option(
         None,
@@ -147,6 +164,7 @@ class BakeOptions:
             "each source's.",
             24,
         ),
+        help="Frames a second of the output.",
     )
     frame_range: FrameRange | None = option(
         None,
@@ -158,6 +176,8 @@ class BakeOptions:
             [1001, 1040],
             alias="range",
         ),
+        help="Frames to write, such as 1-240, 1-240x2 or 12, as the output numbers "
+        "them.",
     )
     shot: Shot | None = None
     start: Fraction | None = option(
@@ -170,6 +190,8 @@ class BakeOptions:
             1001,
         ),
         batch=Key("Time code of the first frame. Not given: as `bake` has it.", 1001),
+        help="Time code of the first frame.  [default: the rig layer's, the project's, "
+        "1; of a shot the timeline's, the project's, 1001]",
     )
     samples: tuple[Fraction, ...] = option(
         (),
@@ -180,9 +202,15 @@ class BakeOptions:
             "one on the frame.",
             [-0.25, 0, 0.25],
         ),
+        help="Samples around each frame, such as -.25,0,.25.",
     )
     keep_samples: bool = option(
-        False, "switch", "--keep-samples", label="keep_samples", not_for=("systems",)
+        False,
+        "switch",
+        "--keep-samples",
+        label="keep_samples",
+        not_for=("systems",),
+        help="Keep the source's own samples.",
     )
     to_units: LengthUnit | None = option(
         None,
@@ -190,6 +218,7 @@ class BakeOptions:
         "--to-units",
         not_for=("library",),
         batch=Key("Unit of the outputs. Not given: each source's.", "m"),
+        help="Unit of the output.",
     )
     to_up: UpAxis | None = option(
         None,
@@ -197,6 +226,7 @@ class BakeOptions:
         "--to-up",
         not_for=("library",),
         batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
+        help="Up axis of the output.",
     )
     root_motion: bool = option(
         False,
@@ -204,6 +234,8 @@ class BakeOptions:
         "--root-motion skelroot",
         label="root_motion",
         not_for=("systems", "deform"),
+        choices=("joint", "skelroot"),
+        help="What carries the root's motion.  [default: joint]",
     )
     sparse: bool = option(
         False,
@@ -212,6 +244,7 @@ class BakeOptions:
         label="sparse",
         not_for=("systems", "deform"),
         both=Key("Write only joints that leave their rest pose.", True),
+        help="Write only the joints that leave their rest.",
     )
     keep_curves: bool = option(
         False,
@@ -220,6 +253,8 @@ class BakeOptions:
         label="keep_curves",
         not_for=("systems", "deform"),
         scene=Key("Of a clip: write the curves of its controls as splines too.", True),
+        help="Write the curves of a clip's controls too, as splines that stay "
+        "editable.",
     )
     reduce: float | None = option(
         None,
@@ -237,12 +272,16 @@ class BakeOptions:
             "Not given: all stay.",
             "0.5mm",
         ),
+        help="Leave out samples that the others give back within so much, such as "
+        "0.5mm.",
     )
     reduce_at: tuple[tuple[str, float], ...] = option(
         (),
         "lengths",
         "--reduce-at",
         both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
+        help="Another tolerance of --reduce for a joint, or for those that fit a "
+        "pattern, such as 'hand_*=0.1mm'; can be given several times.",
     )
     deform: bool = option(
         False,
@@ -255,12 +294,16 @@ class BakeOptions:
             "character.",
             True,
         ),
+        help="Write the meshes and strands of the rig deformed, as point caches, in "
+        "place of a skinned character: points, extent, and normals of meshes that have"
+        " them.",
     )
     velocities: bool = option(
         False,
         "switch",
         "--velocities",
         scene=Key("With `deform`: write how fast points move, per second, too.", True),
+        help="With --deform, how fast points move too, per second, for motion blur.",
     )
     normals: bool | None = option(
         None,
@@ -269,6 +312,8 @@ class BakeOptions:
         scene=Key(
             "With `deform`: whether meshes keep normals. Not given: they do.", False
         ),
+        help="With --deform, whether meshes keep normals, which are half of the file.  "
+        "[default: normals]",
     )
     chunk: int | None = option(
         None,
@@ -279,6 +324,10 @@ class BakeOptions:
             "given: one file.",
             500,
         ),
+        metavar="N",
+        least=1,
+        help="Of --deform and of a scene's systems, for long takes, a file for every N "
+        "samples, joined as value clips; memory holds two or three of them.",
     )
     strict: bool = option(
         False, "switch", "--strict", batch=Key("Take warnings for errors.", True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.inputs import note_input
+from animtool.options import option, options_of
 from animtool.rates import rate_option
 from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.scene.progress import Progress
@@ -27,15 +28,7 @@ Opener: TypeAlias = Callable[..., "TakeStream"]
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Those that no reader is given.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
-# As the command line calls an option, and why a file may not take it.
-_REFUSALS = {
-    "clamp": ("--clamp", "is for clips, and this is no clip"),
-    "prim_path": ("--source-prim (--prim-path)", "is for USD files, and this is none"),
-    "take": ("--take", "is for clip libraries in USD, and this is no USD file"),
-    "unit": ("--units", "says what a BVH leaves open; this file states it"),
-    "up": ("--up", "says what a BVH leaves open; this file states it"),
-    "fps": ("--source-fps", "says what a BVH leaves open; this file states it"),
-}
+_OF_BVH = "says what a BVH leaves open; this file states it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +52,52 @@ class SourceOptions:
         OptionError: fps is no rate (SCN022).
     """
 
-    unit: LengthUnit | None = None
-    up: UpAxis | None = None
-    fps: Fraction | None = None
-    prim_path: str | None = None
-    rig: Path | None = None
-    clamp: bool = False
-    take: str | None = None
+    unit: LengthUnit | None = option(
+        None,
+        "unit",
+        "--units",
+        reason=_OF_BVH,
+        help="Unit of a BVH's lengths.  [default: cm]",
+    )
+    up: UpAxis | None = option(
+        None, "axis", "--up", reason=_OF_BVH, help="Up axis of a BVH.  [default: Y]"
+    )
+    fps: Fraction | None = option(
+        None,
+        "rate",
+        "--source-fps",
+        reason=_OF_BVH,
+        help="The real frame rate of a BVH whose Frame Time is wrong.",
+    )
+    prim_path: str | None = option(
+        None,
+        "text",
+        "--source-prim (--prim-path)",
+        reason="is for USD files, and this is none",
+        help="The character to read, where a USD source has several.",
+        metavar="PATH",
+    )
+    rig: Path | None = option(
+        None,
+        "file",
+        "--rig",
+        help="Rig of a clip, in place of the one that it names.",
+    )
+    clamp: bool = option(
+        False,
+        "switch",
+        "--clamp",
+        reason="is for clips, and this is no clip",
+        help="Bring a clip's controls into their ranges and joints into their limits.",
+    )
+    take: str | None = option(
+        None,
+        "text",
+        "--take",
+        reason="is for clip libraries in USD, and this is no USD file",
+        help="The take to read of a clip library in USD.  [default: the one selected]",
+        metavar="NAME",
+    )
     force_fit: bool = False
     shot: Shot | None = None
 
@@ -187,8 +219,8 @@ def open_source(
 
 
 def _refusal(name: str, path: Path) -> Fault:
-    flag, reason = _REFUSALS[name]
+    refused = options_of(SourceOptions)[name]
     hint = None
     if name in {"unit", "up", "fps"}:
         hint = "--to-units, --to-up and --fps convert"
-    return Fault("CLI004", f"{flag} {reason}", str(path), (), hint)
+    return Fault("CLI004", f"{refused.flag} {refused.reason}", str(path), (), hint)
