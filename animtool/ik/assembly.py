@@ -188,7 +188,8 @@ def assemble(
     local = local_from_coordinates(rig, pose[None])
     builder = _Builder(rig)
     frames: dict[int, _Frame] = {}
-    for j in sorted(_ancestors(rig, goals)):
+    above = {j for goal in goals for j in rig.upwards(rig.index(goal.joint))}
+    for j in sorted(above):
         joint = rig.joints[j]
         at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
         parent = frames[joint.parent] if joint.parent >= 0 else at_root
@@ -199,16 +200,6 @@ def assemble(
             frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
     limbs, faults = _limbs(rig, goals, moving, frames, local)
     return _finish(builder, rig, goals, frames, limbs), faults
-
-
-def _ancestors(rig: Rig, goals: Sequence[Goal]) -> set[int]:
-    found: set[int] = set()
-    for goal in goals:
-        j = rig.index(goal.joint)
-        while j >= 0 and j not in found:
-            found.add(j)
-            j = rig.joints[j].parent
-    return found
 
 
 def _limbs(

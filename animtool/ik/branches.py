@@ -109,11 +109,6 @@ def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, Float
     followed through time both ways; and paths that pass from the first to each of these
     little by little, brought to the goals. Costs are ``(K, L)``, 0 where goals are
     reached.
-
-    Args:
-        stretch: Where.
-        count: Other solutions looked for.
-        seed: Of where they are looked for.
     """
     at = stretch.broken - stretch.frames.start
     starts = [stretch.poses[at], stretch.poses[at - 1]]
@@ -242,12 +237,7 @@ def best_path(
     dear. It begins on the first of the paths, unless ``opened``, and ends there if
     ``closed``.
 
-    Args:
-        stretch: Where.
-        paths: ``(K, L, C)``.
-        costs: Of their misses ``(K, L)``.
-        closed: Whether the last pose is to be that of the first path.
-        opened: Whether the first pose may be that of any path.
+    ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
     chain = stretch.chain
     drifts = difference(chain, stretch.reference[:-1], stretch.reference[1:])

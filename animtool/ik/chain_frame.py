@@ -73,22 +73,11 @@ def parts_of(
     goals: Sequence[Goal],
     joints: Collection[str] | None,
 ) -> Parts:
-    """Return the frames of a take as parts.
-
-    Args:
-        rig: J joints.
-        local: Of F frames.
-        world: Of the same.
-        goals: E of them.
-        joints: Names of those that may move; None is every one that moves a goal.
-
-    Raises:
-        OptionError: The goals make no problem, as `animtool.ik.build` says.
-    """
+    """Return the frames of a take as parts."""
     coordinates = coordinates_from_local(rig, local)
     probe = build(rig, goals, joints=joints, pose=coordinates[0])
     moving = {rig.index(name) for name in probe.joints}
-    paths = [_path(rig, rig.index(goal.joint)) for goal in goals]
+    paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     tops = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
     carriers = [rig.parents[path[top]] for path, top in zip(paths, tops, strict=True)]
     inside = {j for path, top in zip(paths, tops, strict=True) for j in path[: top + 1]}
@@ -125,15 +114,6 @@ def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
     for goal, path in zip(goals, paths, strict=True):
         found.update(path[1:] if goal.pivots else path)
     return found
-
-
-def _path(rig: Rig, joint: int) -> list[int]:
-    """Return a joint and all above it, upwards."""
-    path = []
-    while joint >= 0:
-        path.append(joint)
-        joint = rig.joints[joint].parent
-    return path
 
 
 def _rests(
@@ -194,16 +174,7 @@ def _carriers(
 def refuse_scales(
     take: Take, effectors: Iterable[tuple[str, str]], path: Path | None = None
 ) -> None:
-    """Refuse scales of what an effector hangs from: a chain has lengths that stay.
-
-    Args:
-        take: Of a rig.
-        effectors: Their names, and their joints.
-        path: The targets file that asks for them, if there is one.
-
-    Raises:
-        OptionError: A joint is scaled, with a fault for each (TGT016).
-    """
+    """Refuse scales of what an effector hangs from: a chain has lengths that stay."""
     channel = take.motion.scales
     if channel is None:
         return
@@ -212,13 +183,11 @@ def refuse_scales(
     faults = {}
     place = None if path is None else str(path)
     for effector, joint in effectors:
-        j = take.rig.index(joint)
-        while j >= 0:
+        for j in take.rig.upwards(take.rig.index(joint)):
             if scaled[j]:
                 name = take.rig.names[j]
                 message = f"{effector!r} hangs from {name!r}, which is scaled"
                 hint = "inverse kinematics is for joints without scale"
                 faults[name] = Fault("TGT016", message, place, (), hint)
-            j = take.rig.joints[j].parent
     if faults:
         raise OptionError(list(faults.values()))

@@ -209,10 +209,7 @@ class _Reader:
             message = f"{name!r} is no joint of {self.rig.name!r}"
             self.document.add("TGT001", place, message, nearest(name, self.rig.names))
             return None
-        j, wanted = self.rig.index(joint), self.rig.index(name)
-        while j > wanted:
-            j = self.rig.joints[j].parent
-        if j != wanted:
+        if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
             message = f"{name!r} is not above {joint!r}"
             self.document.add("TGT012", place, message)
         return name

@@ -247,10 +247,9 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     if goal.root not in rig.names:
         message = f"no joint of {rig.name!r} is {excerpt(goal.root)}"
         return [Fault("IK001", message, where=where)]
-    j = rig.index(goal.joint) if goal.joint in rig.names else -1
-    while j >= 0 and rig.joints[j].name != goal.root:
-        j = rig.joints[j].parent
-    if j >= 0 or goal.joint not in rig.names:
+    if goal.joint not in rig.names:
+        return []
+    if rig.index(goal.root) in rig.upwards(rig.index(goal.joint)):
         return []
     message = f"its root {goal.root!r} is not above {goal.joint!r}"
     return [Fault("IK007", message, where=where)]
@@ -263,12 +262,7 @@ def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
-    """Return targets side by side ``(B, E, W)``; numbers nobody asks for are finite.
-
-    Raises:
-        OptionError: What a goal asks for is missing or of another shape (IK010), not
-            finite, or a weight is less than 0 (IK011), with every such fault.
-    """
+    """Return targets side by side ``(B, E, W)``; numbers nobody asks for are finite."""
     faults: list[Fault] = []
     places = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
     parts = [

@@ -26,12 +26,7 @@ def limb_joints(
     joint nearest to halfway along the bones, whatever the pose, so that one which
     twists a forearm is none.
 
-    Args:
-        rig: J joints.
-        goal: Whose limb it is.
-        moving: The joints that may move.
-        origins: Of the joints ``(J, 3)``, in any pose.
-        point: Of the goal ``(3,)``, in that pose.
+    The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of one pose, any.
     """
     near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
     found: list[int] = []
@@ -96,7 +91,7 @@ def find_limbs(
 
 def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
     path = _path(chain, e)
-    above = _above(rig, goal)
+    above = rig.upwards(rig.index(goal.joint))
     top = max(i for i, j in enumerate(above) if j in moving)
     bone, tool = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
     between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
@@ -121,10 +116,7 @@ def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
 def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     """Return how far a limb of two bones and a pin comes; infinite of others.
 
-    Args:
-        chain: Whose limb it is.
-        path: Its nodes, from the root.
-        end: The point that reaches, in the frame of the last ``(3,)``.
+    ``end`` ``(3,)`` reaches, in the frame of the path's last node.
     """
     bent = [n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH]
     last = path[-1]
@@ -154,7 +146,7 @@ def _fault(
         return f"{what} must have a position to reach"
     if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
         return f"{what} must have joints that turn, and a root that stays in its place"
-    above = _above(rig, goal)
+    above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
         own = above[: above.index(rig.index(goal.root)) + 1]
         others = [j for j in above if j in moving and j not in own]
@@ -164,15 +156,6 @@ def _fault(
     if goal.stretch > 0 and limb.bones <= NO_LENGTH:
         return "it has no bones to stretch"
     return None
-
-
-def _above(rig: Rig, goal: Goal) -> list[int]:
-    """Return a goal's joint and those above it."""
-    found, j = [], rig.index(goal.joint)
-    while j >= 0:
-        found.append(j)
-        j = rig.joints[j].parent
-    return found
 
 
 def _path(chain: Chain, e: int) -> list[int]:
@@ -224,13 +207,11 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
     The bones grow by what the eased extension lacks of the distance, and no more than
     they may; the target sought is as far as the limb then extends.
 
-    Args:
-        limbs: Of E goals.
-        targets: As packed ``(B, E, W)``, in shares of the problem's length.
-
     Limits of the method: the reach is that of the straight limb, or where a pin joins
     two bones of as straight a one as its limits let be; whatever other limits keep it
     from that.
+
+    ``targets`` ``(B, E, W)`` are packed, in shares of the problem's length.
     """
     scales: FloatArray = np.ones((len(targets), targets.shape[1]))
     eased: BoolArray = np.zeros((len(targets), targets.shape[1]), np.bool_)

@@ -165,11 +165,8 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
 
 def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
     """Return the joints from a tip to a root, or to the topmost."""
-    found, j = [], rig.index(tip)
-    while j >= 0:
-        found.append(j)
-        j = -1 if rig.names[j] == root else rig.joints[j].parent
-    return found
+    path = rig.upwards(rig.index(tip))
+    return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
 def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:

@@ -51,11 +51,6 @@ def takes_released(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take
 
     That is the take brought to all goals but those that come and go with it. Where two
     spans begin or end in each other's ease, it is so but for the other's ease.
-
-    Args:
-        take: Without goals.
-        tracks: The goals.
-        bring: Brings the take to some of them.
     """
     spans = _spans(tracks.goals)
     found: dict[object, Take] = {_NEVER: take}
@@ -165,17 +160,7 @@ def _solve_take(
     only: int | None,
     progress: Callable[[float], None],
 ) -> TakeIk:
-    """Return a take at its targets.
-
-    Args:
-        take: F frames.
-        tracks: Its targets.
-        free: By goal, the take without it; of F frames, or the one that is solved.
-        options: Tolerances, budget, which joints.
-        still: As of `solve_take`.
-        only: Likewise.
-        progress: Called with the share done.
-    """
+    """Return a take at its targets."""
     goals = [track.goal for track in tracks.goals]
     typed = with_types(take.rig)
     rig, own = sub_rig(typed, (goal.joint for goal in goals))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -199,27 +199,18 @@ def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fau
     """Return the goals that nothing moves, and why."""
     faults = []
     for i, goal in enumerate(goals):
-        if moving.intersection(_above(rig, goal.joint)):
+        above = rig.upwards(rig.index(goal.joint))
+        if moving.intersection(above):
             continue
         able = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
         hint = "what turns about its own point moves no position: give it an offset"
         if able:
             hint = f"of those that would, none may move: {listed(able)}"
-        elif not any(
-            rig.joints[j].type is not JointType.FIXED for j in _above(rig, goal.joint)
-        ):
+        elif not any(rig.joints[j].type is not JointType.FIXED for j in above):
             hint = "it hangs from fixed joints only"
         message = f"no joint moves {goal.joint!r}"
         faults.append(Fault("IK003", message, hint=hint, where=f"goals[{i}]"))
     return faults
-
-
-def _above(rig: Rig, joint: str) -> Iterator[int]:
-    """Yield a joint and those above it."""
-    j = rig.index(joint)
-    while j >= 0:
-        yield j
-        j = rig.joints[j].parent
 
 
 def rest_pose(problem: Problem) -> FloatArray:

@@ -142,13 +142,7 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
 def take_notices(
     solved: TakeIk, reports: list[GoalReport], *, smooth: bool = False
 ) -> list[Fault]:
-    """Return all warnings of a take that was brought to targets.
-
-    Args:
-        solved: A take at its targets.
-        reports: What became of its goals, from `goal_reports`.
-        smooth: Motion was to be evened out.
-    """
+    """Return all warnings of a take that was brought to targets."""
     return [
         *span_notices(solved),
         *apart_notices(solved, smooth=smooth),

@@ -190,9 +190,7 @@ class IkResult:
 def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, BoolArray]:
     """Return by joint in which poses it stands on a limit ``(B,)``.
 
-    Args:
-        problem: Whose joints are looked at, those that have limits.
-        coordinates: Of the whole rig ``(B, Q)``.
+    ``coordinates`` ``(B, Q)``.
     """
     rig, names = problem.rig, set(problem.joints)
     return {

@@ -345,12 +345,7 @@ def serving(problem: Problem) -> list[IkMethod]:
 
 
 def check_method(problem: Problem, method: IkMethod) -> None:
-    """Raise where a method cannot serve a problem.
-
-    Raises:
-        OptionError: Why it cannot, or that there is none of that name, and which
-            methods can (IK015).
-    """
+    """Raise where a method cannot serve a problem."""
     if method not in set(IkMethod):
         hint = f"methods for this problem: {', '.join(serving(problem))}"
         raise OptionError(Fault("IK015", f"no method is {method!r}", hint=hint))

@@ -51,12 +51,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     Joints that follow one of them (`Mimic`), or that one of them follows, come too,
     with what these hang from.
 
-    Args:
-        rig: J joints.
-        names: Of some.
-
-    Returns:
-        The rig, and the index of each of its joints in the whole ``(N,)``.
+    Returns the rig, and the index of each of its joints in the whole ``(N,)``.
 
     >>> from animtool.rig.skeleton import Joint
     >>> tree = Rig("tree", (Joint("a", -1), Joint("b", 0), Joint("c", 0)))

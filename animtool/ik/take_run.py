@@ -93,16 +93,7 @@ def gathered_take(
     targets: Targets,
     found: Sequence[SolvedPart],
 ) -> TakeIk:
-    """Return a take with the poses that its parts were brought to.
-
-    Args:
-        take: F frames.
-        own: Which of its joints were solved for.
-        local: Of those, before.
-        tracks: What was asked, in words of the file.
-        targets: And in numbers.
-        found: Its parts in the order of time.
-    """
+    """Return a take with the poses that its parts were brought to."""
     results = [one.result for one in found]
     motion = take.motion
     rig = found[0].part.rig
@@ -167,11 +158,7 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
 
 
 def check_options(options: TakeOptions) -> None:
-    """Refuse options that make no sense.
-
-    Raises:
-        OptionError: With every fault (IK002, IK014).
-    """
+    """Refuse options that make no sense."""
     faults = [
         fault for found in take_option_faults(options).values() for fault in found
     ]
@@ -307,10 +294,7 @@ class TakeRun:
 def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
     """Return whether a goal's chain says where its middle points, and has one.
 
-    Args:
-        problem: In which joints of the chain move, or not.
-        track: Of the goal.
-        origins: Of the joints ``(J, 3)``.
+    ``origins`` ``(J, 3)``.
     """
     chain, rig = track.chain, problem.rig
     if chain is None or chain.pole_dir is None or not track.goal.position:

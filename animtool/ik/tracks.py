@@ -70,10 +70,8 @@ class FreeEffector:
         the end of a straight limb go about its root too, as far off as a limb is that
         bends evenly: on the straight way its first degrees would take no time.
 
-        Args:
-            kind: What is asked.
-            values: The targets, points ``(F, 3)`` or rotations ``(F, 4)``.
-            shares: 0 where it is free, 1 at the targets ``(F,)``.
+        ``values``: the targets, points ``(F, 3)`` or rotations ``(F, 4)``; ``shares``
+        ``(F,)``.
         """
         out = values.copy()
         rows = (shares > 0) & (shares < 1)
@@ -160,10 +158,7 @@ class FreeEffector:
 def swung(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
     """Return vectors ``(F, 3)`` as long as the end, turned from the start towards it.
 
-    Args:
-        start: Directions ``(F, 3)``, not 0.
-        end: ``(F, 3)``.
-        share: Of the angle between them, 0 to 1 ``(F,)``.
+    ``start`` ``(F, 3)``, not 0, ``end`` ``(F, 3)``, ``share`` of the angle ``(F,)``.
 
     >>> swung(np.eye(3)[:1], 2 * np.eye(3)[1:2], np.array([0.5])).round(6).tolist()
     [[1.414214, 1.414214, 0.0]]

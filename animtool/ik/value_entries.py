@@ -63,13 +63,7 @@ class ValueReader:
     def value(
         self, at: Location, given: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
-        """Return a value; None where there is none, or a faulty one.
-
-        Args:
-            at: Where it stands.
-            given: Its content.
-            key: ``orientation``, or that of a point.
-        """
+        """Return a value; None where there is none, or a faulty one."""
         if given is None or self.document.doubtful(at):
             return None
         if isinstance(given, str):

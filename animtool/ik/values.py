@@ -20,9 +20,6 @@ Span = tuple[float, float]
 def smoothstep(share: FloatArray) -> FloatArray:
     """Return an ease from 0 to 1 whose speed and acceleration are 0 at both ends.
 
-    Args:
-        share: How far it is; held outside 0 to 1.
-
     >>> smoothstep(np.array([-1.0, 0.5, 2.0])).tolist()
     [0.0, 0.5, 1.0]
     """
@@ -37,10 +34,7 @@ def hold_shares(times: FloatArray, spans: Sequence[Span], ease: float) -> FloatA
     It is 1 inside the span. Where two spans are nearer than both eases, each has half
     of the gap, so that at no time more than one holds.
 
-    Args:
-        times: [frame] ``(F,)``.
-        spans: First and last frame, ascending, without overlap.
-        ease: [frame] before and behind each span; 0 is none.
+    ``times`` [frame] ``(F,)``, ``ease`` [frame].
 
     >>> hold_shares(np.array([0.0, 2.0, 4.0, 9.0]), [(4.0, 6.0)], 4.0).tolist()
     [[0.0, 0.5, 1.0, 0.103515625]]

@@ -199,6 +199,18 @@ class Rig:
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
 
+    def upwards(self, joint: int) -> list[int]:
+        """Return the indices of a joint and of all above it, upwards.
+
+        >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).upwards(1)
+        [1, 0]
+        """
+        found = []
+        while joint >= 0:
+            found.append(joint)
+            joint = self.joints[joint].parent
+        return found
+
     @property
     def names(self) -> list[str]:
         """Joint names, in order."""
