@@ -24,7 +24,6 @@ from animtool.scene.prims import (
     Draft,
     OutputPrims,
     TakeRun,
-    rig_paths,
 )
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import Source, found_sources
@@ -110,22 +109,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
     from animtool.scene.systems.bake import plan_with_take
 
-    stream, options, target = plan.takes[0].stream, plan.options, plan.target
-    paths = rig_paths([stream.rig.name], target, options, plan.output)
-    rig = stream.rig if target is None else target.skeleton.rig
-    meters = rig.meters_per_unit
-    if target is None and options.to_units is not None:
-        meters = options.to_units.meters
-    systems = plan_with_take(
-        scene,
-        paths,
-        target,
-        fps=plan.fps,
-        start=plan.start,
-        meters_per_unit=meters,
-        up=rig.up,
-        tracks=stream.tracks,
-    )
+    systems = plan_with_take(scene, plan)
     return replace(plan, prims=(*plan.prims, systems), watch=systems.watch)
 
 
@@ -230,30 +214,21 @@ def plan_output(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    _check_props(streams, target, options, path, library=bool(names[0]))
-    prims = (_take_prims(takes[0], target),)
-    return BakePlan(
-        takes, path, options, form, reason, target, fps, start, notices, prims
-    )
+    plan = BakePlan(takes, path, options, form, reason, target, fps, start, notices, ())
+    _check_props(plan)
+    return replace(plan, prims=(_take_prims(takes[0], target),))
 
 
-def _check_props(
-    streams: Sequence[TakeStream],
-    target: RigTarget | None,
-    options: BakeOptions,
-    output: Path | None,
-    *,
-    library: bool,
-) -> None:
+def _check_props(plan: BakePlan) -> None:
     """Refuse things beside characters that have no place in the output."""
-    if not any(stream.tracks for stream in streams):
+    tracks = [take.stream.tracks for take in plan.takes]
+    if not any(tracks):
         return
     from animtool.usd.author_props import check_props
 
-    paths = rig_paths([stream.rig.name for stream in streams], target, options, output)
-    stage = None if target is None else target.stage
-    for stream in streams:
-        check_props(stream.tracks, paths, stage, library=library)
+    stage = None if plan.target is None else plan.target.stage
+    for some in tracks:
+        check_props(some, plan.paths, stage, library=bool(plan.takes[0].name))
 
 
 def _check_count(count: int, options: BakeOptions) -> None:

@@ -24,14 +24,13 @@ from animtool.scene.prims import (
     Draft,
     TakeReport,
     TakeRun,
-    rig_paths,
 )
 from animtool.scene.sources import source_stem
 from animtool.signals import prefetch
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenBlock, WrittenTake
-from animtool.usd.names import RigPaths, UsdNames, joint_names
+from animtool.usd.names import UsdNames, joint_names
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -82,10 +81,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
     """Return what the writer is to do with every take."""
     mapping = plan.takes[0].mapping
     rig = rest if mapping is None else mapping.rig
-    meters = rig.meters_per_unit
-    if mapping is None and plan.options.to_units is not None:
-        meters = plan.options.to_units.meters
-    names, joints, paths = _usd_places(plan, rig)
+    names, joints = _usd_names(plan, rig)
     form = plan.form
     if form is Form.LIBRARY:
         # A library that exists gets its takes from a layer over it.
@@ -96,27 +92,25 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
         rig=rig,
         names=names,
         joints=joints,
-        paths=paths,
+        paths=plan.paths,
         fps=plan.fps,
-        meters_per_unit=meters,
+        meters_per_unit=plan.meters_per_unit,
         target=plan.target,
         bones=plan.options.bones,
         shot=None if plan.form is Form.LIBRARY else plan.options.shot,
     )
 
 
-def _usd_places(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str], RigPaths]:
-    """Return USD names of the joints, their paths, and the character's prims."""
-    called = [take.stream.rig.name for take in plan.takes]
-    paths = rig_paths(called, plan.target, plan.options, plan.output)
+def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
+    """Return USD names of the joints, and their paths."""
     if plan.target is not None:
-        return plan.target.names, plan.target.skeleton.tokens, paths
+        return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
     where = str(plan.takes[0].source)
     names = replace(
         names, notices=[replace(fault, path=where) for fault in names.notices]
     )
-    return names, rig.paths(names.names), paths
+    return names, rig.paths(names.names)
 
 
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:

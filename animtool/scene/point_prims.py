@@ -19,7 +19,6 @@ from animtool.usd.author_props import author_props, prop_placements
 from animtool.usd.jobs import Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import layer_span
 from animtool.usd.meshes import WIDTH
-from animtool.usd.names import RigPaths, legal_name
 from animtool.usd.point_based import CachedMesh, PointSpace
 from animtool.usd.point_cache import CacheJob, author_cache, mesh_paths, write_chunks
 
@@ -102,12 +101,9 @@ def _job(
     plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
     """Return what the writer is to do, with which meshes, and where these stand."""
-    options, rig = plan.options, plan.takes[0].stream.rig
     if plan.target is not None:
         return _layer_job(plan, character, span)
-    model = options.prim_path or f"/{legal_name(rig.name)}"
-    paths = RigPaths.below(model)
-    unit = rig.meters_per_unit if options.to_units is None else options.to_units.meters
+    paths, unit = plan.paths, plan.meters_per_unit
     job = CacheJob(
         plan.output,
         paths,
@@ -115,10 +111,10 @@ def _job(
         plan.fps,
         span,
         unit,
-        rig.up,
+        plan.rig.up,
         character.surfaces,
         character.strands,
-        shot=options.shot,
+        shot=plan.options.shot,
     )
     spaces = [PointSpace()] * len(character.surfaces)
     spaces += [PointSpace(margin=WIDTH / unit / 2)] * len(character.strands)
@@ -150,7 +146,7 @@ def _layer_job(
         tuple(part.path for part in target.prims),
         plan.fps,
         span,
-        plan.target.skeleton.rig.meters_per_unit,
+        plan.meters_per_unit,
         plan.target.up,
         normals=plan.options.normals is not False,
         target=target,

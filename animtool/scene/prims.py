@@ -128,6 +128,31 @@ class BakePlan:
     prims: tuple[OutputPrims, ...]  # what is written, in order
     watch: CharacterWatch | None = None  # what systems see of the take
 
+    @property
+    def rig(self) -> Rig:
+        """The rig of the first take, or of the layer that this goes over."""
+        if self.target is not None:
+            return self.target.skeleton.rig
+        return self.takes[0].stream.rig
+
+    @property
+    def meters_per_unit(self) -> float:
+        """Unit of what is below the character's model [m]."""
+        unit = self.options.to_units
+        if self.target is not None or unit is None:
+            return self.rig.meters_per_unit
+        return unit.meters
+
+    @property
+    def paths(self) -> RigPaths:
+        """Where the character's prims are to be."""
+        if self.target is not None:
+            return self.target.paths
+        name, *others = {take.stream.rig.name: None for take in self.takes}
+        if others and self.output is not None:
+            name = self.output.stem
+        return RigPaths.below(self.options.prim_path or f"/{legal_name(name)}")
+
 
 @dataclass(slots=True)
 class Draft:
@@ -237,19 +262,3 @@ class TakeRun:
         self.samples += len(codes)
         if self._watch is not None:
             self._watch.see(codes)
-
-
-def rig_paths(
-    names: Sequence[str],
-    target: RigTarget | None,
-    options: BakeOptions,
-    output: Path | None,
-) -> RigPaths:
-    """Return where a character's prims are to be.
-
-    output: the file; None is stdout.
-    """
-    if target is not None:
-        return target.paths
-    name = names[0] if len(set(names)) == 1 or output is None else output.stem
-    return RigPaths.below(options.prim_path or f"/{legal_name(name)}")

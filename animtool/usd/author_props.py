@@ -130,7 +130,7 @@ def check_props(
     for i, (track, path) in enumerate(zip(tracks, found, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "name a path of its own, such as Props/box"
-        if _meet(path, root) or _within(model, path):
+        if overlap(path, root) or _within(model, path):
             message = f"{path} is of the character at {model}"
         elif there and there.IsInstanceProxy():
             message = f"{path} is inside of an instance, which a layer cannot reach"
@@ -139,7 +139,7 @@ def check_props(
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
         for other in found[:i]:
-            if _meet(path, other):
+            if overlap(path, other):
                 message = f"{path} meets {other}, which another thing has"
                 hint = "each has a path of its own, none below another's"
                 faults.append(Fault("SCN046", message, hint=hint, where=track.path))
@@ -151,7 +151,8 @@ def _within(path: str, above: str) -> bool:
     return path == above or path.startswith(f"{above}/")
 
 
-def _meet(one: str, other: str) -> bool:
+def overlap(one: str, other: str) -> bool:
+    """Return whether a path is another, or one of them is below the other."""
     return _within(one, other) or _within(other, one)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
@@ -15,19 +15,18 @@ from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
 from animtool.output import once_named, size_of
 from animtool.scene.options import BakeOptions
-from animtool.scene.prims import BakeReport, Draft, Save, TakeReport
+from animtool.scene.prims import BakePlan, BakeReport, Draft, Save, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_watch import CharacterWatch
 from animtool.scene.systems.job import system_job
 from animtool.scene.systems.run import SystemRun
-from animtool.transforms import Track
 from animtool.units import UpAxis
-from animtool.usd.author_props import prop_paths
+from animtool.usd.author_props import overlap, prop_paths
 from animtool.usd.chunks import Growing, save_grown, system_files
 from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import StageMetadata, check_prim_path, layer_span
-from animtool.usd.names import RigPaths, legal_name
+from animtool.usd.names import legal_name
 from animtool.usd.point_based import CachedMesh
 from animtool.usd.simulated import (
     SimulatedJob,
@@ -204,50 +203,35 @@ def _check(scene: Scene, options: BakeOptions) -> None:
         raise OptionError(faults)
 
 
-def plan_with_take(
-    scene: Scene,
-    paths: RigPaths,
-    target: RigTarget | None,
-    *,
-    fps: Fraction,
-    start: Fraction,
-    meters_per_unit: float,
-    up: UpAxis,
-    tracks: Sequence[Track],
-) -> SystemPrims:
+def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     """Return what is to become of the systems of a scene that has a source.
 
     They are below the character's model, so that both are in one world wherever that
     stands: in its unit, turned to its up axis.
-
-    ``meters_per_unit`` [m].
     """
-    unit, axis = (meters_per_unit, up) if target is None else (target.unit, target.up)
-    metadata = StageMetadata(
-        paths.model.split("/")[1], fps, Fraction(0), Fraction(0), unit, axis
-    )
-    job = system_job(scene.systems, paths.model, metadata, meters_per_unit, up)
-    _check_places(scene, job, paths, target, tracks)
+    unit, up = plan.meters_per_unit, plan.rig.up
+    stage = (unit, up) if plan.target is None else (plan.target.unit, plan.target.up)
+    model = plan.paths.model
+    nothing = Fraction(0)
+    metadata = StageMetadata(model.split("/")[1], plan.fps, nothing, nothing, *stage)
+    job = system_job(scene.systems, model, metadata, unit, up)
+    _check_places(scene, job, plan)
     watch = CharacterWatch(
         wanted=any(scene.path in system.setup.files for system in scene.systems)
     )
-    return SystemPrims(scene, job, start, watch=watch)
+    return SystemPrims(scene, job, plan.start, watch=watch)
 
 
-def _check_places(
-    scene: Scene,
-    job: SimulatedJob,
-    paths: RigPaths,
-    target: RigTarget | None,
-    tracks: Sequence[Track],
-) -> None:
+def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     """Refuse systems whose prims something else has."""
+    paths, target = plan.paths, plan.target
+    tracks = plan.takes[0].stream.tracks
     taken = {paths.root: "the character"}
     taken |= {path: "a thing beside it" for path in prop_paths(tracks, paths.model)}
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):
-        whose = [owner for place, owner in taken.items() if _meet(path, place)]
+        whose = [owner for place, owner in taken.items() if overlap(path, place)]
         if not whose and target is not None and _is_other(target, path):
             whose = ["the rig layer"]
         if whose:
@@ -255,10 +239,6 @@ def _check_places(
             faults.append(system.place.fault("SCN068", message, "give it another name"))
     if faults:
         raise FormatError(faults)
-
-
-def _meet(one: str, other: str) -> bool:
-    return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
 
 
 def _is_other(target: RigTarget, path: str) -> bool:
