@@ -223,10 +223,10 @@ def _explicit(
     grid: Grid,
     cells: int,
 ) -> Grid:
-    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
     state, torn, inside = _kernels.step_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
-        grid.cell, cells, grid.substeps, met,
+        grid.cell, cells, grid.substeps, colliders,
     )  # fmt: skip
     steps = cells * grid.substeps
     return replace(
@@ -244,11 +244,11 @@ def _projected(
     system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
 ) -> Grid:
     most = max(grid.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
-    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
     made = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
-        met, system.layers, grid.passages,
+        colliders, system.layers, grid.passages,
     )  # fmt: skip
     state, torn, substeps, calm, stretch, steps, _, inside, passages, through = made
     return replace(
@@ -275,11 +275,11 @@ def _implicit(
 ) -> Grid:
     rest = system.body.springs.rest
     size = float(rest.mean()) if rest.any() else 1.0
-    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
     found = _kernels.solve_springs(
         _network(system, grid), grid.state, grid.before, grid.torn, grid.origin,
         grid.index, grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2,
-        SOLVED * size, met,
+        SOLVED * size, colliders,
     )  # fmt: skip
     state, before, known, torn, steps, corrections, lost, inside = found
     return replace(
