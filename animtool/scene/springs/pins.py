@@ -90,21 +90,21 @@ def read_pins(
     held: set[int] = set()
     for i, model in enumerate(models):
         place = (*at, i)
-        found = particles_of(reader, (*place, "particles"), model.particles, body)
+        particles = particles_of(reader, (*place, "particles"), model.particles, body)
         if model.stiffness is None and model.to is None:
-            twice = sorted(held.intersection(found.tolist()))
+            twice = sorted(held.intersection(particles.tolist()))
             if twice:
                 message = f"particles that another pin holds: {listed(twice)}"
                 reader.note((*place, "particles"), Fault("SIM052", message))
-            held.update(found.tolist())
+            held.update(particles.tolist())
         if model.to is not None:
             _check_alone(reader, place, model, "to")
             to = (*place, "to")
             names = ((*to, "system"), (*to, "particles"))
             others = tuple(model.to.particles)
-            joins.append(Join(found, model.to.system, others, names))
+            joins.append(Join(particles, model.to.system, others, names))
         else:
-            pins.append(_pin(reader, place, model, found))
+            pins.append(_pin(reader, place, model, particles))
     return tuple(pins), tuple(joins)
 
 
@@ -115,24 +115,24 @@ def particles_of(
 
     Names are of places, numbers, and arrays of numbers.
     """
-    found: list[int] = []
+    particles: list[int] = []
     for i, name in enumerate(names):
         if isinstance(name, str) and name not in body.places and ".npz" in name:
             values = reader.array((*at, i), name, "pins")
-            given: list[str | int] = []
+            written: list[str | int] = []
             if values is not None:
-                given += values.astype(np.int64).ravel().tolist()
+                written += values.astype(np.int64).ravel().tolist()
         else:
-            given = [name]
-        numbers, faults = numbered(given, body)
+            written = [name]
+        numbers, faults = numbered(written, body)
         for _, fault in faults:
             reader.note((*at, i), fault)
-        found += numbers
-    if len(set(found)) < len(found):
-        twice = sorted({n for n in found if found.count(n) > 1})
+        particles += numbers
+    if len(set(particles)) < len(particles):
+        twice = sorted({n for n in particles if particles.count(n) > 1})
         message = f"particles that are named twice: {listed(twice)}"
         reader.note(at, Fault("SIM052", message))
-    return np.array(found, np.int64)
+    return np.array(particles, np.int64)
 
 
 def numbered(
@@ -140,21 +140,21 @@ def numbered(
 ) -> tuple[list[int], list[tuple[int, Fault]]]:
     """Return the numbers of particles, and which names are none, with the reason."""
     count, known = len(body.body.positions), list(body.places)
-    found: list[int] = []
+    numbers: list[int] = []
     faults = []
     for i, name in enumerate(names):
         if isinstance(name, str) and name in body.places:
-            found += [int(n) for n in body.places[name]]
+            numbers += [int(n) for n in body.places[name]]
         elif isinstance(name, str):
             hint = nearest(name, known) or f"it has {listed(known)}, and numbers"
             message = f"no particles of it are {name!r}"
             faults.append((i, Fault("SIM052", message, hint=hint)))
         elif -count <= name < count:
-            found.append(name % count)
+            numbers.append(name % count)
         else:
             message = f"there is no particle {name}: they are 0 to {count - 1}"
             faults.append((i, Fault("SIM052", message)))
-    return found, faults
+    return numbers, faults
 
 
 def _check_alone(reader: EntryReader, at: Location, model: PinModel, kept: str) -> None:
@@ -166,7 +166,9 @@ def _check_alone(reader: EntryReader, at: Location, model: PinModel, kept: str) 
         reader.note((*at, key), Fault("SIM052", message))
 
 
-def _pin(reader: EntryReader, at: Location, model: PinModel, found: IntArray) -> Pin:
+def _pin(
+    reader: EntryReader, at: Location, model: PinModel, particles: IntArray
+) -> Pin:
     moves = None
     if model.moves:
         _check_alone(reader, at, model, "moves")
@@ -177,12 +179,12 @@ def _pin(reader: EntryReader, at: Location, model: PinModel, found: IntArray) ->
     reader.note_ranges(at, model)
     carrier, offset = None, None
     for key, read in _CARRIERS.items():
-        given = getattr(model, key)
-        if given is not None:
+        carrying = getattr(model, key)
+        if carrying is not None:
             _check_alone(reader, at, model, key)
-            carrier = read(reader, (*at, key), given)
-            offset = None if given.offset is None else tuple(given.offset)
-    return Pin(found, moves, carrier, offset, model.stiffness, model.damping)
+            carrier = read(reader, (*at, key), carrying)
+            offset = None if carrying.offset is None else tuple(carrying.offset)
+    return Pin(particles, moves, carrier, offset, model.stiffness, model.damping)
 
 
 def _on_joint(
@@ -268,14 +270,14 @@ def ties_of(
 
     Each pin has a frame over time; points are where particles are built ``(N, 3)`` [m].
     """
-    found = []
+    ties = []
     for pin, frame in zip(pins, poses, strict=True):
         inside = pin.inside(frame, points[pin.particles])
         now = frame.at(begin)
         start = now[:3] + so3.rotate(now[3:], inside)
         many = len(pin.particles)
         soft = pin.stiffness is not None
-        found.append(
+        ties.append(
             Tie(
                 pin.particles,
                 frame.moments,
@@ -285,7 +287,7 @@ def ties_of(
                 np.full(many, pin.damping) if soft else None,
             )
         )
-    return found
+    return ties
 
 
 def moved_to_pins(
@@ -303,9 +305,9 @@ def moved_to_pins(
             own.append(points[pin.particles])
     if not goals:
         return points
-    wanted, given = np.concatenate(goals), np.concatenate(own)
-    centre, middle = wanted.mean(axis=0), given.mean(axis=0)
-    spread = (wanted - centre).T @ (given - middle)
+    goal, current = np.concatenate(goals), np.concatenate(own)
+    centre, middle = goal.mean(axis=0), current.mean(axis=0)
+    spread = (goal - centre).T @ (current - middle)
     size = max(float(np.abs(spread).max()), 1.0)
     u, _, v = np.linalg.svd(spread + LEAST_TURN * size * np.eye(3))
     u[:, -1] *= np.sign(np.linalg.det(u @ v))

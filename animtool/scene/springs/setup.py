@@ -141,13 +141,13 @@ def options_of(spec: SpringsModel) -> SpringOptions:
 
 def shared(setups: Sequence[SpringSetup]) -> SpringsModel:
     """Return what bodies have in common: what any of them states."""
-    found: dict[str, Any] = {}
+    stated: dict[str, Any] = {}
     for setup in setups:
         own = {name: _value(setup, name) for name in (*_OPTIONS, *_OWN, "wind")}
-        found |= {name: value for name, value in own.items() if _states(setup, name)}
+        stated |= {name: value for name, value in own.items() if _states(setup, name)}
     first = setups[0].spec
     faced = {name: None for name in ("self_contact", "wind")}
-    return first.model_copy(update=faced | found)
+    return first.model_copy(update=faced | stated)
 
 
 def conflicts(setups: Sequence[SpringSetup]) -> Iterator[tuple[int, str, int]]:
@@ -206,12 +206,12 @@ def _check_solver(document: Document, setups: Sequence[SpringSetup]) -> None:
 
 def _faults(join: Join, other: SpringBody) -> list[tuple[Location, Fault]]:
     numbers, faults = numbered(join.others, other)
-    found = [((*join.at[1], i), fault) for i, fault in faults]
+    located = [((*join.at[1], i), fault) for i, fault in faults]
     if not faults and len(numbers) not in {1, len(join.particles)}:
         message = f"{len(join.particles)} particles are joined to {len(numbers)}"
         hint = "name as many, or one for all"
-        found.append((join.at[1], Fault("SIM054", message, hint=hint)))
-    return found
+        located.append((join.at[1], Fault("SIM054", message, hint=hint)))
+    return located
 
 
 def join_pairs(

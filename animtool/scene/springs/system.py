@@ -116,13 +116,13 @@ class _Whole:
         bodies, ties = self._placed(setups, opening)
         starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         pairs = join_pairs(names, setups, starts)
-        made = weld(join(bodies), pairs)
-        self._say_apart("particles that are joined are", made.gap)
+        welded = weld(join(bodies), pairs)
+        self._say_apart("particles that are joined are", welded.gap)
         self.rows = [  # of each body, its particles in the system ``(N,)``
-            made.rows[start : start + len(body.positions)]
+            welded.rows[start : start + len(body.positions)]
             for start, body in zip(starts, bodies, strict=False)
         ]
-        self.system = self._system(setups, opening, made, ties)
+        self.system = self._system(setups, opening, welded, ties)
 
     def _placed(
         self, setups: Sequence[SpringSetup], opening: Opening
@@ -152,10 +152,10 @@ class _Whole:
         self,
         setups: Sequence[SpringSetup],
         opening: Opening,
-        made: Welded,
+        welded: Welded,
         ties: Sequence[Sequence[Tie]],
     ) -> SpringSystem:
-        every, count = Ties(), len(made.body.positions)
+        every, count = Ties(), len(welded.body.positions)
         resistance = np.zeros(count)
         for setup, rows, own in zip(setups, self.rows, ties, strict=True):
             for tie in own:
@@ -164,14 +164,14 @@ class _Whole:
             wind = wind_of(setup.spec)
             if wind is not None and not isinstance(wind, FaceWindModel):
                 span = self.begin, opening.last
-                points = made.body.positions[rows]
+                points = welded.body.positions[rows]
                 every.add(wind_ties(wind, points, slowing, span), rows)
             else:
                 np.add.at(resistance, rows, slowing)
         wind = wind_of(self.spec)
         colliders = _around(setups).built(opening, self.begin, 0.0)
         system = SpringSystem(
-            made.body,
+            welded.body,
             pins=every.pins,
             targets=every.targets,
             gravity=self.spec.gravity,
@@ -305,7 +305,7 @@ class RunningSprings:
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""
         run, body = self.run, self.setup.body.body
-        found: dict[str, object] = {
+        report: dict[str, object] = {
             "name": self.member.name,
             "kind": self.member.kind,
             "particles": len(body.positions),
@@ -319,5 +319,5 @@ class RunningSprings:
             "unresolved": run.unresolved,
         }
         if run.error is not None:
-            found["error"] = run.error if math.isfinite(run.error) else None
-        return found
+            report["error"] = run.error if math.isfinite(run.error) else None
+        return report

@@ -195,14 +195,14 @@ class SheetStepper:
         if self._settings.thickness and self._layers is None:
             contact = SelfContact(self._settings.thickness, self._settings.friction)
             self._layers = spring_layers(network, contact, self.network.points)
-        found = _kernels.project_springs(
+        outputs = _kernels.project_springs(
             network, both, self._torn, 0.0, 0, span / cells, cells,
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
             state.passages,
         )  # fmt: skip
-        made, _, _, _, _, _, touched, inside, passages, through = found
-        state = stepped(made, passages)
-        self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
+        reached, _, _, _, _, _, touched, inside, passages, through = outputs
+        state = stepped(reached, passages)
+        self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
         return state
 
     def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:

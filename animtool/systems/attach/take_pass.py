@@ -39,7 +39,7 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
     if resumed is not None:
         named["resume"] = (resumed.frame,)
     seen = set(codes)
-    said = [
+    notices = [
         _in_vain(name, missing, codes)
         for name, frames in named.items()
         if (missing := [frame for frame in frames if frame not in seen])
@@ -49,8 +49,8 @@ def of_named_frames(simulation: Simulation) -> list[Fault]:
         message = (
             f"it goes on from frame {frame}; those before are as the take has them"
         )
-        said.append(Fault("SIM186", message, severity=Severity.NOTE))
-    return said
+        notices.append(Fault("SIM186", message, severity=Severity.NOTE))
+    return notices
 
 
 def _in_vain(option: str, frames: list[float], codes: list[float]) -> Fault:
@@ -169,20 +169,20 @@ def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
 
 
 def _warnings(report: AttachReport) -> list[Fault]:
-    said = []
+    warnings = []
     if report.stretch > PARDON * report.aimed:
         message = (
             f"{report.name}: springs become {percent(report.stretch)} longer than at "
             f"rest, and {100 * report.aimed:g}% was aimed at"
         )
         hint = "give it a higher rate, or let it settle from a pose that it can hold"
-        said.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))
+        warnings.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))
     if report.unresolved:
         points = counted(report.unresolved, "particle")
         message = f"{report.name}: {points} stay inside colliders"
         hint = "colliders that close in leave them no way out"
-        said.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
-    return said
+        warnings.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
+    return warnings
 
 
 def _closed(names: str, closing: Closing) -> Fault:

@@ -97,23 +97,23 @@ class SpringMotion(Trajectory):
 
 def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
     """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
-    found = []
+    notices = []
     if through.passed:
         message = f"{counted(through.passed, 'particle')} went through {what}"
         hint = "take a shorter step, or a greater thickness"
-        found.append(warning("SIM144", message, hint))
+        notices.append(warning("SIM144", message, hint))
     if through.cut:
         times = counted(through.cut, "pair")
         message = f"{times} of edges cut through each other in {what}"
         hint = "take a shorter step, or a greater thickness"
-        found.append(warning("SIM167", message, hint))
+        notices.append(warning("SIM167", message, hint))
     if through.rate:
         message = f"parts of {what} went over each other by many thicknesses in a step"
         hint = "take a shorter step"
         if math.isfinite(through.rate):
             hint = f"{math.ceil(through.rate)} steps a second miss nothing"
-        found.append(warning("SIM165", message, hint))
-    return found
+        notices.append(warning("SIM165", message, hint))
+    return notices
 
 
 def warning(code: str, message: str, hint: str) -> Fault:

@@ -71,12 +71,12 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     """
     moving = [times for times, _ in paths if len(times) > 1]
     knots = np.unique(np.concatenate(moving)) if moving else np.zeros(1)
-    found = []
+    shared = []
     for times, path in paths:
         still = len(times) == 1
         same = still or np.array_equal(times, knots)
-        found.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
-    return knots, found
+        shared.append(np.ascontiguousarray(path if same else _at(times, path, knots)))
+    return knots, shared
 
 
 def position_at(path: Path, t: float) -> FloatArray:

@@ -106,8 +106,8 @@ class SpringRun:
         motion = simulate_springs(self.system, times, options, progress=progress)
         self._check(motion)
         self.error = motion.stats.error
-        found = replace(options, solver=motion.solver, step=motion.step, error=None)
-        return found, motion.reason
+        fine = replace(options, solver=motion.solver, step=motion.step, error=None)
+        return fine, motion.reason
 
     @property
     def notices(self) -> list[Fault]:
@@ -148,12 +148,12 @@ class SpringRun:
             self.at(t)
         times = [moment.time for moment in self._kept]
         after = min(bisect_left(times, t - SAME), len(times) - 1)
-        found = self._kept[after]
-        if after == 0 or abs(found.time - t) <= SAME or found.time < t:
-            return found
+        later = self._kept[after]
+        if after == 0 or abs(later.time - t) <= SAME or later.time < t:
+            return later
         before = self._kept[after - 1]
-        share = (t - before.time) / (found.time - before.time)
-        points = before.points + (found.points - before.points) * share
+        share = (t - before.time) / (later.time - before.time)
+        points = before.points + (later.points - before.points) * share
         return Moment(t, points, before.torn)
 
     def _on(self, now: float, t: float) -> None:

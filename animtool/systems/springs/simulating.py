@@ -137,19 +137,19 @@ def _near_enough(
     """Return the motion in the longest steps whose error is said to be in bounds."""
     coarse = made(choice.substeps)
     share = 1 / (GAIN[choice.solver] - 1)
-    substeps, said = choice.substeps, np.inf
+    substeps, estimate = choice.substeps, np.inf
     for _ in range(MAX_HALVINGS):
         substeps *= 2
         if substeps > MAX_SUBSTEPS:
             break
         fine = made(substeps)
         if coarse.stats.status is Status.OK is fine.stats.status:
-            said = share * float(np.abs(fine.positions - coarse.positions).max())
-        coarse = replace(fine, stats=replace(fine.stats, error=said))
-        if said <= error:
+            estimate = share * float(np.abs(fine.positions - coarse.positions).max())
+        coarse = replace(fine, stats=replace(fine.stats, error=estimate))
+        if estimate <= error:
             return coarse
-    found = length_text(said) if math.isfinite(said) else "not known"
-    message = f"the error of positions is {found}, and the limit is "
+    reached = length_text(estimate) if math.isfinite(estimate) else "not known"
+    message = f"the error of positions is {reached}, and the limit is "
     message += length_text(error)
     hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
     notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
@@ -322,37 +322,39 @@ def _notices(
     stats: Stats,
 ) -> list[Fault]:
     begins = begun.index == 0
-    found = system.notices() if begins else system.colliders.surfaces.notices()
+    notices = system.notices() if begins else system.colliders.surfaces.notices()
     limit = choice.limit
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {plain(h)} s"
-        found.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
+        notices.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
-        found.append(warning("SIM102", message, hint))
+        notices.append(warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED:
         message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-        found.append(warning("SIM105", message, "take a shorter step"))
+        notices.append(warning("SIM105", message, "take a shorter step"))
     if not run.grid.stretch <= options.stretch:
         message = (
             f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
             f"own give; {options.stretch:.1%} is allowed"
         )
-        found.append(warning("SIM131", message, "take bdf2, or less stiffness or mass"))
+        notices.append(
+            warning("SIM131", message, "take bdf2, or less stiffness or mass")
+        )
     elif run.longest > 1 + GIVES * options.stretch:
         message = (
             f"springs are longer than at rest by {GIVES * options.stretch:.3g} of that "
             "or more, mostly by their own give: more steps do not change that"
         )
         hint = "raise their stiffness, or lighten what hangs on them"
-        found.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
+        notices.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
     if run.grid.unresolved:
         message = (
             f"{counted(run.grid.unresolved, 'particle')} could not be brought out of "
             "colliders at once"
         )
         hint = "they start inside, or colliders close in on them from several sides"
-        found.append(warning("SIM123", message, hint))
-    return found + through_notices(run.grid.through)
+        notices.append(warning("SIM123", message, hint))
+    return notices + through_notices(run.grid.through)

@@ -104,7 +104,7 @@ def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
 def choose(
     system: SpringSystem,
     options: SpringOptions,
-    wanted: Solver,
+    requested: Solver,
     t: float,
     state: FloatArray,
 ) -> Choice:
@@ -116,12 +116,12 @@ def choose(
     """
     limit = explicit_limit(system, t, state)
     rate = 1 / (SAFE * limit) if limit > 0 else math.inf
-    solver, reason = wanted, "it was asked for"
+    solver, reason = requested, "it was asked for"
     if system.self_contact is not None:
-        check_keeping_apart(wanted)
-        if wanted is Solver.AUTO:
+        check_keeping_apart(requested)
+        if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
-    elif wanted is Solver.AUTO:
+    elif requested is Solver.AUTO:
         solver, reason = (
             _cheapest(system, options, rate)
             if options.step is None
@@ -138,19 +138,19 @@ def choose(
 
 def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
     """Return what takes steps of one length."""
-    says = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+    limits = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
     if step <= SAFE * limit:
-        return Solver.SYMPLECTIC_EULER, says
+        return Solver.SYMPLECTIC_EULER, limits
     if options.error is None:
-        return Solver.XPBD, f"{says}, and xpbd with any"
-    return Solver.BDF2, f"{says}, and bdf2 with longer ones"
+        return Solver.XPBD, f"{limits}, and xpbd with any"
+    return Solver.BDF2, f"{limits}, and bdf2 with longer ones"
 
 
 def _cheapest(
     system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
     """Return what is expected to take least time: steps, times what each costs."""
-    says = f"semi-implicit Euler needs {rate:.0f} steps a second"
+    limits = f"semi-implicit Euler needs {rate:.0f} steps a second"
     if options.error is None:
         other, most = Solver.XPBD, WORTH
         steps = projected_rate(system, options.stretch)
@@ -158,18 +158,21 @@ def _cheapest(
         other, most, steps = Solver.BDF2, 1.0, 0.0
     steps = max(steps, FIRST[other] / CELL)
     explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
-    props = f"about {steps:.0f} of {other}"
+    alternative = f"about {steps:.0f} of {other}"
     if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
-        return other, f"{says}, which are too many"
+        return other, f"{limits}, which are too many"
     if explicit * len(system.body.springs.rest) <= LITTLE:
-        return Solver.SYMPLECTIC_EULER, f"{says}, which take little time"
+        return Solver.SYMPLECTIC_EULER, f"{limits}, which take little time"
     if explicit <= instead:
-        return Solver.SYMPLECTIC_EULER, f"{says}, which take less time than {props}"
+        return (
+            Solver.SYMPLECTIC_EULER,
+            f"{limits}, which take less time than {alternative}",
+        )
     if explicit * most <= instead:
-        longer = f"which take little longer than {props}"
-        return Solver.SYMPLECTIC_EULER, f"{says}, {longer}, and are far nearer"
-    share = f"{props} take {instead / explicit:.0%} of their time"
-    return other, f"{says}, and {share}"
+        longer = f"which take little longer than {alternative}"
+        return Solver.SYMPLECTIC_EULER, f"{limits}, {longer}, and are far nearer"
+    share = f"{alternative} take {instead / explicit:.0%} of their time"
+    return other, f"{limits}, and {share}"
 
 
 def cell_colliders(
@@ -245,12 +248,12 @@ def _projected(
 ) -> Grid:
     most = max(grid.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
     colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    made = _kernels.project_springs(
+    outputs = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
         colliders, system.layers, grid.passages,
     )  # fmt: skip
-    state, torn, substeps, calm, stretch, steps, _, inside, passages, through = made
+    state, torn, substeps, calm, stretch, steps, _, inside, passages, through = outputs
     return replace(
         grid,
         index=grid.index + cells,
@@ -276,12 +279,12 @@ def _implicit(
     rest = system.body.springs.rest
     size = float(rest.mean()) if rest.any() else 1.0
     colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    found = _kernels.solve_springs(
+    outputs = _kernels.solve_springs(
         _network(system, grid), grid.state, grid.before, grid.torn, grid.origin,
         grid.index, grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2,
         SOLVED * size, colliders,
     )  # fmt: skip
-    state, before, known, torn, steps, corrections, lost, inside = found
+    state, before, known, torn, steps, corrections, lost, inside = outputs
     return replace(
         grid,
         index=grid.index + cells,

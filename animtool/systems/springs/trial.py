@@ -46,15 +46,15 @@ class SpringTrial:
 
     def settings(self) -> list[Setting]:
         """Return each solver in several steps, about those that it takes itself."""
-        found = []
+        settings = []
         for solver in Solver:
             if solver is Solver.AUTO:
                 continue
             usual = self._usual(solver, replace(self._own, step=None))
             if solver == self.chosen.method:
                 usual = self.chosen
-            found += stepwise(usual.method, usual["step"])
-        return found
+            settings += stepwise(usual.method, usual["step"])
+        return settings
 
     def references(self) -> list[list[Setting]]:
         """Return shorter and shorter steps of backward differences.
@@ -106,11 +106,11 @@ class SpringTrial:
             or system.colliders.meet
         ):
             return None
-        found = [
+        energies = [
             system.energy(t, state)
             for t, state in zip(motion.times[1:], motion.states[1:], strict=True)
         ]
-        return None if any(energy.supply for energy in found) else found
+        return None if any(energy.supply for energy in energies) else energies
 
     def _stretch(self, motion: SpringMotion) -> float | None:
         """Return the most that a whole spring is longer than at rest [1]."""
