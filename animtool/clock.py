@@ -22,9 +22,6 @@ _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 def count_rate(rate: Fraction) -> int:
     """Return how many labels a second has: the rate, or what is 1001/1000 of it.
 
-    Raises:
-        ValueError: It is neither a whole number up to 960 nor 1000/1001 of one.
-
     >>> count_rate(Fraction(24000, 1001)), count_rate(Fraction(25))
     (24, 25)
     """
@@ -48,15 +45,8 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     """Return the frames from midnight to a label, ``HH:MM:SS:FF`` or ``HH:MM:SS;FF``.
 
     A semicolon is drop-frame: all minutes but each tenth begin with label 02, at 59.94
-    with 04. ``FF.25`` is a quarter of a frame behind FF.
-
-    Args:
-        text: The label.
-        rate: Frames a second that it counts.
-
-    Raises:
-        ValueError: It is none, of a rate that has no such labels, or one that
-            drop-frame leaves out.
+    with 04. ``FF.25`` is a quarter of a frame behind FF. What is no label of the rate,
+    or one that drop-frame leaves out, is a `ValueError`.
 
     >>> parse_timecode("01:00:00;00", Fraction(30000, 1001))
     Fraction(107892, 1)
@@ -89,9 +79,6 @@ def seconds_between(
 
     Each is counted from midnight at its own rate; of two ways around the clock it is
     the shorter.
-
-    Raises:
-        ValueError: One is none, see `parse_timecode`.
 
     >>> seconds_between("23:59:59:00", Fraction(25), "00:00:01:05", Fraction(25))
     Fraction(11, 5)

@@ -42,9 +42,6 @@ def find_config(path: Path) -> Config:
     """Return the settings of the nearest folder above a file that has some.
 
     ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
-
-    Raises:
-        OptionError: The settings file is malformed.
     """
     for folder in path.resolve().parents:
         own, project = folder / "animtool.toml", folder / "pyproject.toml"
@@ -120,11 +117,8 @@ def _config(path: Path, table: Any) -> Config:
 def project_roots(path: Path) -> tuple[Path, ...]:
     """Return the folders that a file may refer into.
 
-    They are those of its project's settings; without settings, the nearest folder
-    above it that is under version control; else its own folder.
-
-    Raises:
-        OptionError: The settings file is malformed.
+    They are those of its project's settings; without settings, the nearest folder above
+    it that is under version control; else its own folder.
     """
     folder = path.resolve().parent
     return find_config(path).roots or (_checkout(folder) or folder,)

@@ -62,12 +62,7 @@ class Places:
 
 
 def unreadable(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error of a file that cannot be read (IO001).
-
-    Args:
-        path: The file, as the user named it.
-        reason: Why.
-    """
+    """Return the error of a file, as the user named it, that cannot be read (IO001)."""
     if isinstance(reason, OSError):
         reason = reason.strerror or str(reason)
     message = f"cannot be read: {reason}"
@@ -131,17 +126,10 @@ def open_input(
 ) -> InputFile:
     """Open a file that a user or another file names: the one way to do so.
 
-    What is looked at is what is read: the descriptor, once it is open.
-
-    Args:
-        path: The file.
-        max_bytes: The most that it may hold; None is any size, for what is read piece
-            by piece.
-        noted: Whether it is an input of the work (`note_input`).
-
-    Raises:
-        FormatError: It is not there, may not be read, is a folder, a device, a pipe or
-            a socket (IO001), or is too large (IO010).
+    What is looked at is what is read: the descriptor, once it is open. What is not
+    there, may not be read or is no file is IO001, what is too large IO010; without
+    ``max_bytes`` any size is read, piece by piece. ``noted`` makes it an input of the
+    work (`note_input`).
     """
     try:
         # To open a device may already do something.
@@ -168,11 +156,7 @@ def open_input(
 def read_input(
     path: Path, max_bytes: int = MAX_INPUT_BYTES, *, noted: bool = True
 ) -> bytes:
-    """Return the content of a file; see `open_input`.
-
-    Raises:
-        FormatError: As `open_input` does, or it changed meanwhile (IO004).
-    """
+    """Return the content of a file, see `open_input`; if it changes: IO004."""
     with open_input(path, max_bytes, noted=noted) as file:
         return file.whole()
 
@@ -180,14 +164,7 @@ def read_input(
 def too_large(
     path: Path, size: int, limit: int, hint: str | None = None
 ) -> FormatError:
-    """Return the error of a file that is too large to be read (IO010).
-
-    Args:
-        path: The file.
-        size: Of it [bytes].
-        limit: The most that is read [bytes].
-        hint: What to do about it.
-    """
+    """Return the error of a file of more bytes than the limit [bytes] (IO010)."""
     message = f"is {size / 1e6:,.6g} MB, and at most {limit / 1e6:,.6g} MB are read"
     return FormatError(Fault("IO010", message, str(path), (), hint))
 
@@ -212,11 +189,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint that names the file that was meant by one that does not exist.
 
     It names the nearest name in the same folder, or the nearest of the folder that is
-    missing. None where the file exists, or no name is near.
-
-    Args:
-        path: The file.
-        folder: Where a relative path starts.
+    missing; a relative path starts in ``folder``. None where the file exists, or no
+    name is near.
     """
     around = [path, *path.parents]
     missing = next((p for p in reversed(around) if not is_there(folder / p)), None)
@@ -238,15 +212,10 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
 def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
     """Yield the files that a name, a folder or a glob means, in order.
 
-    Of a folder all files with one of the suffixes, those of folders in it too. Of a
-    glob the files that it matches; ``**`` is any number of folders. Names that begin
-    with a dot are left out where the glob has none. A name that is there is meant as
-    it is, and so is one that is nowhere.
-
-    Args:
-        text: What was given.
-        suffixes: How the names end, lower case, of files that folders are searched
-            for.
+    Of a folder all files with one of the suffixes, lower case, those of folders in it
+    too. Of a glob the files that it matches; ``**`` is any number of folders. Names
+    that begin with a dot are left out where the glob has none. A name that is there is
+    meant as it is, and so is one that is nowhere.
     """
     path = Path(text)
     if path.is_dir():

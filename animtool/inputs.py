@@ -110,10 +110,8 @@ def note_input(
 ) -> None:
     """Note that a file is about to be read, or was looked for.
 
-    Args:
-        path: The file.
-        state: What it is, of its descriptor where it is open; None looks at the path.
-        composed: A USD layer brings it in; nobody named it.
+    Its state is that of the descriptor where it is open; None looks at the path. A
+    composed file is one that a USD layer brings in; nobody named it.
     """
     for inputs in _RECORDED.get():
         inputs.note(path, state, composed=composed)

@@ -19,10 +19,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 def chosen(choices: type[Choice], given: str, option: str) -> Choice:
-    """Return a choice by its word, or as it is.
-
-    Raises:
-        OptionError: There is none of that word (SCN025).
+    """Return a choice by its word, or as it is (unknown: SCN025).
 
     >>> class Side(StrEnum):
     ...     LEFT = "left"
@@ -55,12 +52,7 @@ class Interpolation(StrEnum):
 
 
 def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return the times and values of pairs ``[time, value]``, each ``(K,)``.
-
-    Raises:
-        OptionError: There are none, they are no pairs of finite numbers, or the
-            times do not ascend (SCN015).
-    """
+    """Return times and values of pairs ``[time, value]``, each ``(K,)``, or SCN015."""
     rows = list(keys)
     if not rows or any(isinstance(r, (int, float)) or len(r) != 2 for r in rows):
         message = f"{name} must be a list of pairs such as [[1, 0], [10, 1]]"
@@ -86,9 +78,6 @@ def keyed(
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
-    Raises:
-        OptionError: There is no such interpolation (SCN025).
-
     >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
     >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
@@ -112,17 +101,9 @@ def weights_at(
     *,
     bounded: bool = True,
 ) -> FloatArray:
-    """Return a weight, one number or a curve, at some frames ``(F,)``.
+    """Return a weight [1], a number or ``[frame, weight]``, at time codes ``(F,)``.
 
-    Args:
-        weight: [1], or pairs ``[frame, weight]``.
-        at: Time codes of the frames ``(F,)``.
-        interpolation: How a curve runs from key to key.
-        bounded: Refuse what is outside 0 to 1.
-
-    Raises:
-        OptionError: A weight is not finite or out of bounds (SCN014), or a curve is
-            malformed (SCN015) or runs in no such way (SCN025).
+    Bounded, what is outside 0 to 1 is refused (SCN014).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]

@@ -33,11 +33,7 @@ _MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
-    """Return how the names begin of the files that a process of this host writes.
-
-    Args:
-        process: Its number; None is this one.
-    """
+    """Return how names of a process's temporary files begin; None is this one."""
     return f".animtool-{_host()}-{process or os.getpid()}-"
 
 
@@ -63,10 +59,6 @@ class PlacedFile:
 
         Nothing happens where another process has replaced the file since. It may be
         called again.
-
-        Raises:
-            OSError: It cannot be undone.
-            FormatError: What is said of it cannot be read.
         """
         found = _found(self.final)
         kept = _found(self.old)
@@ -97,11 +89,7 @@ class Journal:
 
     @classmethod
     def begin(cls, files: Sequence[PlacedFile]) -> Journal:
-        """Write the journal of a set, before any of its files has its name.
-
-        Raises:
-            OSError: It cannot be written.
-        """
+        """Write the journal of a set, before any of its files has its name."""
         folders = tuple(dict.fromkeys(file.final.parent for file in files))
         journal = cls(f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL}", folders)
         try:
@@ -135,11 +123,7 @@ class Journal:
                 (folder / self.name).unlink()
 
     def take_back(self) -> None:
-        """Undo a set whose process died before it was complete.
-
-        Raises:
-            OSError: It cannot be undone.
-        """
+        """Undo a set whose process died before it was complete."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._files(folder)):
@@ -239,11 +223,8 @@ def _locked(handle: int) -> bool:
 def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
     """Remove what killed processes of this host began to write; return what that was.
 
-    Sets that were not complete are undone first.
-
-    Args:
-        folders: Where outputs go; those that are not there are passed over.
-        process: One that is dead; None is all that are.
+    Sets that were not complete are undone first. Folders that are not there are passed
+    over; ``process`` is one that is dead, None all that are.
     """
     removed = []
     for folder in dict.fromkeys(folders):

@@ -105,12 +105,10 @@ def check_outputs(
 ) -> None:
     """Refuse outputs that cannot or must not be written.
 
-    Raises:
-        OptionError: An output exists and overwrite is off, with a fault for each
-            that does (OUT001); or one is also an input (OUT003), or two are one file
-            (OUT007).
-        OutputError: Its folder does not exist or may not be written to (OUT002), or it
-            leads to something else than a file (OUT005).
+    One exists and overwrite is off (OUT001), or is also an input (OUT003), or two are
+    one file (OUT007); its folder does not exist or may not be written to (OUT002), or
+    it leads to something else than a file (OUT005). All of a kind are faults of one
+    error.
     """
     targets: list[Target] = []
     for path in outputs:
@@ -157,13 +155,10 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
-    """Refuse outputs that the block reads, whatever file names them.
+    """Refuse outputs that the block read, whatever file named them (OUT003).
 
     A layer that a USD file brings in may be an output: a shot is read to bake one of
     its layers anew.
-
-    Raises:
-        OptionError: An output is among what was read (OUT003), as the block ends.
     """
     with recorded_inputs() as inputs:
         yield
@@ -219,11 +214,7 @@ _waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
 
 
 def write_parts(output: Path, parts: Iterable[bytes]) -> None:
-    """Write a file whole, from bytes that are made as they are taken.
-
-    Raises:
-        OutputError: It cannot be written (OUT002).
-    """
+    """Write a file whole, from bytes that are made as they are taken (else OUT002)."""
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -237,13 +228,10 @@ def write_parts(output: Path, parts: Iterable[bytes]) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that becomes ``path`` at the end.
 
-    The file is flushed to the disk and renamed when the block ends well, and
-    removed when it does not, so that ``path`` is at all times absent, as it was,
-    or whole. Inside of `together` it is renamed at the end of that.
-
-    Raises:
-        FormatError: Inputs are recorded, and one changed since it was read (IO004).
-        OutputError: It cannot be flushed or renamed.
+    The file is flushed to the disk and renamed when the block ends well, and removed
+    when it does not, so that ``path`` is at all times absent, as it was, or whole.
+    Inside of `together` it is renamed at the end of that. Of recorded inputs none may
+    have changed since it was read (IO004).
     """
     # A link stays one: what it leads to is replaced.
     final = target(path).final
@@ -278,11 +266,7 @@ def _place(files: Sequence[Whole]) -> None:
 
 
 def size_of(path: Path) -> int:
-    """Return the size of a file that was written, if it has its name yet or not [byte].
-
-    Raises:
-        OSError: There is no such file.
-    """
+    """Return the size of a file that was written, if renamed yet or not [byte]."""
     waiting = _waiting.get()
     for whole in [] if waiting is None else reversed(waiting.files):
         if whole.path == path:
@@ -295,14 +279,9 @@ def together() -> Iterator[None]:
     """Let the files that `replacing` makes in a block get their names at its end.
 
     They get them in the order made, or none does where the block does not end well. A
-    block within another leaves them to that. What the block reads must not change in
-    it.
-
-    Raises:
-        FormatError: An input changed since it was read (IO004).
-        OptionError: Another process wrote one meanwhile (OUT001), or two are one file
-            (OUT007).
-        OutputError: One cannot be renamed.
+    block within another leaves them to that. What the block reads must not change in it
+    (IO004), nor may another process write one meanwhile (OUT001), nor two be one file
+    (OUT007).
     """
     if _waiting.get() is not None:
         yield

@@ -220,11 +220,7 @@ class Pass:
 
 
 def find_pass(name: str) -> Pass:
-    """Return a pass by its name, those of plug-ins included.
-
-    Raises:
-        OptionError: There is none of that name (SCN010), or the plug-in that has it
-            cannot be loaded (SCN011).
+    """Return a pass by its name, those of plug-ins included (unknown: SCN010).
 
     >>> find_pass("trim").scope
     <Scope.FRAME: 'frame'>

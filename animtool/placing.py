@@ -96,11 +96,7 @@ class Whole:
     state: tuple[int, int, int] = (0, 0, 0)
 
     def seal(self) -> None:
-        """Flush it to the disk, with the mode and the owner of what it replaces.
-
-        Raises:
-            OutputError: It cannot be flushed, or would replace no file.
-        """
+        """Flush it to the disk, with the mode and the owner of what it replaces."""
         found = None
         with contextlib.suppress(FileNotFoundError):
             found = self.final.lstat()
@@ -160,12 +156,7 @@ def _inherit(handle: int, found: os.stat_result) -> None:
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
-    """Rename a file to a name that nothing has; of several processes one succeeds.
-
-    Raises:
-        FileExistsError: Something has that name.
-        OSError: It cannot be renamed.
-    """
+    """Rename a file to a name that nothing has; of several processes one succeeds."""
     if os.name == "nt":
         temporary.rename(final)
         return
@@ -188,15 +179,10 @@ def _rename_new(temporary: Path, final: Path) -> None:
 
 
 def place_files(files: Sequence[Whole], new: frozenset[Path]) -> None:
-    """Give sealed files their names, in order: all of them or none.
+    """Give sealed files, in any folders, their names, in order: all of them or none.
 
-    Args:
-        files: They may be in several folders.
-        new: Final paths that nothing may have.
-
-    Raises:
-        OptionError: Something has one of those (OUT001).
-        OutputError: One cannot be renamed. What was there before is there again.
+    Where one of ``new`` names has something (OUT001), or one cannot be renamed, what
+    was there before is there again.
     """
     if len(files) > 1:
         _place_set(files, new)
@@ -242,11 +228,7 @@ def _taken_back(part: PlacedFile) -> bool:
 
 
 def _keep(file: Whole, part: PlacedFile) -> None:
-    """Keep what a file replaces under another name.
-
-    Raises:
-        OutputError: It cannot be kept.
-    """
+    """Keep what a file replaces under another name."""
     try:
         os.link(part.final, part.old)
     except FileNotFoundError:

@@ -16,14 +16,10 @@ if TYPE_CHECKING:
 def lazy_names(
     package: str, places: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return the ``__getattr__`` and ``__dir__`` of a package.
+    """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
 
-    A module that is imported becomes an attribute of its package, so that none may
-    have the name of something else in it.
-
-    Args:
-        package: Its name.
-        places: The module of each public name; one of a module is the module's own.
+    A module that is imported becomes an attribute of its package, so that none may have
+    the name of something else in it. A name of a module is the module's own.
 
     >>> get, _ = lazy_names("animtool", {"Fault": "animtool.errors"})
     >>> get("Fault")
@@ -71,16 +67,7 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind], code: str) -> Kind:
-    """Return what an entry point names.
-
-    Args:
-        point: The entry point.
-        kind: What it must be.
-        code: Of the fault.
-
-    Raises:
-        OptionError: It cannot be loaded, or is something else.
-    """
+    """Return what an entry point names, of a kind; else a fault of that code."""
     try:
         loaded: object = point.load()
     except Exception as error:

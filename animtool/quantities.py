@@ -58,9 +58,6 @@ def json_printed(
 ) -> str:
     r"""Return a value as JSON in UTF-8, which has escapes where `escaped` has some.
 
-    Raises:
-        ValueError: It holds NaN or infinity.
-
     >>> json_printed("\x9b\udcff##[error]")
     '"\\u009b\\udcff\\u0023#[error]"'
     """

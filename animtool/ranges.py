@@ -95,10 +95,6 @@ def ranges_of(record: type[Any]) -> Mapping[str, Range]:
 def range_faults(record: Any, message: str = OF_ARGUMENT) -> list[Fault]:
     """Return a fault of each number of a record that is out of its range.
 
-    Args:
-        record: A dataclass, or the model of a file.
-        message: With ``{name}``, ``{bound}`` and ``{value}``.
-
     >>> from animtool.systems.springs import SpringOptions
     >>> [str(fault) for fault in range_faults(SpringOptions(step=0.0, longest=1.0))]
     ['SIM004 step: step must be finite and above 0, not 0', 'SIM004 longest: longest \

@@ -203,15 +203,7 @@ def _digits(number: object) -> str:
 def rate_option(
     fps: str | float | Fraction, code: str, option: str = "fps"
 ) -> Fraction:
-    """Return the rate of an option, see `parse_rate`.
-
-    Args:
-        fps: As given.
-        code: Of the fault.
-        option: What the option is called.
-
-    Raises:
-        OptionError: It is not a positive number.
+    """Return the rate of an option, see `parse_rate`; else a fault of that code.
 
     >>> rate_option("29.97", "SCN022")
     Fraction(30000, 1001)

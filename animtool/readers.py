@@ -45,12 +45,7 @@ class Reader:
         return _opener(self.rig, "rig", path)
 
     def source_opener(self, path: Path) -> Callable[..., Any]:
-        """Return what opens a file as a source.
-
-        Raises:
-            OptionError: Such files hold none (IO002), or the function that opens
-                them cannot be loaded (IO003).
-        """
+        """Return what opens a file as a source (none: IO002; broken: IO003)."""
         return _opener(self.source, "motion", path)
 
     def prim_opener(self, path: Path) -> Callable[..., Any]:

@@ -23,9 +23,6 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
 
     Everything below the roots is in their frames and stays as it is; strands, and the
     pole directions of chains that begin at a root, are in the world, as are tracks.
-
-    Raises:
-        FormatError: An array of the rig cannot be read any more (RIG018).
     """
     turn = up_from_up(up, stream.rig.up)
     if turn is None:

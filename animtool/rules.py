@@ -208,10 +208,7 @@ def current_codes(code: str) -> tuple[str, ...]:
 
 
 def find_rule(code: str) -> Rule:
-    """Return the rule of a code, in any case.
-
-    Raises:
-        OptionError: There is none of that code (VAL005).
+    """Return the rule of a code, in any case (unknown: VAL005).
 
     >>> find_rule("rig001").title
     'a joint twice'

@@ -22,15 +22,11 @@ class _End:
 
 
 def prefetch(items: Iterator[T], depth: int = 3) -> Generator[T]:
-    """Yield the items of an iterator, made ahead in a thread, in the same order.
+    """Yield the items of an iterator, up to ``depth`` of them made ahead in a thread.
 
-    It pays where the iterator spends its time in kernels, which release the GIL.
-    An error of the iterator is raised at its place. Closing the generator stops
-    the thread.
-
-    Args:
-        items: What to make ahead.
-        depth: How many items may wait.
+    It pays where the iterator spends its time in kernels, which release the GIL. An
+    error of the iterator is raised at its place. Closing the generator stops the
+    thread.
 
     >>> list(prefetch(iter("abc")))
     ['a', 'b', 'c']

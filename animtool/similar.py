@@ -13,15 +13,10 @@ LONGEST = 120
 
 
 def similar(name: str, names: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """Return the name that is most like another one; None where none is.
+    """Return the name most like another, from a cutoff 0 to 1 on; None without one.
 
     Of many names the first 2000 are looked at, and of these the 40 that share most
-    pairs of letters.
-
-    Args:
-        name: What was written; of more than 120 letters it is like no other.
-        names: The valid ones.
-        cutoff: How like they are at least, from 0 to 1.
+    pairs of letters. One of more than 120 letters is like no other.
 
     >>> similar("ebow", ["hand", "elbow"]), similar("ebow", ["hip"])
     ('elbow', None)

@@ -58,12 +58,7 @@ class Crash:
 
 
 def crash_fault(path: str, number: int) -> Fault:
-    """Return the fault of a file that crashed what read it.
-
-    Args:
-        path: The file.
-        number: The signal.
-    """
+    """Return the fault of a file that ended what read it by a signal."""
     name = signal.Signals(number).name
     message = f"USD crashes while it reads this file or one that it refers to ({name})"
     hint = "export it again; do not open it in other programs"
@@ -136,11 +131,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Note that USD reads a file inside of the block.
-
-    Raises:
-        FormatError: It crashed an earlier run of this command (USD160).
-    """
+    """Note that USD reads a file in the block, if it crashed no run (USD160)."""
     listener = _state.listener
     if listener is None:
         yield
@@ -192,11 +183,7 @@ def note_folder(folder: Path) -> None:
 
 
 def stdin_lines() -> list[str]:
-    """Return the lines on stdin, which a second run after a crash gets too.
-
-    Raises:
-        FormatError: One is longer than the name of a file can be (IO001).
-    """
+    """Return the lines on stdin, which a second run after a crash gets too."""
     notes = _state.notes
     noted = None if notes is None else _got(notes.listed)
     if noted is None:
@@ -263,12 +250,9 @@ def supervise(
 ) -> int:
     """Run work in a child, anew without the file that crashed it; return its exit code.
 
-    Signals that ask this process to end, or to stop for a while, go on to the child.
-
-    Args:
-        work: What to do; it returns an exit code.
-        refuse: Reports a crash that a second run does not mend; returns an exit code.
-        clean: Removes from folders what a dead child began to write there.
+    Signals that ask this process to end, or to stop for a while, go on to the child. A
+    crash that a second run does not mend is given to ``refuse``, which returns the exit
+    code; ``clean`` removes from folders what a dead child began to write there.
     """
     notes = _Notes(mmap.mmap(-1, NOTED), mmap.mmap(-1, LISTED))
     waited = _waited()
@@ -323,12 +307,10 @@ def _fork(work: Callable[[], int], notes: _Notes, waited: set[int]) -> tuple[int
 
 
 def _be_child(work: Callable[[], int], alive: int, held: set[int]) -> NoReturn:
-    """Do the work, and end.
+    """Do the work in the child, and end.
 
-    Args:
-        work: What to do; it lets the signals come that ask for an end.
-        alive: Closed when the parent ends.
-        held: The other signals that the parent waits for.
+    ``alive`` is closed when the parent ends; ``held`` are the other signals that it
+    waits for.
     """
     import resource
 

@@ -52,9 +52,6 @@ _LENGTH = re.compile(r"([0-9.eE+-]+)\s*(m|cm|mm|in)?")
 def parse_length(text: str) -> float:
     """Return a positive length [m] such as ``0.5mm``.
 
-    Raises:
-        ValueError: It is none, or without a unit.
-
     >>> parse_length("0.5mm")
     0.0005
     """

@@ -72,11 +72,7 @@ class Bundle:
 
 
 def mean_seconds(path: Path) -> float:
-    """Return what an item took, by a report of ``animtool batch --format json`` [s].
-
-    Raises:
-        FormatError: It is no such report, or nothing was made (BAT037).
-    """
+    """Return what an item took, by a JSON report of a batch [s] (else BAT037)."""
     try:
         items = list_in(json_of_file(path, MAX_REPORT), "items")
         made = [
@@ -98,12 +94,7 @@ def mean_seconds(path: Path) -> float:
 def chunk_size(
     items: int, seconds: float | None = None, wanted: float = TASK_SECONDS
 ) -> int:
-    """Return how many items a task is to make.
-
-    Args:
-        items: How many there are.
-        seconds: What one takes [s]; None where nothing says it.
-        wanted: What a task is to take on one processor [s].
+    """Return how many items of some seconds [s] each make a task of those wanted [s].
 
     >>> chunk_size(1000, 0.5), chunk_size(1000), chunk_size(10, 0.1)
     (240, 100, 10)
@@ -114,14 +105,7 @@ def chunk_size(
 
 
 def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> Bundle:
-    """Return the bundle of a batch.
-
-    Args:
-        batch: The batch.
-        path: The file that says it.
-        chunk: How many items a task makes.
-        cuts: What that file does not say of its shots.
-    """
+    """Return the bundle of a batch, and what its file leaves open of shots."""
     more = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
@@ -221,12 +205,7 @@ def _script(*chosen: str) -> dict[str, Any]:
 def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> list[Path]:
-    """Write a bundle, and return its files.
-
-    Raises:
-        OptionError: One of its files exists, without ``overwrite`` (OUT001).
-        OutputError: They cannot be written (OUT002).
-    """
+    """Write a bundle, and return its files; refuse those that exist (OUT001)."""
     given = [{"name": name, "value": value} for name, value in bundle.values.items()]
     texts = {
         folder / TEMPLATE: yaml_text(dict(bundle.template)),

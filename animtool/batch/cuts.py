@@ -121,18 +121,7 @@ def read_cuts(
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
-    """Return one shot of a timeline; see `read_cuts`.
-
-    Args:
-        path: The timeline.
-        name: The shot; None where there is only one.
-        options: What the shot has.
-
-    Raises:
-        FormatError: As `read_cuts`; what is wrong with other clips does not matter.
-        OptionError: There is no shot of that name, or no name and several shots
-            (BAT048).
-    """
+    """Return the shot of a name, or the only one (else BAT048); see `read_cuts`."""
     return _Reader(path, (), options).read(lambda found: _named(found, name, path))
 
 

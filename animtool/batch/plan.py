@@ -164,13 +164,10 @@ MAX_FAULTS = 50
 
 
 def check_places(batch: Batch) -> None:
-    """Refuse outputs that are one file, or an input, or in no folder to write to.
+    """Refuse outputs that are one file (OUT007), inputs, or in no folder to write.
 
-    Raises:
-        OptionError: Two items write one file, or files that are one on some disks, as
-            their names differ only in case or in how accents are encoded (OUT007); or
-            an output is an input (OUT003).
-        OutputError: A folder cannot be made or written to (OUT002).
+    Files are one on some disks where names differ only in case or in how accents are
+    encoded.
     """
     place = Places()
     inputs = {place(item.found.path) for item in batch.items}

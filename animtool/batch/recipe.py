@@ -189,11 +189,7 @@ class PathRule:
 
 
 def read_rules(path: Path) -> list[PathRule]:
-    """Return the rules of a file; none of one without any.
-
-    Raises:
-        FormatError: It cannot be read, or is malformed (BAT038).
-    """
+    """Return the rules of a file; none of one without any (malformed: BAT038)."""
     try:
         found = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"

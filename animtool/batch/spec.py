@@ -39,9 +39,6 @@ class Limits:
 def parse_bytes(text: str) -> int:
     """Return the size [bytes] of a text such as ``2GB`` or ``512MiB``.
 
-    Raises:
-        ValueError: It is none.
-
     >>> parse_bytes("1.5GB"), parse_bytes("2 KiB")
     (1500000000, 2048)
     """
@@ -53,11 +50,7 @@ def parse_bytes(text: str) -> int:
 
 
 def parse_seconds(text: str) -> float:
-    """Return the time [s] of a text.
-
-    Raises:
-        ValueError: It is none that is above 0, and up to `MAX_SECONDS`.
-    """
+    """Return the time [s] of a text, above 0 and up to `MAX_SECONDS`."""
     try:
         seconds = float(text)
     except ValueError:

@@ -62,10 +62,6 @@ def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
 def variants_of_texts(texts: Sequence[str]) -> Variants:
     """Return every combination of the values of texts such as ``k=1,2,5``.
 
-    Raises:
-        OptionError: A name or a value makes no sense (BAT063, BAT064), or there are
-            too many (BAT065).
-
     >>> variants_of_texts(["k=1..2", "s=a"]).rows
     ({'k': '1', 's': 'a'}, {'k': '2', 's': 'a'})
     """
@@ -196,9 +192,7 @@ def read_variants(path: Path) -> Variants:
     """Return the table of a CSV file: names in the first line, then a variant a line.
 
     Columns are separated by commas, in ``.tsv`` files by tabs. Blank lines are skipped.
-
-    Raises:
-        FormatError: With every fault of the file, each with line and column.
+    Every fault of the file is raised at once, each with line and column.
     """
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
     # One more than may be is enough to say so.

@@ -61,11 +61,7 @@ class Strength:
 
 
 def check_same_rig(rig: Rig, other: Rig) -> None:
-    """Refuse two takes of different skeletons.
-
-    Raises:
-        OptionError: Names or parents of joints differ (SCN017).
-    """
+    """Refuse two takes whose joints differ in names or parents (SCN017)."""
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing = sorted(set(rig.names) ^ set(other.names))
@@ -245,16 +241,10 @@ def other_frames(
     count: int,
     delay: Fraction = Fraction(0),
 ) -> Motion:
-    """Return another take at some frames of a take, held at its ends.
+    """Return another take at ``count`` frames of a rate [1/s], held at its ends.
 
-    First frames coincide, whatever the time codes say.
-
-    Args:
-        other: The take to sample.
-        rate: Frames a second of the take.
-        first: Index of the first frame wanted.
-        count: Number of frames wanted.
-        delay: By how much the other starts later [frame].
+    First frames coincide, whatever the time codes say; ``delay`` starts it later
+    [frame].
     """
     ratio = other.clock.rate / rate
     index = np.arange(first, first + count)

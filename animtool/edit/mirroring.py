@@ -96,17 +96,11 @@ def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
 def _effect(
     rig: Rig, c: int, way: float, turned: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what a control does when it moves a little.
+    """Return what a control does when it moves a little one way, 1 or -1.
 
-    Args:
-        rig: Whose control it is.
-        c: Its index.
-        way: 1 or -1.
-        turned: Rotations of the joints at rest, world ``(J, 3, 3)``.
-
-    Returns:
-        To each joint in the world ``(J, 6)``, a rotation vector [rad] and a
-        translation [m]; and to each shape ``(S,)``.
+    That is to each joint in the world ``(J, 6)``, a rotation vector [rad] and a
+    translation [m]; and to each shape ``(S,)``. ``turned`` are joints at rest, world
+    ``(J, 3, 3)``.
     """
     control = rig.controls[c]
     span = 1.0

@@ -185,13 +185,7 @@ def _kept_samples(
 
 
 def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
-    """Return the note of a part of a frame that is left out at the end of a take.
-
-    Args:
-        dropped: How long it is > 0 [time codes].
-        fps: Time codes a second.
-        last: Time code of the last frame that is kept.
-    """
+    """Return the note that part of a frame > 0 [time codes] is left out at the end."""
     message = (
         f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
         f"after its last whole frame, {frame_label(last)}; that part is left out"

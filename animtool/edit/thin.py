@@ -41,26 +41,15 @@ def thin_samples(
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = 1e-3,
 ) -> Thinned:
-    """Return which samples are needed to play a motion within a tolerance.
+    """Return which samples ``(F,)`` play a motion within a tolerance > 0 [m].
 
-    Between two samples USD moves translations, scales and weights in straight lines
-    and rotations along the shortest arc. A stretch whose samples are beyond the
-    tolerance is split at the worst of them (Douglas and Peucker, 1973); then samples
-    that turn out not to be needed are left out again. The measure is that of
+    Between two samples USD moves translations, scales and weights in straight lines and
+    rotations along the shortest arc. A stretch whose samples are beyond the tolerance
+    is split at the worst of them (Douglas and Peucker, 1973); then samples that turn
+    out not to be needed are left out again. The measure is that of
     `animtool.clip.reduce.reduce_motion`: points that each joint carries, in the world,
-    at every sample. The first and last sample stay.
-
-    Args:
-        rig: J joints.
-        codes: Times of the samples, ascending ``(F,)``.
-        motion: What they hold.
-        tolerance: Largest error of any joint > 0 [m].
-        joint_tolerances: Other tolerances, by the names of joints or patterns of
-            them such as ``hand_*`` > 0 [m].
-        weight_tolerance: Largest error of a shape's weight > 0 [1].
-
-    Raises:
-        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
+    at every sample. The first and last sample stay. ``joint_tolerances`` are by names
+    of joints or patterns such as ``hand_*`` > 0 [m], that of weights > 0 [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds, weight_tolerance)

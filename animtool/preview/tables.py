@@ -49,10 +49,6 @@ def ik_panels(table: IkTable, name: str) -> list[Panel]:
 
     Each has a line over tolerances, and a point for each method at the tolerance that
     is asked for. Methods that cannot solve the problem are left out.
-
-    Args:
-        table: What was measured.
-        name: Of what was solved.
     """
     errors = {"position": "largest miss [m]"}
     if any(row.angle > 0 for row in (*table.tolerances, *table.methods)):

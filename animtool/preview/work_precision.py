@@ -57,12 +57,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Raise where no picture could be drawn into a file.
-
-    Raises:
-        OptionError: matplotlib is not installed (SCN070), or the suffix is of no
-            picture (SCN072).
-    """
+    """Refuse a picture without matplotlib (SCN070), or of no such kind (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is no kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
@@ -71,16 +66,7 @@ def check_drawable(path: Path) -> None:
 
 
 def draw_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw panels below each other, on logarithmic axes.
-
-    Args:
-        panels: At least one.
-        path: The file; its suffix says the format.
-
-    Raises:
-        OptionError: As `check_drawable`.
-        OutputError: It cannot be written.
-    """
+    """Draw one panel or more below each other, on logarithmic axes."""
     check_drawable(path)
     matplotlib, figures, ticker = _figures()
     figure = figures.Figure(

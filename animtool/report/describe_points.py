@@ -45,11 +45,7 @@ class PointsDescription:
 
 
 def describe_points(path: Path) -> PointsDescription | None:
-    """Describe a USD file without a character; None of those that have one.
-
-    Raises:
-        FormatError: It cannot be read.
-    """
+    """Describe a USD file without a character; None of those that have one."""
     note_input(path)
     found = read_points(path)
     if found is None:

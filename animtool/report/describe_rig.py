@@ -56,16 +56,7 @@ class RigDescription:
 
 
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
-    """Describe a rig.
-
-    Args:
-        path: Its file, for the report.
-        rig: It, opened.
-        notices: What was said when it was opened.
-
-    Raises:
-        FormatError: An array of the rig cannot be read.
-    """
+    """Describe a rig that was opened, with what was said then."""
     types = Counter(str(joint.type) for joint in rig.joints)
     meshes = [
         MeshDescription(
@@ -128,11 +119,7 @@ class TargetsDescription:
 
 
 def describe_targets(path: Path) -> TargetsDescription:
-    """Return what a targets file asks for.
-
-    Raises:
-        FormatError: It is malformed, with every fault that shows without a rig.
-    """
+    """Return what a targets file asks for; its faults are raised."""
     tracks = load_targets(path)
     clock = tracks.clock
     goals = tuple(

@@ -92,11 +92,7 @@ class SceneDescription:
 
 
 def describe_scene(scene: Scene) -> SceneDescription:
-    """Describe a scene.
-
-    Args:
-        scene: It, loaded.
-    """
+    """Describe a scene that was loaded."""
     bake = scene.bake
     frames, rate = bake.frame_range, bake.fps
     return SceneDescription(

@@ -42,11 +42,7 @@ class SolvedControls:
 def keyed_values(
     controls: Sequence[Control], reached: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the keys that bring controls to values, what others add taken off.
-
-    Args:
-        controls: The rig's.
-        reached: Value of every control ``(F,)``.
+    """Return the keys that bring controls to values ``(F,)``, less what others add.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -75,24 +71,19 @@ def solve_controls(
 ) -> SolvedControls:
     """Return values of controls that drive targets as wanted, in their ranges.
 
-    Controls that share a target, or read each other, are solved together: sweeps of
-    the nearest point on each control's own polyline find the segments, Newton steps
-    on all of them the values. A control is kept where everything that it drives comes
-    out within the tolerance in every frame. The others go back to their start, and
-    those that they shared a target with are solved again.
+    Controls that share a target, or read each other, are solved together: sweeps of the
+    nearest point on each control's own polyline find the segments, Newton steps on all
+    of them the values. A control is kept where everything that it drives comes out
+    within the tolerance > 0 in every frame. The others go back to their start, and
+    those that they shared a target with are solved again. A control that only drives
+    other controls stays at its start where the others do.
 
-    A control that only drives other controls stays at its start where the others do.
+    ``wanted`` is what all controls add to each target ``(F,)`` [rad], [m], [1]; targets
+    that it lacks are unconstrained. ``start`` is the keyed value of every control
+    ``(F,)``, not limited to the ranges; from ``keyed`` targets, which get keys of their
+    own, no control is solved.
 
     Limits: where several values drive alike, the one found depends on the start.
-
-    Args:
-        controls: The rig's.
-        wanted: What all controls are to add to each target ``(F,)`` [rad], [m], [1].
-            Targets that are missing here are unconstrained.
-        tolerances: Largest error of each target > 0.
-        start: Keyed value of every control ``(F,)``; not limited to the ranges.
-        keyed: Targets that get keys of their own in any case, so that no control is
-            solved for from them.
     """
     values = {name: np.array(value, np.float64) for name, value in start.items()}
     kept: set[str] = set()

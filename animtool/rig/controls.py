@@ -100,14 +100,10 @@ def evaluate_controls(
 ) -> DrivenValues:
     """Return the values of controls and what they add to joints and shapes.
 
-    A control is its keyed value, else its default, and what others add to it. What
-    several add to one target is summed, in the rig's order. Values that are not finite
-    are left as they are: the caller looks.
-
-    Args:
-        controls: The rig's.
-        keyed: Values ``(F,)`` of those that a clip animates.
-        clamp: Bring each into its range, whatever set it, before it drives others.
+    A control is its keyed value ``(F,)``, else its default, and what others add to it;
+    with ``clamp`` brought into its range before it drives others. What several add to
+    one target is summed, in the rig's order. Values that are not finite are left as
+    they are: the caller looks.
     """
     values = {
         control.name: np.asarray(keyed.get(control.name, [control.default]), np.float64)

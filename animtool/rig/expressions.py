@@ -90,11 +90,7 @@ class Expression:
 
 
 def parse_expression(text: str) -> Expression:
-    """Return the expression of a text.
-
-    Raises:
-        ValueError: It is too long, no expression, or holds what is not allowed.
-    """
+    """Return the expression of a text, or a `ValueError`: too long, or not allowed."""
     if len(text) > LONGEST:
         raise ValueError(f"is {len(text)} characters long; {LONGEST} are allowed")
     # Python's parser takes more brackets in brackets for a lack of memory.

@@ -191,19 +191,11 @@ def check_fit(
     forced: bool,
     unmatched: list[Fault] | None = None,
 ) -> tuple[Fit, list[Fault]]:
-    """Return how well a take fits a rig, and a warning where that can be seen.
+    """Return how well a take fits a rig (else RIG040), and a warning where it shows.
 
-    Args:
-        take: The take's rig, with the up axis of the other.
-        rig: The rig that the take is written onto.
-        source: Joint of the take for each joint of the rig ``(J,)``, -1 for none.
-        where: File of the rig.
-        forced: Warn in place of an error.
-        unmatched: Notices of joints that only one of them has; an error about joints
-            includes them.
-
-    Raises:
-        FormatError: It does not fit (RIG040).
+    ``source`` is the joint of the take for each of the rig ``(J,)``, -1 for none.
+    Forced, a warning takes the place of the error, which else includes ``unmatched``
+    joints.
     """
     fit = measure_fit(take, rig, source, posed=take.has_rest)
     if fit.score >= NOTICEABLE:

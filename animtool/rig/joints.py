@@ -91,12 +91,8 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
 def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
     """Return the joint coordinates ``(F, Q)`` nearest to local transforms.
 
-    What a joint cannot do is left out: a pin keeps the turn about its axis, a
-    prismatic joint the slide along it. Pin angles are continuous along F, over
-    whole turns too.
-
-    Raises:
-        ValueError: A shape does not fit the rig.
+    What a joint cannot do is left out: a pin keeps the turn about its axis, a prismatic
+    joint the slide along it. Pin angles are continuous along F, over whole turns too.
     """
     joints = len(rig.joints)
     translations = as_floats(local.translations, ("F", joints, 3), "translations")

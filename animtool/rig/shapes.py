@@ -67,9 +67,6 @@ class ShapeCycleError(ValueError):
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     """Return shapes, each behind those that it combines.
 
-    Raises:
-        ShapeCycleError: They combine each other in a circle.
-
     >>> smile, both = Shape("smile"), Shape("both", combine=("smile",))
     >>> [shape.name for shape in combination_order([both, smile])]
     ['smile', 'both']
@@ -90,14 +87,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
 def combined_weights(
     shapes: Sequence[Shape], own: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the weight of every shape, products of the combined ones added.
-
-    Args:
-        shapes: In any order.
-        own: Their weights by name [1], ``(F,)``, or ``(1,)`` where one never moves.
-
-    Raises:
-        ShapeCycleError: They combine each other in a circle.
+    """Return weights of shapes [1], ``(F,)`` or ``(1,)``, combined ones added.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
@@ -115,11 +105,7 @@ def combined_weights(
 def own_weights(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return what `combined_weights` makes given weights of.
-
-    Args:
-        shapes: In any order.
-        total: Their weights by name [1], ``(F,)``, or ``(1,)`` where one never moves.
+    """Return of which weights `combined_weights` makes these [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]

@@ -58,16 +58,11 @@ def pair_sides(
     parents: Sequence[int] | IntArray | None = None,
     stated: Sequence[tuple[str, str]] = (),
 ) -> SidePairs:
-    """Return the left and right partners among names.
+    """Return the left and right partners among names of J joints.
 
-    A pair holds where both names exist, neither has another partner, and their
-    parents are the same or partners.
-
-    Args:
-        names: Of J joints.
-        parents: Index of each one's parent, -1 for none; None where names have no
-            hierarchy, as those of shapes.
-        stated: Pairs that hold whatever the names say.
+    A pair holds where both names exist, neither has another partner, and their parents
+    are the same or partners (None: there is no hierarchy). Stated pairs hold whatever
+    names say.
 
     >>> pair_sides(["hips", "lfemur", "rfemur", "arm.L", "arm.R"]).partners.tolist()
     [0, 2, 1, 4, 3]
@@ -197,13 +192,7 @@ def placed(parent_world: Transform, pose: Pose) -> Transform:
 
 
 def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
-    """Return the local transform of the other side's joint, a reflection in the world.
-
-    Args:
-        pose: Of the joint that the file describes.
-        world: That joint's translation and rotation, world space.
-        parent_world: Translation and rotation of the other joint's parent.
-    """
+    """Return the local pose of the other side's joint, a reflection in the world."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
     turn = reflect_rotation(np.array(pose.rotation)) + 0.0
     position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])

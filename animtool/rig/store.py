@@ -27,15 +27,9 @@ StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 
 def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, StoredArrays]:
-    """Return the rig with references in place of the arrays it holds, and the arrays.
+    """Return the rig with references to an npz file for its arrays, and the arrays.
 
-    Args:
-        rig: As read from its file.
-        path: The npz file that they are to be stored in.
-        moved: Store what the rig refers to as well: its file goes to another folder.
-
-    Raises:
-        FormatError: An array cannot be read (RIG018).
+    With ``moved`` what it refers to is stored as well: its file goes to another folder.
     """
     store = _Store(path, moved)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)

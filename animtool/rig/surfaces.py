@@ -63,11 +63,7 @@ class Surface:
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
-    """Return the meshes of a rig, their arrays read.
-
-    Raises:
-        FormatError: An array cannot be read any more (RIG018).
-    """
+    """Return the meshes of a rig, their arrays read."""
     try:
         with Archives() as archives:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
@@ -143,11 +139,7 @@ class Strands:
 
 
 def strands_of(rig: Rig) -> tuple[Strands, ...]:
-    """Return the strands of a rig, their arrays read.
-
-    Raises:
-        FormatError: An array cannot be read any more (RIG018).
-    """
+    """Return the strands of a rig, their arrays read."""
     made = []
     for entry in rig.attach:
         if entry.points is None:

@@ -27,11 +27,9 @@ Pairs = Iterable[tuple[str, str | None]]
 def rig_text(rig: Rig) -> str:
     """Return a rig as the text of a rig file, in its own units.
 
-    A joint that is the mirror image of one before it is left to that one's
-    ``mirror``. References to arrays are as the rig's own file spelled them.
-
-    Raises:
-        TypeError: An array is in no file; see `animtool.rig.store.with_file`.
+    A joint that is the mirror image of one before it is left to that one's ``mirror``.
+    References to arrays are as the rig's own file spelled them; an array in no file is
+    a `TypeError`, see `animtool.rig.store.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'

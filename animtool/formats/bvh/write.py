@@ -65,15 +65,12 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
 
 
 def bvh_text(take: Take) -> BvhText:
-    """Return a take as BVH, in the unit of its rig.
+    """Return a take as BVH, in the unit of its rig, which has joints (else RIG044).
 
-    Joints keep the channels and names that they were read with where these can
-    hold the motion; others get ``Zrotation Xrotation Yrotation``, roots and joints
-    that move also positions. Angles are continuous along time. The start time
-    code and scales have no place in the format; scales are named in the notices.
-
-    Raises:
-        OptionError: The rig has no joints (RIG044).
+    Joints keep the channels and names that they were read with where these can hold the
+    motion; others get ``Zrotation Xrotation Yrotation``, roots and joints that move
+    also positions. Angles are continuous along time. The start time code and scales
+    have no place in the format; scales are named in the notices.
     """
     if not take.rig.joints:
         message = f"{take.rig.name!r} has no joints, and a BVH holds nothing else"
