@@ -20,7 +20,6 @@ from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.ranges import OF_ENTRY, range_faults
 from animtool.scene.entries import Place, place_of_entry
-from animtool.scene.particles.schema import EmitterModel
 from animtool.scene.systems.character_collider import CharacterCollider
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
@@ -30,6 +29,7 @@ from animtool.systems.fields import (
     Named,
     SystemColliderModel,
 )
+from animtool.systems.particles.spec import EmitterModel
 
 SHAPES: dict[str, type[Any]] = {
     "box": Box,

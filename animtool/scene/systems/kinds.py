@@ -121,12 +121,12 @@ def _springs(
 
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
-        "animtool.scene.particles.schema:ParticlesModel",
+        "animtool.systems.particles.spec:ParticlesModel",
         "Particles that are born, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
-        "animtool.scene.particles.entries:read_particles",
-        "animtool.scene.particles.system:open_particles",
-        "animtool.scene.particles.system:particle_trial",
+        "animtool.scene.systems.particles:read_particles",
+        "animtool.scene.systems.particles:open_particles",
+        "animtool.scene.systems.particles:particle_trial",
     ),
     "rope": _springs(
         "RopeModel",

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
+from animtool.options import Key
+from animtool.ranges import OF_ENTRY, Range, above, range_faults
 from animtool.sim.colliders.poses import Poses
 from animtool.systems.particles.places import Place, Point
 from animtool.systems.particles.rng import uniforms
@@ -22,6 +25,8 @@ MAX_AT_ONCE = 10**12
 _CHANCES = 8
 # Over which the motion of an emitter is measured [s].
 _BRIEF = 1e-4
+_AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+_SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 # A direction that is no longer than this has no certain length.
 SHORTEST = 1e-150
 
@@ -67,21 +72,29 @@ class Emitter:
     name: str = ""
     place: Place = field(default_factory=Point)
     poses: Poses = field(default_factory=Poses)
-    rate: float = 0.0
+    rate: Annotated[float, _SPREAD] = 0.0
     bursts: Sequence[tuple[float, int]] = ()
     start: float = -math.inf
     end: float = math.inf
     direction: Sequence[float] | None = None
     spread: float = 0.0
-    speed: float = 0.0
-    speed_spread: float = 0.0
-    inherit: float = 1.0
-    lifetime: float = math.inf
-    lifetime_spread: float = 0.0
-    radius: float = 0.005
-    radius_spread: float = 0.0
-    mass: float = 0.001
-    charge: float = 0.0
+    speed: Annotated[float, Key("Speed [m/s].", 3)] = 0.0
+    speed_spread: Annotated[
+        float, _SPREAD, Key("Most that it differs by [m/s].", 0.5)
+    ] = 0.0
+    inherit: Annotated[
+        float, Key("Share of the emitter's velocity that they have too.", 0.5)
+    ] = 1.0
+    lifetime: Annotated[float, above(0, "SIM021")] = math.inf
+    lifetime_spread: Annotated[
+        float, _SPREAD, Key("Most that it differs by [s].", 0.5)
+    ] = 0.0
+    radius: Annotated[float, _AMOUNT, Key("Their radius [m].", 0.01)] = 0.005
+    radius_spread: Annotated[
+        float, _SPREAD, Key("Most that it differs by [m].", 0.005)
+    ] = 0.0
+    mass: Annotated[float, _AMOUNT, Key("Their mass [kg].", 0.1)] = 0.001
+    charge: Annotated[float, Key("Their charge [C].", 1e-6)] = 0.0
     seed: int = 0
 
     def births(
@@ -174,15 +187,7 @@ class Emitter:
         """Return what of it makes no sense: an option, and why."""
         found = [("place", message) for message in self.place.faults()]
         found += [("poses", message) for message in self.poses.faults()]
-        for name in ("mass", "lifetime", "radius"):
-            value = getattr(self, name)
-            infinite = name == "lifetime" and value == math.inf
-            if not (0 < value < math.inf or infinite):
-                found.append((name, f"its {name} must be above 0, not {value:g}"))
-        for name in ("rate", "speed_spread", "lifetime_spread", "radius_spread"):
-            value = getattr(self, name)
-            if not 0 <= value < math.inf:
-                found.append((name, f"its {name} must be 0 or more, not {value:g}"))
+        found += [(f.where or "", f.message) for f in range_faults(self, OF_ENTRY)]
         for name in ("speed", "charge", "inherit"):
             if not math.isfinite(getattr(self, name)):
                 found.append((name, f"its {name} is not finite"))

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Pair, Real, Vector, Whole
+from animtool.documents.records import with_fields
 from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
@@ -19,8 +20,19 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSurfaceModel,
 )
+from animtool.systems.particles.emitter import Emitter
 
 
+@with_fields(Emitter, "speed", "speed_spread", "inherit", before="lifetime")
+@with_fields(
+    Emitter,
+    "lifetime_spread",
+    "radius",
+    "radius_spread",
+    "mass",
+    "charge",
+    before="seed",
+)
 class EmitterModel(PlacedModel):
     """What makes particles."""
 
@@ -59,31 +71,11 @@ class EmitterModel(PlacedModel):
         description="Half the angle of the cone about it [deg]; 180 is all around.",
         examples=[20],
     )
-    speed: Real = Field(default=0.0, description="Speed [m/s].", examples=[3])
-    speed_spread: Real = Field(
-        default=0.0, description="Most that it differs by [m/s].", examples=[0.5]
-    )
-    inherit: Real = Field(
-        default=1.0,
-        description="Share of the emitter's velocity that they have too.",
-        examples=[0.5],
-    )
     lifetime: Real | None = Field(
         default=None,
         description="How long they live [s]. Not given: for ever.",
         examples=[2.5],
     )
-    lifetime_spread: Real = Field(
-        default=0.0, description="Most that it differs by [s].", examples=[0.5]
-    )
-    radius: Real = Field(
-        default=0.005, description="Their radius [m].", examples=[0.01]
-    )
-    radius_spread: Real = Field(
-        default=0.0, description="Most that it differs by [m].", examples=[0.005]
-    )
-    mass: Real = Field(default=0.001, description="Their mass [kg].", examples=[0.1])
-    charge: Real = Field(default=0.0, description="Their charge [C].", examples=[1e-6])
     seed: Whole = Field(
         default=0, description="Of what is random about them.", examples=[7]
     )

@@ -1,1 +1,0 @@
-"""Particles of a scene."""
