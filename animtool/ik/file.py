@@ -21,8 +21,7 @@ from animtool.documents.names import nearest
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.value_entries import ValueReader
-from animtool.ik.values import Still, Value
+from animtool.ik.values import Still, Value, ValueReader
 from animtool.rates import parse_rate
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
