@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,12 @@ import click
 from animtool.cli.bake_options import (
     bake_options,
     bake_options_record,
+    bake_shot,
     default_bake_output,
     only_scene,
     opened_sources,
     until_pass,
 )
-from animtool.cli.bake_table import plot_option, refuse_alone
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -25,10 +25,22 @@ from animtool.cli.options import (
     format_option,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
-from animtool.cli.shot_options import bake_shot
+from animtool.cli.outputs import (
+    all_named,
+    check_plot,
+    draw,
+    existing_options,
+    goes_to_stdout,
+    plot_option,
+    refuse_alone,
+    skipped,
+)
 
 if TYPE_CHECKING:
+    from animtool.preview.work_precision import Panel
+    from animtool.scene.convert import ConvertReport
+    from animtool.scene.prims import BakeReport
+    from animtool.scene.progress import StageCost
     from animtool.scene.scene import Scene
 
 
@@ -120,9 +132,7 @@ def bake(
         _plan(console, opened, None if to_stdout else output, given)
         return
     if given["table"]:
-        from animtool.cli.bake_table import measure_bake
-
-        measure_bake(console, opened, output, given)
+        _measure(console, opened, output, given)
         return
     scene = only_scene(opened)
     if scene is not None:
@@ -191,7 +201,6 @@ def _one(
         console, "bake", given, path, lambda: _outputs(opened, path, given)
     ):
         return
-    from animtool.cli.bake_report import say_bake
     from animtool.scene.bake import bake as run_bake
 
     options = bake_options_record(given)
@@ -202,7 +211,7 @@ def _one(
         report = run_bake(opened, path, options, progress=progress)
     scene = only_scene(opened)
     stages = [] if scene is None else scene.meter.stages
-    say_bake(
+    _say_bake(
         console,
         report,
         stages if given["stats"] else None,
@@ -231,11 +240,129 @@ def _several(
         return
     with all_named(), console.progress(f"bake {scene.path.name}") as progress:
         reports = bake_scene(scene, options, progress=progress)
-    from animtool.cli.bake_report import say_outputs
-
-    say_outputs(
+    _say_outputs(
         console,
         reports,
         scene.meter.stages if given["stats"] else None,
         as_json=given["report_format"] == "json",
     )
+
+
+def _say_bake(
+    console: Console,
+    report: BakeReport,
+    stages: Sequence[StageCost] | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print the summary of a bake."""
+    from animtool.cli.plan_summary import stats_json, stats_text
+    from animtool.cli.summary import bake_details, bake_json, bake_text
+
+    console.faults(report.notices)
+    if as_json:
+        costs = {} if stages is None else {"stats": stats_json(stages, [report])}
+        console.result_json({**bake_json(report), **costs})
+        return
+    _say(console, bake_text(report))
+    for line in bake_details(report):
+        console.detail(line)
+    if stages is not None:
+        _say(console, stats_text(stages, [report]))
+
+
+def _say_outputs(
+    console: Console,
+    reports: Sequence[BakeReport | ConvertReport],
+    stages: Sequence[StageCost] | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print the summary of a scene with several outputs; arguments as `_say_bake`."""
+    from animtool.cli.plan_summary import stats_json, stats_text
+    from animtool.cli.summary import output_json, output_text
+
+    # What the sources and passes say stands in every report.
+    notices = [notice for report in reports for notice in report.notices]
+    console.faults(dict.fromkeys(notices))
+    if as_json:
+        written = [output_json(report) for report in reports]
+        costs = {} if stages is None else {"stats": stats_json(stages, reports)}
+        console.result_json({"bake": "animtool/1", "written": written, **costs})
+        return
+    for report in reports:
+        _say(console, output_text(report))
+    if stages is not None:
+        _say(console, stats_text(stages, reports))
+
+
+def _say(console: Console, lines: Iterable[str]) -> None:
+    for line in lines:
+        console.say(line)
+
+
+def _measure(
+    console: Console,
+    sources: Sequence[Path | Scene],
+    output: Path | None,
+    given: Mapping[str, Any],
+) -> None:
+    """Measure time against error, print it, and draw it where that is asked for."""
+    if output is not None:
+        raise click.UsageError("--table writes no file: no -o.")
+    if len(sources) > 1:
+        raise click.UsageError("--table measures one SOURCE.")
+    plot, source = given["plot"], sources[0]
+    inputs = [source] if isinstance(source, Path) else source.inputs
+    check_plot(plot, inputs, overwrite=given["overwrite"])
+    scene = only_scene(sources)
+    if scene is not None:
+        from animtool.scene.simulation_table import simulates
+
+        if simulates(scene):
+            panels = _simulation_table(console, scene, given)
+            draw(console, panels, plot)
+            return
+    draw(console, _bake_table(console, source, given), plot)
+
+
+def _simulation_table(
+    console: Console, scene: Scene, given: Mapping[str, Any]
+) -> Callable[[], list[Panel]]:
+    """Measure what a scene simulates, print it, and return what draws it."""
+    from animtool.cli.simulation_summary import (
+        simulation_table_json,
+        simulation_table_text,
+    )
+    from animtool.preview.tables import simulation_panels
+    from animtool.scene.simulation_table import simulation_table
+
+    with console.progress(f"measure {scene.path.name}") as progress:
+        table = simulation_table(scene, bake_options_record(given), progress=progress)
+    console.faults(table.notices)
+    if given["report_format"] == "json":
+        console.result_json(simulation_table_json(table))
+    else:
+        console.result(*simulation_table_text(table))
+    return lambda: simulation_panels(table)
+
+
+def _bake_table(
+    console: Console, source: Path | Scene, given: Mapping[str, Any]
+) -> Callable[[], list[Panel]]:
+    """Measure rates and tolerances, print it, and return what draws it."""
+    from animtool.cli.summary import table_json, table_text
+    from animtool.preview.tables import bake_panels
+    from animtool.scene.table import bake_table
+
+    options = bake_options_record(given)
+    if options.deform:
+        raise click.UsageError("--table measures joints, not --deform.")
+    name = source.name if isinstance(source, Path) else source.path.name
+    with console.progress(f"measure {name}") as progress:
+        table = bake_table(source, options, progress=progress)
+    if given["report_format"] == "json":
+        console.result_json(table_json(table))
+    else:
+        console.result(*table_text(table))
+    return lambda: bake_panels(table)

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from animtool.cli.bake_table import check_plot, draw, plot_option, refuse_alone
+from animtool.cli.bake_options import SHOT_OPTIONS, timeline_shot
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
@@ -25,8 +25,16 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
-from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
+from animtool.cli.outputs import (
+    all_named,
+    check_plot,
+    draw,
+    existing_options,
+    goes_to_stdout,
+    plot_option,
+    refuse_alone,
+    skipped,
+)
 from animtool.ik.options import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,

@@ -1,18 +1,21 @@
-"""Where results of commands go: files that may be there already, or stdout."""
+"""Where results of commands go: files that may exist, stdout, or a picture."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import Command
+from animtool.cli.options import OUTPUT, Command
 from animtool.output import once_named, together
 from animtool.signals import outlast_signals
+
+if TYPE_CHECKING:
+    from animtool.preview.work_precision import Panel
 
 
 def existing_options(command: Command) -> Command:
@@ -67,3 +70,47 @@ def goes_to_stdout(output: Path | None, given: Mapping[str, Any]) -> bool:
     if given["report_format"] == "json":
         raise click.UsageError("-o - and --format json both want stdout.")
     return True
+
+
+def plot_option(command: Command) -> Command:
+    """Add ``--plot``."""
+    return click.option(
+        "--plot",
+        type=OUTPUT,
+        metavar="FILE",
+        help="With --table, draw it too: error against time (.png, .svg, .pdf; needs "
+        "the extra preview).",
+    )(command)
+
+
+def refuse_alone(given: dict[str, Any]) -> None:
+    """Refuse ``--plot`` without a table."""
+    if given["plot"] is not None and not given["table"]:
+        raise click.UsageError("--plot draws what --table measures: give both.")
+
+
+def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Raise where the picture that is asked for cannot be drawn."""
+    if plot is None:
+        return
+    from animtool.output import check_outputs
+    from animtool.preview.work_precision import check_drawable
+
+    check_outputs([plot], list(inputs), overwrite=overwrite)
+    check_drawable(plot)
+
+
+def draw(
+    console: Console, panels: Callable[[], list[Panel]], plot: Path | None
+) -> None:
+    """Draw panels and say so, where a picture is asked for.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if plot is None:
+        return
+    from animtool.preview.work_precision import draw_panels
+
+    draw_panels(panels(), plot)
+    console.say(f"{plot}: drawn")
