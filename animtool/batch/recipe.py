@@ -373,7 +373,7 @@ class Recipe:
         """Return the files that a bake writes."""
         if item.files:
             return list(item.files)
-        from animtool.scene.option_checks import bake_outputs
+        from animtool.scene.reading import bake_outputs
 
         return bake_outputs([source], item.output, self._options(item.found.path))
 

@@ -222,7 +222,7 @@ def _one(
 def _outputs(
     sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
 ) -> Sequence[Path]:
-    from animtool.scene.option_checks import bake_outputs
+    from animtool.scene.reading import bake_outputs
 
     return bake_outputs(sources, path, bake_options_record(given))
 

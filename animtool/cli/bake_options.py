@@ -69,7 +69,7 @@ def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
 
 def default_bake_output(source: Path | Scene) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.option_checks import default_output
+    from animtool.scene.reading import default_output
 
     if isinstance(source, Path):
         return default_output(source)

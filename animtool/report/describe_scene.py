@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from animtool.errors import Fault
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
-from animtool.scene.option_checks import default_output, form_of, output_files
+from animtool.scene.reading import default_output, form_of, output_files
 from animtool.scene.scene import Scene
 
 

@@ -16,7 +16,6 @@ from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.frames import TakePlan
-from animtool.scene.option_checks import check_options, form_of, output_files
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import (
     BakePlan,
@@ -26,7 +25,13 @@ from animtool.scene.prims import (
     TakeRun,
 )
 from animtool.scene.progress import Progress, share_of
-from animtool.scene.reading import Source, found_sources
+from animtool.scene.reading import (
+    Source,
+    check_options,
+    form_of,
+    found_sources,
+    output_files,
+)
 from animtool.scene.sources import Opener, open_source, source_stem
 from animtool.take import TakeStream
 from animtool.usd.jobs import Form, check_suffix

@@ -242,7 +242,7 @@ def ik_outputs(job: IkJob) -> list[Path]:
     if output is None:
         return []
     if is_usd(output):
-        from animtool.scene.option_checks import bake_outputs
+        from animtool.scene.reading import bake_outputs
 
         return bake_outputs([job.rig], output, job.bake)
     return convert_outputs(output, _named_rig(job.rig, output))

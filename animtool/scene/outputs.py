@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from animtool.clock import Clock
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
-from animtool.motion import Motion
+from animtool.motion import Channel, Motion
 from animtool.output import check_outputs, name_key, sparing_inputs, together
 from animtool.passes import PassthroughTracks
 from animtool.placing import target
@@ -25,11 +25,10 @@ from animtool.scene.bake import (
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, kind_of
 from animtool.scene.frames import TakePlan, timed_blocks
-from animtool.scene.option_checks import output_files
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.prims import BakePlan, BakeReport
 from animtool.scene.progress import Progress, share_of
-from animtool.scene.reading import shared
+from animtool.scene.reading import output_files
 from animtool.scene.scene import Scene
 from animtool.take import Take, TakeStream
 
@@ -101,11 +100,29 @@ def _plans(
     forced = any(merged(given, output.bake).force_fit for output in scene.outputs)
     with sparing_inputs(scene_files(scene, given)):
         stream = scene.forced(force_fit=forced).open(progress=progress)
-        streams = shared(stream, len(scene.outputs))
+        streams = _shared(stream, len(scene.outputs))
     return [
         _planned(scene.writing(output), output, stream, given)
         for output, stream in zip(scene.outputs, streams, strict=True)
     ]
+
+
+def _shared(stream: TakeStream, count: int) -> list[TakeStream]:
+    """Return streams of one take for several readers.
+
+    It is gathered once, when the first is read; one reader has the stream itself.
+    """
+    if count == 1:
+        return [stream]
+    held: list[Motion] = []
+
+    def blocks() -> Iterator[Motion]:
+        if not held:
+            whole = Motion.concatenate(list(stream.blocks))
+            held.append(whole.map(Channel.compact))
+        yield held[0]
+
+    return [replace(stream, blocks=blocks()) for _ in range(count)]
 
 
 def _kind(output: SceneOutput) -> OutputKind:

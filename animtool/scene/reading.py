@@ -1,24 +1,29 @@
-"""The sources of a bake: which files they are, and all of them opened."""
+"""What a bake reads and writes: sources, options that go together, files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.documents.names import is_named
-from animtool.errors import AnimtoolError, Fault, Severity
-from animtool.motion import Channel, Motion
+from animtool.errors import AnimtoolError, Fault, OptionError, Severity
+from animtool.options import refused_options
+from animtool.rates import rate_label
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of
-from animtool.scene.scene import Scene
 from animtool.scene.sources import (
     Opener,
     fitting_options,
     open_source,
+    source_stem,
 )
-from animtool.take import TakeStream
+from animtool.usd.jobs import Form, output_paths
+
+if TYPE_CHECKING:
+    from animtool.scene.scene import Scene
+    from animtool.take import TakeStream
 
 Source: TypeAlias = "Path | str | Scene"
 
@@ -89,12 +94,10 @@ class Reading:
 
 def found_sources(given: Sequence[Source]) -> Reading:
     """Return the files of sources, those loaded that are scenes."""
-    files: list[Path] = []
+    files = [source_file(source) for source in given]
     scenes: dict[Path, Scene] = {}
-    for source in given:
-        path = source_file(source)
-        files.append(path)
-        if isinstance(source, Scene):
+    for path, source in zip(files, given, strict=True):
+        if not isinstance(source, Path | str):
             scenes[path] = source
         elif is_named(path, "scene"):
             from animtool.scene.file import load_scene
@@ -114,19 +117,170 @@ def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
     ]
 
 
-def shared(stream: TakeStream, count: int) -> list[TakeStream]:
-    """Return streams of one take for several readers.
+def check_options(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
+) -> None:
+    """Raise `OptionError` where options exclude each other.
 
-    It is gathered once, when the first is read; one reader has the stream itself.
+    Args:
+        options: Of the bake.
+        to_stdout: Whether the output is no file.
+        simulated: Whether systems are written.
     """
-    if count == 1:
-        return [stream]
-    held: list[Motion] = []
+    form = options.form or ("layer" if options.rig_layer else "stage")
+    clashes = _layer_clashes(options, form)
+    if form == "library":
+        clashes += _library_clashes(options, to_stdout=to_stdout)
+    clashes.append(
+        (form == "split" and to_stdout, "--split writes three files, not stdout")
+    )
+    clashes += _sample_clashes(options)
+    clashes += _shot_clashes(options, form)
+    clashes += _deform_clashes(options, form)
+    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
+    if faults:
+        raise OptionError(faults)
 
-    def blocks() -> Iterator[Motion]:
-        if not held:
-            whole = Motion.concatenate(list(stream.blocks))
-            held.append(whole.map(Channel.compact))
-        yield held[0]
 
-    return [replace(stream, blocks=blocks()) for _ in range(count)]
+def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what animation over a rig layer does not go with, and whether it is so."""
+    return [
+        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
+        (
+            form != "layer" and options.rig_layer is not None,
+            "--rig-layer goes with --as layer",
+        ),
+        (form == "layer" and options.bones, "--bones never goes into a layer"),
+        (
+            form == "layer" and options.rest_frame is not None,
+            "--rest frame:N sets a skeleton's rest pose, which a layer does not hold",
+        ),
+        (
+            form == "layer" and (options.to_units or options.to_up) is not None,
+            "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
+        ),
+    ]
+
+
+def _library_clashes(
+    options: BakeOptions, *, to_stdout: bool
+) -> list[tuple[bool, str]]:
+    """Return what a take of a library does not go with, and whether it is asked for."""
+    flags = ["-o -"] if to_stdout else []
+    flags += [refused.flag for refused in refused_options(options, "library")]
+    return [(True, f"a take of a library goes without {flag}") for flag in flags]
+
+
+def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
+    """Return what of samples excludes each other, and whether it is asked for."""
+    return [
+        (
+            options.keep_samples and bool(options.samples),
+            "--keep-samples and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and bool(options.samples),
+            "--reduce and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and options.root_motion,
+            "--reduce measures joints: no --root-motion skelroot",
+        ),
+        (
+            options.reduce is None and bool(options.reduce_at),
+            "--reduce-at goes with --reduce",
+        ),
+    ]
+
+
+def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what excludes a shot that places its media, and whether it is so."""
+    shot = options.shot
+    if shot is None or not shot.places_media or shot.fps is None:
+        return []
+    named = f"shot {shot.name}" if shot.name else "the shot"
+    return [
+        (
+            options.fps != shot.fps,
+            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
+        ),
+        (
+            options.start is not None,
+            f"--start: {named} begins at {shot.start}, as its timeline says",
+        ),
+        (form == "library", f"{named} is not a take of a library"),
+    ]
+
+
+def _chunk_clashes(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool
+) -> list[tuple[bool, str]]:
+    """Return what chunks do not go with, and whether it is asked for."""
+    if options.chunk is None:
+        return []
+    if not (options.deform or simulated):
+        return [(True, "--chunk goes with --deform, or a scene that has systems")]
+    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
+    return [
+        (to_stdout, "--chunk writes several files, not stdout"),
+        (options.chunk < 1, message),
+    ]
+
+
+def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what does not go with point caches, and whether it is asked for."""
+    if not options.deform:
+        return [
+            (options.velocities, "--velocities goes with --deform"),
+            (options.normals is False, "--no-normals goes with --deform"),
+        ]
+    joints = "--deform writes points, no joints"
+    flags = ["--split"] if form == "split" else []
+    flags += [refused.flag for refused in refused_options(options, "deform")]
+    return [(True, f"{joints}: no {flag}") for flag in flags]
+
+
+def bake_outputs(
+    given: Sequence[Source], output: Path, options: BakeOptions
+) -> list[Path]:
+    """Return the files that a bake writes, ``output`` among them."""
+    simulated = False
+    if len(given) == 1:
+        reading = found_sources(given)
+        options, _ = reading.options(options)
+        written = (scene.writing(scene.outputs[0]) for scene in reading.scenes.values())
+        simulated = any(scene.systems for scene in written)
+    return output_files(output, options, simulated=simulated)
+
+
+def default_output(source: Path) -> Path:
+    """Return the file that a source is written to where none is named.
+
+    >>> default_output(Path("takes/wave.scene.yaml")).name
+    'wave.usdc'
+    """
+    return source.with_name(f"{source_stem(source)}.usdc")
+
+
+def form_of(options: BakeOptions) -> Form:
+    """Return what is written."""
+    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
+
+
+def output_files(
+    path: Path, options: BakeOptions, *, simulated: bool = False
+) -> list[Path]:
+    """Return the files to write; of chunks, those that they may replace.
+
+    simulated: whether systems are written.
+    """
+    files = output_paths(path, form_of(options))
+    if options.chunk is None:
+        return files
+    from animtool.usd.chunks import point_files, system_files
+
+    sets = [point_files(path)] if options.deform else []
+    sets += [system_files(path)] if simulated else []
+    chunks = [file for one in sets for file in (one.manifest, *one.there())]
+    return [*files, *chunks]

@@ -21,9 +21,8 @@ from animtool.scene.entries import (
     SceneSystem,
     kind_of,
 )
-from animtool.scene.option_checks import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
-from animtool.scene.reading import Source, found_sources
+from animtool.scene.reading import Source, form_of, found_sources, output_files
 from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
 from animtool.take import TakeStream

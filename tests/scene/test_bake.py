@@ -10,8 +10,8 @@ from support.bvh import random_rows, small_bvh
 
 from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import plan_bake, run_bake, start_of
-from animtool.scene.option_checks import check_options
 from animtool.scene.options import BakeOptions
+from animtool.scene.reading import check_options
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.shot import Shot
 

@@ -10,7 +10,6 @@ import pytest
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import OptionError
-from animtool.scene.option_checks import check_options
 from animtool.scene.options import (
     BakeOptions,
     merged,
@@ -19,6 +18,7 @@ from animtool.scene.options import (
     parse_offsets,
     parse_rest,
 )
+from animtool.scene.reading import check_options
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
 

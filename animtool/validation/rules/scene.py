@@ -18,9 +18,9 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.passes import Pass, TakePart
 from animtool.rates import rate_label
 from animtool.scene.bake import take_name
-from animtool.scene.option_checks import check_options
 from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import scene_files
+from animtool.scene.reading import check_options
 from animtool.scene.schema import SceneModel
 from animtool.validation.subjects.scene import SceneSubject
 
