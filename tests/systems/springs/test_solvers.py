@@ -1,169 +1,159 @@
-"""Springs among colliders."""
+"""Which solver `auto` takes, what steps cost, and how many xpbd is expected to take."""
 
-from __future__ import annotations
+import math
+import re
 
-import numpy as np
 import pytest
 
-from animtool.sim import Status
-from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 from animtool.systems.springs import (
     Family,
     Pins,
     Solver,
-    SpringMotion,
     SpringOptions,
     SpringSystem,
     rope,
     sheet,
     simulate_springs,
 )
-from tests.support.loose import loose
-from tests.support.loose import run as run_loose
+from animtool.systems.springs.solvers import (
+    CELL,
+    COSTS,
+    FIRST,
+    LITTLE,
+    SAFE,
+    SHORTEST,
+    WORTH,
+    Choice,
+    choose,
+    explicit_limit,
+    projected_rate,
+)
 
-SOLVERS = [solver for solver in Solver if solver is not Solver.AUTO]
-UP = (0.0, 0.0, 1.0)
-STILL = ((0.0, 0.0, 0.0, 1.0),)
 
-
-def alone(
-    *points: list[float], velocity: tuple[float, ...] = (0, 0, 0)
+def cloth(
+    size: int, stiffness: float, weight: float = 0.3, pins: int = 2
 ) -> SpringSystem:
-    """Return particles without springs above a floor."""
-    return loose(points, [Collider(Plane(UP), friction=0.5)], velocity)
+    """Return a sheet of a metre, held along one side."""
+    family = Family(stiffness, ratio=0.02)
+    body = sheet(size, size, mass=weight / size**2, structural=family, diagonals=family)
+    return SpringSystem(body, pins=Pins(range(0, size, (size - 1) // (pins - 1))))
 
 
-def run(system: SpringSystem, end: float, solver: Solver | str) -> SpringMotion:
-    return run_loose(system, end, solver, times=25)
+def chosen(system: SpringSystem, **options: float) -> Choice:
+    """Return what is taken."""
+    return choose(system, SpringOptions(**options), Solver.AUTO, 0.0, system.state)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_what_rests_on_a_plane_stays(solver: Solver) -> None:
-    motion = simulate_springs(
-        alone([0, 0, 0], [1, 0, 0.3]), np.arange(61), SpringOptions(solver)
+def times(system: SpringSystem, stretch: float) -> tuple[float, float]:
+    """Return what a second of explicit steps and of xpbd is expected to take [s]."""
+    springs = len(system.body.springs.rest)
+    rate = 1 / (SAFE * explicit_limit(system, 0.0, system.state))
+    steps = max(projected_rate(system, stretch), FIRST[Solver.XPBD] / CELL)
+    return (
+        rate * COSTS[Solver.SYMPLECTIC_EULER] * springs,
+        steps * COSTS[Solver.XPBD] * springs,
     )
-    assert np.abs(motion.velocities[1:]).max() < 1e-6
-    assert np.abs(motion.positions[1:, :, 2]).max() < 1e-6
-    assert not motion.unresolved
-    assert motion.stats.status is Status.OK
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_what_slides_is_slowed_by_friction(solver: Solver) -> None:
-    motion = run(alone([0, 0, 0], velocity=(3.0, 0, 0)), 1.2, solver)
-    way = 3.0**2 / (2 * 0.5 * 9.81)
-    assert motion.positions[-1, 0, 0] == pytest.approx(way, rel=0.02)
-    assert np.abs(motion.velocities[-1]).max() < 1e-6
+@pytest.mark.parametrize("size", [20, 50])
+@pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("stretch", [0.01, 0.15])
+def test_the_time_that_is_expected_decides(
+    size: int, stiffness: float, stretch: float
+) -> None:
+    system = cloth(size, stiffness)
+    explicit, projected = times(system, stretch)
+    quick = explicit <= LITTLE or WORTH * explicit <= projected
+    wanted = Solver.SYMPLECTIC_EULER if quick else Solver.XPBD
+    assert chosen(system, stretch=stretch).solver is wanted
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_friction_holds_on_a_slope(solver: Solver) -> None:
-    for slope, slides in ((0.4, False), (0.6, True)):
-        tilted = (-slope, 0.0, 1.0)
-        floor = Collider(Plane(tilted), friction=0.5)
-        motion = run(loose([[0, 0, 0]], [floor]), 0.5, solver)
-        assert (abs(motion.positions[-1, 0, 0]) > 1e-3) == slides
+def test_a_light_sheet_of_many_particles_takes_explicit_steps() -> None:
+    # xpbd would take half as many again to keep it within its stretch.
+    found = chosen(cloth(60, 1000.0))
+    assert found.solver is Solver.SYMPLECTIC_EULER
+    assert "which take less time than" in found.reason
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize(
-    "shape",
-    [
-        Sphere(0.1),
-        Capsule(0.1, 1.0, (1.0, 0.0, 0.0)),
-        Box((1.0, 1.0, 0.2)),
-        Mesh([[-1, -1, 0.1], [1, -1, 0.1], [0, 1, 0.1], [0, 0, -1]],
-             [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]),
-    ],
-    ids=["sphere", "capsule", "box", "mesh"],
-)  # fmt: skip
-def test_nothing_fast_goes_through(solver: Solver, shape: object) -> None:
-    system = loose([[0, 0, 1]], [Collider(shape)], (0, 0, -150.0))  # type: ignore[arg-type]
-    motion = run(system, 0.1, solver)
-    assert motion.positions[-1, 0, 2] == pytest.approx(0.1, abs=1e-6)
+def test_a_stiff_sheet_that_may_stretch_takes_xpbd() -> None:
+    system = cloth(30, 1e6)
+    found = chosen(system, stretch=0.1)
+    assert found.solver is Solver.XPBD
+    explicit, projected = times(system, 0.1)
+    share = re.search(r"take (\d+)% of their time", found.reason)
+    assert share is not None
+    assert int(share[1]) == round(100 * projected / explicit)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_what_starts_inside_leaves_without_a_pop(solver: Solver) -> None:
-    ball = Collider(Sphere(1.0), depenetration=0.8)
-    system = loose([[0, 0, 0.5]], [ball])
-    motion = run(system, 0.4, solver)
-    assert np.linalg.norm(motion.velocities, axis=2).max() <= 0.8 * 1.001
-    assert motion.unresolved == 1
-    assert "SIM123" in [notice.code for notice in motion.notices]
-    assert run(system, 1.0, solver).positions[-1, 0, 2] >= 1 - 1e-6
+def test_little_is_done_explicitly_however_stiff() -> None:
+    found = chosen(cloth(4, 1e6), stretch=0.5)
+    assert found.solver is Solver.SYMPLECTIC_EULER
+    assert "little time" in found.reason
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_what_is_pinched_stays_finite(solver: Solver) -> None:
-    times, shut = [0.0, 0.5, 1.0], np.array([0.3, 0.05, 0.05])
-    closing = [
-        Collider(
-            Capsule(0.1, 1.0, (1.0, 0, 0)),
-            Poses(times, np.outer(side * shut, UP), STILL * 3),
-        )
-        for side in (1, -1)
-    ]
-    system = loose([[0, 0, 0]], closing)
-    motion = run(system, 1.0, solver)
-    assert np.isfinite(motion.states).all()
-    assert np.linalg.norm(motion.velocities, axis=2).max() < 10
-    assert motion.unresolved == 1
+def test_an_error_comes_before_time() -> None:
+    system = cloth(30, 1e6)
+    assert chosen(system, stretch=0.1, error=1e-3).solver is Solver.BDF2
+    # Explicit steps for half as long as the fewest implicit ones.
+    rate = COSTS[Solver.BDF2] * FIRST[Solver.BDF2] / CELL
+    soft = cloth(30, 1.0)
+    found = 1 / (SAFE * explicit_limit(soft, 0.0, soft.state))
+    stiffness = (0.5 * rate / (found * COSTS[Solver.SYMPLECTIC_EULER])) ** 2
+    near = chosen(cloth(30, stiffness), error=1e-3)
+    assert near.solver is Solver.SYMPLECTIC_EULER
+    assert "of bdf2" in near.reason
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_moving_collider_carries_what_lies_on_it(solver: Solver) -> None:
-    lift = Collider(
-        Box((2, 2, 0.2)),
-        Poses([0, 1], [[0, 0, 0], [0.5, 0, 1.0]], STILL * 2),
-        friction=10.0,
-    )
-    motion = run(loose([[0, 0, 0.1]], [lift]), 1.0, solver)
-    np.testing.assert_allclose(motion.positions[-1, 0], [0.5, 0, 1.1], atol=0.02)
-    np.testing.assert_allclose(motion.velocities[-1, 0], [0.5, 0, 1.0], atol=0.05)
+def test_a_step_that_is_asked_for_decides_by_what_is_stable() -> None:
+    system = cloth(10, 1000.0)
+    limit = explicit_limit(system, 0.0, system.state)
+    short, long = 0.5 * limit, 2 * limit
+    assert chosen(system, step=short).solver is Solver.SYMPLECTIC_EULER
+    assert chosen(system, step=long).solver is Solver.XPBD
+    assert chosen(system, step=long, error=1e-3).solver is Solver.BDF2
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_collider_that_jumps_hits_nothing_on_its_way(solver: Solver) -> None:
-    ball = Collider(
-        Sphere(0.5), Poses([0, 0.1, 0.15], [[-50, 0, 0], [-50, 0, 0], [50, 0, 0]],
-                           STILL * 3)
-    )  # fmt: skip
-    system = loose([[0, 0, 0]], [ball])
-    motion = run(system, 0.2, solver)
-    assert np.abs(motion.positions[:, 0, 0]).max() == 0
-    assert "SIM120" in [notice.code for notice in motion.notices]
+def hanging(count: int = 11, mass: float = 0.01, pull: float = 10.0) -> SpringSystem:
+    """Return a rope of a metre."""
+    line = rope([0, 0, 0], [0, 0, -1], count, Family(1e5, 1.0), mass=mass)
+    return SpringSystem(line, pins=Pins([0]), gravity=[0, 0, -pull])
 
 
-@pytest.mark.parametrize("solver", Solver)
-def test_cloth_lies_over_a_ball(solver: Solver) -> None:
-    body = sheet(
-        12, 12, mass=0.002, structural=Family(100.0, ratio=0.1),
-        diagonals=Family(50.0, ratio=0.1), bend=Family(1.0),
-        corner=[-0.5, -0.5, 0.32],
-    )  # fmt: skip
-    colliders = [Collider(Sphere(0.3), friction=0.3), Collider(Plane(UP, -0.5))]
-    system = SpringSystem(body, drag=0.5, colliders=colliders, radius=0.01)
-    motion = simulate_springs(system, np.arange(25) / 24, SpringOptions(solver))
-    assert motion.stats.status is Status.OK
-    assert np.linalg.norm(motion.positions, axis=2).min() >= 0.31 - 1e-6
-    assert motion.positions[..., 2].min() >= -0.49 - 1e-6
+def test_the_steps_of_xpbd_follow_from_what_springs_bear() -> None:
+    # Ten particles of 10 g hang on springs of 0.1 m whose ends are 10 g each: a step
+    # moves the first by F w h², of which half is within what is allowed.
+    force, moved = 10 * 0.01 * 10, 2 / 0.01 / 0.1
+    wanted = math.sqrt(2 * force * moved / 0.05)
+    assert projected_rate(hanging(), 0.05) == pytest.approx(wanted)
+    assert projected_rate(hanging(), 0.0125) == pytest.approx(2 * wanted)
 
 
-@pytest.mark.parametrize("solver", Solver)
-def test_among_colliders_a_motion_in_parts_is_the_whole(solver: Solver) -> None:
-    line = rope([0, 0, 0], [0.6, 0, 0], 12, Family(500.0, 0.05), mass=0.01)
-    arm = Collider(
-        Capsule(0.05, 0.5, (0.0, 1.0, 0.0)),
-        Poses([0, 0.25, 0.5], [[0.1, 0, -0.3], [0.3, 0, -0.2], [0, 0, -0.3]],
-              [[0, 0, 0, 1], [0.3, 0, 0, 1], [0, 0, 0.5, 1]]),
-        friction=0.4,
-    )  # fmt: skip
-    system = SpringSystem(line, pins=Pins([0]), colliders=[arm])
-    for rate in (24.0, 24000 / 1001):
-        times, options = np.arange(13) / rate, SpringOptions(solver)
-        whole = simulate_springs(system, times, options)
-        first = simulate_springs(system, times[:6], options)
-        rest = simulate_springs(system, times[5:], options, first.checkpoint)
-        parts = np.concatenate([first.states, rest.states[1:]])
-        assert whole.states.tobytes() == parts.tobytes()
+def test_weight_alone_changes_no_steps_of_xpbd() -> None:
+    light, heavy = hanging(mass=1e-4), hanging(mass=1.0)
+    assert projected_rate(light, 0.01) == pytest.approx(projected_rate(heavy, 0.01))
+
+
+def test_what_bears_nothing_needs_no_steps_of_xpbd() -> None:
+    assert projected_rate(hanging(pull=0.0), 0.01) == 0
+    assert projected_rate(hanging(), math.inf) == 0
+    line = rope([0, 0, 0], [1, 0, 0], 3, Family(0.0), mass=1.0)
+    assert projected_rate(SpringSystem(line), 0.01) == 0
+
+
+def test_xpbd_takes_no_steps_shorter_than_it_may() -> None:
+    assert projected_rate(hanging(), 1e-12) == 1 / SHORTEST
+
+
+@pytest.mark.parametrize("stretch", [0.01, 0.05])
+def test_xpbd_takes_about_as_many_steps_as_expected(stretch: float) -> None:
+    family = Family(1e4, ratio=0.02)
+    body = sheet(12, 12, mass=1e-3, structural=family, diagonals=family)
+    system = SpringSystem(body, pins=Pins([0, 11]), drag=0.5)
+    motion = simulate_springs(system, [0, 1], SpringOptions("xpbd", stretch=stretch))
+    wanted = projected_rate(system, stretch)
+    assert 0.4 * wanted < motion.stats.steps < 2.5 * wanted
+
+
+def test_an_explicit_step_is_the_cheapest_and_an_implicit_one_the_dearest() -> None:
+    explicit, implicit = COSTS[Solver.SYMPLECTIC_EULER], COSTS[Solver.BDF2]
+    assert explicit < COSTS[Solver.XPBD] < implicit
