@@ -8,7 +8,8 @@ from typing import Any, Literal, TypeAlias
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "choice", "unit", "axis", "rate", "range",
-    "frame", "rest", "offsets", "length", "lengths", "count",
+    "frame", "rest", "offsets", "length", "lengths", "count", "name", "names", "angle",
+    "amount", "seed",
 ]  # fmt: skip
 
 
@@ -37,6 +38,7 @@ class Option:
     choices: tuple[str, ...]  # on the command line; of a switch, off and on
     least: int  # of a count
     reason: str  # why a source may not take it
+    written: str | float | None  # the default, where the command line has another unit
 
 
 def option(
@@ -54,6 +56,7 @@ def option(
     choices: tuple[str, ...] = (),
     least: int = 0,
     reason: str = "",
+    written: str | float | None = None,
 ) -> Any:
     """Return the field of an option; ``both`` is the key of scenes and batches."""
     described = Option(
@@ -68,6 +71,7 @@ def option(
         choices,
         least,
         reason,
+        written,
     )
     return field(default=default, metadata={"option": described})
 

@@ -13,7 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     Command,
     bake_option,
-    read_value,
+    read_values,
     set_option,
     source_option,
     source_options,
@@ -129,11 +129,7 @@ def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
         take=given["take"],
     )
     # --take names one of the source, not the one that is written.
-    values = {
-        name: read_value(found, given[name])
-        for name, found in options_of(BakeOptions).items()
-        if name in given and name != "take"
-    }
+    values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
     values["form"] = "split" if given["split"] else values["form"]
     return BakeOptions(source=source, shot=given["shot"], **values)
 

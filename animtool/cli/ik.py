@@ -20,6 +20,8 @@ from animtool.cli.options import (
     Parsed,
     common_options,
     format_option,
+    read_values,
+    record_option,
     rig_layer_options,
     source_option,
     source_options,
@@ -35,14 +37,7 @@ from animtool.cli.outputs import (
     refuse_alone,
     skipped,
 )
-from animtool.ik.options import (
-    ANGLE_TOLERANCE,
-    LENGTH_TOLERANCE,
-    MISSED,
-    MISSED_DEGREES,
-    IkMethod,
-    TakeOptions,
-)
+from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
 
 FIRST = "first"
 
@@ -55,32 +50,6 @@ def _time_code(text: str) -> Any:
     from animtool.scene.options import parse_frame
 
     return parse_frame(text)
-
-
-def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError(f"{text!r} is less than 0")
-    return value
-
-
-class _Method(click.ParamType[Any]):
-    """A solver, by the names that there are."""
-
-    name = "method"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return the names for the help."""
-        del param, ctx
-        return "|".join(IkMethod)
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Any:
-        """Return the solver of a name."""
-        if value not in list(IkMethod):
-            self.fail(f"{value!r} is not one of {', '.join(IkMethod)}.", param, ctx)
-        return IkMethod(value)
 
 
 def _with_shot(command: Command) -> Command:
@@ -148,74 +117,7 @@ Examples:
     "usda on stdout; with --match .targets.yaml. USD is a stage with the rig in it, or "
     "with --rig-layer an animation layer over that.  [default: nothing]",
 )
-@click.option(
-    "--method",
-    type=_Method(),
-    default=TakeOptions().method.value,
-    show_default=True,
-    help="The solver.",
-)
-@click.option(
-    "--tolerance",
-    type=LENGTH,
-    default=LENGTH_TOLERANCE,
-    show_default=True,
-    metavar="LENGTH",
-    help="A position is solved to within this.",
-)
-@click.option(
-    "--angle-tolerance",
-    type=TOLERANCE,
-    default=ANGLE_TOLERANCE,
-    show_default=True,
-    metavar="DEGREES",
-    help="An orientation, aim or pole is solved to within this.",
-)
-@click.option(
-    "--restarts",
-    type=click.IntRange(0),
-    default=TakeOptions().restarts,
-    show_default=True,
-    help="Most new starts of a frame that does not reach its goals.",
-)
-@click.option(
-    "--seed",
-    type=Parsed("whole number", _whole),
-    default=0,
-    show_default=True,
-    help="Of the new starts: the same seed gives the same poses.",
-)
-@click.option(
-    "--time-budget",
-    type=TOLERANCE,
-    default=0.0,
-    metavar="SECONDS",
-    help="Most time for one frame, such as 0.01; what is found then depends on the "
-    "machine.  [default: none]",
-)
-@click.option(
-    "--joints",
-    metavar="NAME,...",
-    help="The joints that may move, or patterns such as 'arm_*'.  [default: every one "
-    "that moves a goal]",
-)
-@click.option(
-    "--rest-weight",
-    type=TOLERANCE,
-    default=0.0,
-    show_default=True,
-    metavar="WEIGHT",
-    help="How strongly each frame's pose in START, or the rest pose, is kept; the "
-    "goals give way by about as much.",
-)
-@click.option(
-    "--smooth",
-    type=TOLERANCE,
-    default=0.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Time over which motion that the goals leave free is evened out.",
-)
+@record_option(TakeOptions)
 @click.option(
     "--table",
     is_flag=True,
@@ -366,7 +268,6 @@ def _outputs(given: dict[str, Any]) -> Sequence[Path]:
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:
     from animtool.scene.ik import IkJob
 
-    names = (given["joints"] or "").split(",")
     pose, degrees = given["pose"], given["tol_degrees"]
     return IkJob(
         rig=given["rig"],
@@ -375,17 +276,7 @@ def _job(given: dict[str, Any], to_stdout: bool) -> Any:
         source=_source(given),
         pose=pose is not None,
         frame=None if pose == FIRST else pose,
-        options=TakeOptions(
-            method=given["method"],
-            tolerance=given["tolerance"],
-            angle_tolerance=math.radians(given["angle_tolerance"]),
-            restarts=given["restarts"],
-            seed=given["seed"],
-            seconds=given["time_budget"],
-            joints=tuple(name.strip() for name in names if name.strip()),
-            rest_weight=given["rest_weight"],
-            smooth=given["smooth"],
-        ),
+        options=TakeOptions(**read_values(TakeOptions, given)),
         tolerance=given["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
         strict=given["strict"],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.options import names_of
 from animtool.cli.outputs import skipped
 from animtool.errors import counted
 
@@ -53,7 +54,7 @@ def match_command(console: Console, given: Mapping[str, Any], source: Any) -> No
         take=given["start"],
         output=output,
         source=source,
-        chains=_names(given["chains"]),
+        chains=names_of(given["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
         reduce=given["reduce"],
@@ -86,10 +87,6 @@ def _check(given: Mapping[str, Any]) -> None:
         idle = name in given and name not in _HEEDED
         if idle and context.get_parameter_source(name) is not default:
             raise click.UsageError(f"{option.opts[-1]} does nothing for --match.")
-
-
-def _names(text: str | None) -> tuple[str, ...]:
-    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
 def _text(report: MatchReport) -> list[str]:

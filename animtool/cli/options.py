@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -75,6 +76,18 @@ def count_or_auto(text: str) -> int | None:
     if not text.isdigit() or not int(text):
         raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
     return int(text)
+
+
+def names_of(text: str | None) -> tuple[str, ...]:
+    """Return names that are separated by commas."""
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError(f"{text!r} is less than 0")
+    return value
 
 
 def _joint_length(text: str) -> tuple[str, float]:
@@ -178,7 +191,33 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "offsets": (Parsed("offsets", _of_scene("offsets")), "OFFSETS"),
     "length": (LENGTH, "LENGTH"),
     "lengths": (Parsed("joint_length", _joint_length), "JOINT=LENGTH"),
+    "names": (Parsed("text", names_of), "NAME,..."),
+    "angle": (TOLERANCE, "DEGREES"),
+    "amount": (TOLERANCE, None),
+    "seed": (Parsed("whole number", _whole), None),
 }
+
+
+class _OneOf(click.ParamType[Any]):
+    """One of some names."""
+
+    name = "name"
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the names for the help."""
+        del param, ctx
+        return "|".join(self._names)
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Any:
+        """Return the name, as the choices have it."""
+        if value not in self._names:
+            self.fail(f"{value!r} is not one of {', '.join(self._names)}.", param, ctx)
+        return self._names[self._names.index(value)]
 
 
 def declared(
@@ -189,7 +228,7 @@ def declared(
     if option.kind == "answer":
         flags = f"{flag.replace('--no-', '--')}/{flag}"
         return click.option(flags, name, default=None, help=option.help)
-    if option.choices:
+    if option.choices and option.kind != "name":
         chosen = click.Choice(option.choices)
         usual = option.choices[0] if option.kind == "switch" else None
         return click.option(flag, name, type=chosen, default=usual, help=option.help)
@@ -197,58 +236,77 @@ def declared(
         return click.option(flag, name, is_flag=True, help=option.help)
     if option.kind == "count":
         kind: Any = click.IntRange(option.least)
+    elif option.kind == "name":
+        kind = _OneOf(option.choices)
     else:
         kind, word = _TYPES[option.kind]
         shown = shown or word
+    default = default if option.written is None else option.written
     return click.option(
         flag,
         name,
         type=kind,
         metavar=shown,
         default=default,
-        show_default=option.kind == "count" and default is not None,
+        show_default=default not in {None, ()} and "[default: " not in option.help,
         multiple=option.kind == "lengths",
         help=option.help,
     )
+
+
+def record_option(
+    record: type, *names: str, called: Mapping[str, str] | None = None
+) -> Callable[[Command], Command]:
+    """Return what adds options of a record, in this order; none named, all of them.
+
+    called: What the command calls some of them.
+    """
+    options = options_of(record)
+    defaults = {entry.name: entry.default for entry in fields(record)}
+
+    def add(command: Command) -> Command:
+        for name in reversed(names or (*options,)):
+            dest = (called or {}).get(name, name)
+            command = declared(options[name], dest, defaults[name])(command)
+        return command
+
+    return add
+
+
+def read_values(record: type, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a record that a command line has."""
+    return {
+        name: read_value(found, given[name])
+        for name, found in options_of(record).items()
+        if name in given
+    }
 
 
 def read_value(option: Option, given: Any) -> Any:
     """Return a value of the command line as records have it."""
     if given is None:
         return None
-    if option.kind == "unit":
-        return LengthUnit(given)
-    if option.kind == "axis":
-        return UpAxis(given.upper())
     if option.kind == "switch" and option.choices:
         return given == option.choices[1]
-    return given
+    read = _READ.get(option.kind)
+    return given if read is None else read(given)
+
+
+_READ: dict[str, Callable[[Any], Any]] = {
+    "unit": LengthUnit,
+    "axis": lambda axis: UpAxis(axis.upper()),
+    "angle": math.radians,
+}
 
 
 def source_option(*names: str) -> Callable[[Command], Command]:
     """Return what adds some options of `SourceOptions`, in this order."""
-
-    def add(command: Command) -> Command:
-        for name in reversed(names):
-            found = options_of(SourceOptions)[name]
-            dest = _SOURCE_NAMES.get(name, name)
-            command = declared(found, dest)(command)
-        return command
-
-    return add
+    return record_option(SourceOptions, *names, called=_SOURCE_NAMES)
 
 
 def bake_option(*names: str) -> Callable[[Command], Command]:
     """Return what adds some options of `BakeOptions`, in this order."""
-
-    def add(command: Command) -> Command:
-        defaults = {entry.name: entry.default for entry in fields(BakeOptions)}
-        for name in reversed(names):
-            found = options_of(BakeOptions)[name]
-            command = declared(found, name, defaults[name])(command)
-        return command
-
-    return add
+    return record_option(BakeOptions, *names)
 
 
 # What commands call options of a source, where others of theirs have the name.

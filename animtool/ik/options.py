@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from animtool.options import option
 from animtool.units import parse_length
 
 # Takes are solved to within these; what is off by more is missed, where nothing else is
@@ -61,12 +62,67 @@ class TakeOptions:
             leaves it.
     """
 
-    method: IkMethod = IkMethod.AUTO
-    tolerance: float = parse_length(LENGTH_TOLERANCE)
-    angle_tolerance: float = math.radians(ANGLE_TOLERANCE)
-    restarts: int = 50
-    seed: int = 0
-    seconds: float = 0.0
-    joints: tuple[str, ...] = ()
-    rest_weight: float = 0.0
-    smooth: float = 0.0
+    method: IkMethod = option(
+        IkMethod.AUTO,
+        "name",
+        "--method",
+        choices=tuple(IkMethod),
+        help="The solver.",
+        written=IkMethod.AUTO.value,
+    )
+    tolerance: float = option(
+        parse_length(LENGTH_TOLERANCE),
+        "length",
+        "--tolerance",
+        help="A position is solved to within this.",
+        written=LENGTH_TOLERANCE,
+    )
+    angle_tolerance: float = option(
+        math.radians(ANGLE_TOLERANCE),
+        "angle",
+        "--angle-tolerance",
+        help="An orientation, aim or pole is solved to within this.",
+        written=ANGLE_TOLERANCE,
+    )
+    restarts: int = option(
+        50,
+        "count",
+        "--restarts",
+        help="Most new starts of a frame that does not reach its goals.",
+    )
+    seed: int = option(
+        0,
+        "seed",
+        "--seed",
+        help="Of the new starts: the same seed gives the same poses.",
+    )
+    seconds: float = option(
+        0.0,
+        "amount",
+        "--time-budget",
+        metavar="SECONDS",
+        help="Most time for one frame, such as 0.01; what is found then depends on the "
+        "machine.  [default: none]",
+    )
+    joints: tuple[str, ...] = option(
+        (),
+        "names",
+        "--joints",
+        help="The joints that may move, or patterns such as 'arm_*'.  [default: every "
+        "one that moves a goal]",
+    )
+    rest_weight: float = option(
+        0.0,
+        "amount",
+        "--rest-weight",
+        metavar="WEIGHT",
+        help="How strongly each frame's pose in START, or the rest pose, is kept; the "
+        "goals give way by about as much.",
+    )
+    smooth: float = option(
+        0.0,
+        "amount",
+        "--smooth",
+        metavar="SECONDS",
+        help="Time over which motion that the goals leave free is evened out.",
+    )

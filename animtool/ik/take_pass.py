@@ -15,6 +15,7 @@ from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_n
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
+from animtool.options import options_of
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
@@ -88,15 +89,10 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
 
 def _settings(options: IkPassOptions) -> TakeOptions:
     """Return the options but for the tolerance, which is text."""
+    names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
-        method=options.method,
         angle_tolerance=math.radians(options.angle_tolerance),
-        restarts=options.restarts,
-        seed=options.seed,
-        seconds=options.seconds,
-        joints=options.joints,
-        rest_weight=options.rest_weight,
-        smooth=options.smooth,
+        **{name: getattr(options, name) for name in names},
     )
 
 

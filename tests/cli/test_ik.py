@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ from support.usd import joint_positions, open_stage, validation_errors
 
 from animtool import Rig, open_source
 from animtool.cli.ik import ik
+from animtool.cli.options import read_values
 from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
 from animtool.scene.sources import SourceOptions
-from animtool.units import LengthUnit, parse_length
+from animtool.units import LengthUnit
 
 REACH = """targets: animtool/1
 units: {length: cm}
@@ -427,16 +429,10 @@ def test_the_same_seed_writes_the_same_bytes(place: Path) -> None:
 
 
 def test_defaults_are_those_of_the_record() -> None:
-    defaults = {param.name: param.default for param in ik.params}
-    record = TakeOptions()
-    assert defaults["restarts"] == record.restarts
-    assert defaults["seed"] == record.seed
-    assert defaults["rest_weight"] == record.rest_weight
-    assert defaults["method"] == str(record.method)
-    assert parse_length(defaults["tolerance"]) == record.tolerance
-    assert math.radians(defaults["angle_tolerance"]) == pytest.approx(
-        record.angle_tolerance
-    )
+    context = ik.make_context("ik", ["hero.rig.yaml"])
+    values = read_values(TakeOptions, context.params)
+    assert [*values] == [entry.name for entry in fields(TakeOptions)]
+    assert TakeOptions(**values) == TakeOptions()
     said = {param.name: param.help or "" for param in ik.params if param.name}
     assert f"default: {MISSED_LENGTH * 1000:g}mm" in said["tol"]
     assert f"default: {math.degrees(MISSED_ANGLE):g}," in said["tol_degrees"]
