@@ -80,6 +80,16 @@ class Channel:
         return replace(self, values=self.values[frames])
 
     @staticmethod
+    def still(rest: FloatArray, frames: int = 1) -> Channel:
+        """Return a channel whose joints all stay at ``rest`` ``(J, K)`` for frames.
+
+        >>> Channel.still(np.zeros((2, 3)), 5).dense().shape
+        (5, 2, 3)
+        """
+        nothing = np.zeros((frames, 0, rest.shape[1]))
+        return Channel(rest, np.zeros(0, np.int64), nothing)
+
+    @staticmethod
     def from_dense(values: FloatArray) -> Channel:
         """Return the channel of values ``(F, J, K)``, static joints stored once.
 

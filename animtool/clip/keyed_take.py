@@ -210,11 +210,7 @@ class _Job:
         if motion.scales is None:
             return []
         bare = replace(motion, weights=None)
-        still = Channel(
-            np.ones_like(motion.scales.rest),
-            np.zeros(0, np.int64),
-            np.zeros((1, 0, 3)),
-        )
+        still = Channel.still(np.ones_like(motion.scales.rest))
         tracks = tracks_of(self.rig, bare, replace(bare, scales=still))
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 

@@ -269,11 +269,7 @@ def _descendants(rig: Rig) -> BoolArray:
 def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of what needs no key."""
     joints = len(rig.joints)
-
-    def still(values: FloatArray) -> Channel:
-        nothing = np.zeros((1, 0, values.shape[1]))
-        return Channel(values, np.zeros(0, np.int64), nothing)
-
+    still = Channel.still
     return Motion(
         still(np.zeros((joints, 3)) if additive else rig.rest_translations),
         still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),

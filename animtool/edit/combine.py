@@ -127,12 +127,7 @@ def _as_channel(value: object) -> Channel | None:
 
 
 def _neutral(like: Channel, value: float) -> Channel:
-    frames, _, width = like.values.shape
-    return Channel(
-        np.full(like.rest.shape, value),
-        np.zeros(0, np.int64),
-        np.zeros((frames, 0, width)),
-    )
+    return Channel.still(np.full(like.rest.shape, value), len(like.values))
 
 
 def _joined(

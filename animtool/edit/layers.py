@@ -155,11 +155,8 @@ def difference(
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return one frame of a rig at rest, on the rate of a clock."""
-    nobody = np.zeros(0, np.int64)
-    motion = Motion(
-        Channel(rig.rest_translations, nobody, np.zeros((1, 0, 3))),
-        Channel(rig.rest_rotations, nobody, np.zeros((1, 0, 4))),
-    )
+    still = Channel.still
+    motion = Motion(still(rig.rest_translations), still(rig.rest_rotations))
     return Take(rig, replace(clock, count=1), motion)
 
 

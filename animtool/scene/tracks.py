@@ -163,9 +163,8 @@ def with_tracks(rig: Rig, base: Motion, other: Motion, tracks: Tracks) -> Motion
 def _steady(like: Channel | None, value: float | FloatArray) -> Channel:
     """Return a channel of the size of another that holds a value."""
     assert like is not None
-    frames, _, width = like.values.shape
     rest = np.broadcast_to(value, like.rest.shape).astype(np.float64)
-    return Channel(rest, np.zeros(0, np.int64), np.zeros((frames, 0, width)))
+    return Channel.still(rest, len(like.values))
 
 
 def _replaced(mine: Channel, theirs: Channel, chosen: IntArray) -> Channel:
