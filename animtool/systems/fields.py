@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Len
@@ -21,6 +22,22 @@ from animtool.documents.fields import (
 Named = Annotated[
     dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
 ]
+
+
+class Part(StrEnum):
+    """What entries of a field are read as, for a build to take from its context."""
+
+    ARRAY = "array"  # numbers of a file, as floats of the shape that they have there
+    FORCE = "force"  # one of the shared force fields: `Force`
+    PLACE = "place"  # where emitters make particles: `Place`
+    SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
+
+
+ArrayEntry = Annotated[Name, Part.ARRAY]
+ForceEntry = Annotated[Named, Part.FORCE]
+PlaceEntry = Annotated[Named, Part.PLACE]
+ShapeEntry = Annotated[Named, Part.SHAPE]
+
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
@@ -115,7 +132,7 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
     """What particles run into, or where they are removed."""
 
     name: str = Field(default="", description="For messages.", examples=["step_1"])
-    shape: Named = Field(
+    shape: ShapeEntry = Field(
         description="`plane`, `sphere`, `capsule`, `box` or `mesh`.",
         examples=[{"box": {"size": [2, 0.2, 1]}}],
     )

@@ -36,6 +36,10 @@ class SimContext(Protocol):
         last: The last time that will be asked for [s].
         colliders: All that its entry says it runs into: shapes, characters, meshes of
             files, and surfaces of other systems, at any time of a step.
+        parts: What other keys of its entry are read as, by key, a list for a list:
+            forces, places, shapes and arrays where a `Part` marks them, a `Collider`
+            of what has a shape, and of other models such parts again, with the
+            ``poses`` of those that are placed. Plain values are in the spec alone.
     """
 
     @property
@@ -49,6 +53,10 @@ class SimContext(Protocol):
     @property
     def colliders(self) -> Colliders:
         """All that its entry says it runs into."""
+
+    @property
+    def parts(self) -> Mapping[str, Any]:
+        """What other keys of its entry are read as, by key, a list for a list."""
 
 
 class Simulation(Protocol[State]):

@@ -9,11 +9,27 @@ import numpy as np
 from annotated_types import Gt
 from pydantic import Field
 
+from animtool.documents.check import FileModel
 from animtool.documents.fields import Real
 from animtool.frames import PointsFrame
 from animtool.sim.system import Energy
-from animtool.systems.fields import SystemColliderModel, SystemSpec
+from animtool.systems.fields import (
+    ArrayEntry,
+    ForceEntry,
+    PlacedModel,
+    PlaceEntry,
+    ShapeEntry,
+    SystemColliderModel,
+    SystemSpec,
+)
 from animtool.systems.simulation import Diagnostics, SimContext
+
+
+class FlockModel(FileModel):
+    """Some of those that swing."""
+
+    place: PlaceEntry = Field(default={"point": None})
+    wing: ShapeEntry | None = None
 
 
 class Spec(SystemSpec):
@@ -21,6 +37,11 @@ class Spec(SystemSpec):
 
     speed: Annotated[Real, Gt(0)] = Field(description="[rad/s].")
     colliders: list[SystemColliderModel] = Field(default=[])
+    forces: list[ForceEntry] = Field(default=[])
+    masses: ArrayEntry | None = None
+    goal: PlacedModel | None = None
+    kill: list[SystemColliderModel] = Field(default=[])
+    flocks: list[FlockModel] = Field(default=[])
 
 
 @dataclass(frozen=True)

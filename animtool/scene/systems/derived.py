@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
-from animtool.errors import ToleranceError
+from animtool.errors import ToleranceError, counted
 from animtool.frames import PointsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.entries import EntryReader
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
+from animtool.scene.systems.parts import PartReader
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings, read_surfaces
 from animtool.sim.colliders import Colliders
@@ -24,6 +24,7 @@ from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
 from animtool.systems.fields import SystemSpec
 from animtool.systems.simulation import Simulation, SimulationRun
 
+_AROUND = {"colliders", "characters", "systems", "meshes"}
 STEPS = "steps"  # what a setting of such a kind is called
 
 
@@ -33,6 +34,8 @@ class SpecSetup:
 
     spec: SystemSpec
     around: Surroundings
+    # What keys are read as that are neither plain nor what it runs into, by key.
+    parts: Mapping[str, Any] = field(default_factory=dict)
     joined: tuple[tuple[str, Location], ...] = ()
 
     @property
@@ -48,7 +51,9 @@ class SpecSetup:
     @property
     def reads(self) -> tuple[str, ...]:
         """What acts on it, in words."""
-        return tuple(self.around.reads)
+        forces = self.parts.get("forces", ())
+        acting = [counted(len(forces), "force")] if forces else []
+        return (*acting, *self.around.reads)
 
     @property
     def makes(self) -> str:
@@ -73,6 +78,7 @@ class Context:
     begin: float  # time of the first step [s]
     last: float  # the last time that will be asked for [s]
     colliders: Colliders
+    parts: Mapping[str, Any]  # what other keys are read as, by key
 
 
 def read_spec(
@@ -80,10 +86,10 @@ def read_spec(
 ) -> SpecSetup | None:
     """Return the setup of an entry; None where faults leave none.
 
-    What the keys `colliders`, `characters`, `systems` and `meshes` name is read with
-    its location, where the spec has them.
+    What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
+    into, where the spec has them; other keys are read as their types say.
     """
-    reader = EntryReader(document, roots)
+    reader = PartReader(document, roots)
 
     def entries(key: str) -> tuple[Location, Any]:
         return (*at, key), getattr(spec, key, [])
@@ -92,11 +98,12 @@ def read_spec(
     characters = reader.characters(*entries("characters"))
     surfaces = read_surfaces(reader, *entries("systems"))
     meshes = reader.meshes(*entries("meshes"))
+    parts = reader.parts(at, spec, _AROUND)
     if not reader.sound:
         return None
     followed = tuple(reader.files)
     around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
-    return SpecSetup(spec, around)
+    return SpecSetup(spec, around, parts)
 
 
 def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[SimulationRun]:
@@ -114,7 +121,7 @@ def _run(member: SceneSystem, opening: Opening, step: float) -> SimulationRun:
         Callable[[SystemSpec, Context], Simulation[Any]],
         load_object(SYSTEM_KINDS[member.kind].build),
     )
-    simulation = build(setup.spec, Context(begin, opening.last, colliders))
+    simulation = build(setup.spec, Context(begin, opening.last, colliders, setup.parts))
     return SimulationRun(member.name, simulation, begin, step)
 
 

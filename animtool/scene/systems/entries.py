@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,12 @@ from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
     Named,
+    PlacedModel,
     SystemColliderModel,
 )
-from animtool.systems.particles.spec import EmitterModel
+
+if TYPE_CHECKING:
+    from animtool.systems.particles.forces.force import Force
 
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
@@ -102,20 +105,48 @@ class EntryReader:
         self, at: Location, models: Sequence[SystemColliderModel]
     ) -> list[Collider]:
         """Return the colliders of entries that make sense."""
-        made = [
-            self.checked((*at, i), self._collider, model)
-            for i, model in enumerate(models)
-        ]
+        made = [self.collider((*at, i), model) for i, model in enumerate(models)]
         return [collider for collider in made if collider is not None]
 
+    def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
+        """Return the collider of an entry that makes sense."""
+        return self.checked(at, self._collider, model)
+
     def _collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
-        shape = self.named((*at, "shape"), model.shape, SHAPES, "shape", "SIM020")
+        shape = self.shape((*at, "shape"), model.shape)
         if shape is None:
             return None
         poses = self.poses(at, model, "SIM020")
         if poses is None:
             return None
         return Collider(shape, poses, **model.model_dump(exclude={*PLACING, "shape"}))
+
+    def shape(self, at: Location, entry: Named) -> Any:
+        """Return a shape of colliders."""
+        return self.named(at, entry, SHAPES, "shape", "SIM020")
+
+    def force(self, at: Location, entry: Named) -> Force | None:
+        """Return a force of the table, its numbers in their ranges."""
+        from animtool.systems.particles.forces import find_force
+
+        ((name, options),) = entry.items()
+        try:
+            kind = find_force(name)
+        except AnimtoolError as error:
+            self.note((*at, name), error.faults[0])
+            return None
+        force = self.record((*at, name), kind, options or {}, name)
+        for option, why in [] if force is None else force.faults():
+            key = [option] if option in (options or {}) else []
+            self.note((*at, name, *key), Fault("SIM022", f"its {option} {why}"))
+        return force
+
+    def emitter_place(self, at: Location, entry: Named) -> Any:
+        """Return where particles are made: a place, on the surface of a mesh too."""
+        from animtool.systems.particles.places import PLACES, MeshSurface
+
+        place = self.named(at, entry, PLACES, "place", "SIM021")
+        return MeshSurface(place) if isinstance(place, Mesh) else place
 
     def meshes(
         self, at: Location, models: Sequence[MovingMeshModel]
@@ -136,9 +167,7 @@ class EntryReader:
             found.append(mesh)
         return tuple(found)
 
-    def poses(
-        self, at: Location, model: EmitterModel | SystemColliderModel, code: str
-    ) -> Poses | None:
+    def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
         """Return where an entry stands over time; None where what is noted leaves none.
 
         Args:
@@ -168,7 +197,7 @@ class EntryReader:
     def _followed(
         self,
         at: Location,
-        model: EmitterModel | SystemColliderModel,
+        model: PlacedModel,
         own: Poses,
         code: str,
     ) -> Poses | None:
@@ -300,7 +329,7 @@ class EntryReader:
         return path
 
 
-def _moved(model: EmitterModel | SystemColliderModel, own: Poses) -> Poses:
+def _moved(model: PlacedModel, own: Poses) -> Poses:
     """Return where an entry stands that moves and turns by itself."""
     if not model.moves and not model.turns:
         return own

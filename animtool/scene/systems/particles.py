@@ -6,44 +6,27 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault, OptionError, Severity, counted
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.frames import PointsFrame
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings, read_surfaces
-from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
-from animtool.systems.fields import Named
 from animtool.systems.particles import (
-    BoxPlace,
-    Disc,
     Emitter,
-    Force,
     KillRegion,
-    MeshSurface,
     Particles,
-    Point,
-    SpherePlace,
     VelocityField,
-    find_force,
 )
 from animtool.systems.particles.run import ParticleRun
 from animtool.systems.particles.spec import EmitterModel, ParticlesModel
 from animtool.systems.particles.trial import ParticleTrial
-
-PLACES: dict[str, type[Any]] = {
-    "box": BoxPlace,
-    "disc": Disc,
-    "mesh": Mesh,
-    "point": Point,
-    "sphere": SpherePlace,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +181,7 @@ class _Reader(EntryReader):
             for i, entry in enumerate(model.emitters)
         ]
         forces = [
-            self._force((*at, "forces", i), entry)
+            self.force((*at, "forces", i), entry)
             for i, entry in enumerate(model.forces)
         ]
         colliders = self.colliders((*at, "colliders"), model.colliders)
@@ -232,7 +215,7 @@ class _Reader(EntryReader):
             self.note((*at, key) if known and key else at, fault)
 
     def _emitter(self, at: Location, model: EmitterModel) -> Emitter | None:
-        place = self.named((*at, "place"), model.place, PLACES, "place", "SIM021")
+        place = self.emitter_place((*at, "place"), model.place)
         if place is None:
             return None
         poses = self.poses(at, model, "SIM021")
@@ -244,22 +227,7 @@ class _Reader(EntryReader):
         given["start"] = -math.inf if model.start is None else model.start
         given["end"] = math.inf if model.end is None else model.end
         given["lifetime"] = math.inf if model.lifetime is None else model.lifetime
-        if isinstance(place, Mesh):
-            place = MeshSurface(place)
         return Emitter(place=place, poses=poses, **given)
-
-    def _force(self, at: Location, entry: Named) -> Force | None:
-        ((name, given),) = entry.items()
-        try:
-            kind = find_force(name)
-        except AnimtoolError as error:
-            self.note((*at, name), error.faults[0])
-            return None
-        made = self.record((*at, name), kind, given or {}, name)
-        for option, why in [] if made is None else made.faults():
-            place = (*at, name, *([option] if option in (given or {}) else []))
-            self.note(place, Fault("SIM022", f"its {option} {why}"))
-        return made
 
     def _velocity(self, at: Location, model: ParticlesModel) -> VelocityField | None:
         if model.velocity is None:

@@ -1,34 +1,43 @@
 """Particles: emitted, moved by forces or a field, stopped by colliders, removed."""
 
-from animtool.systems.particles.emitter import Emitter
-from animtool.systems.particles.forces import FORCES, find_force
-from animtool.systems.particles.forces.force import Force
-from animtool.systems.particles.places import (
-    BoxPlace,
-    Disc,
-    MeshSurface,
-    Point,
-    SpherePlace,
-)
-from animtool.systems.particles.run import ParticleFrame, ParticleRun
-from animtool.systems.particles.setup import KillRegion, Particles
-from animtool.systems.particles.state import ParticleState
-from animtool.systems.particles.velocity_field import VelocityField
+from __future__ import annotations
 
-__all__ = [
-    "FORCES",
-    "BoxPlace",
-    "Disc",
-    "Emitter",
-    "Force",
-    "KillRegion",
-    "MeshSurface",
-    "ParticleFrame",
-    "ParticleRun",
-    "ParticleState",
-    "Particles",
-    "Point",
-    "SpherePlace",
-    "VelocityField",
-    "find_force",
-]
+from typing import TYPE_CHECKING
+
+from animtool.plugins import lazy_names
+
+if TYPE_CHECKING:
+    from animtool.systems.particles.emitter import Emitter as Emitter
+    from animtool.systems.particles.forces import FORCES as FORCES
+    from animtool.systems.particles.forces import find_force as find_force
+    from animtool.systems.particles.forces.force import Force as Force
+    from animtool.systems.particles.places import BoxPlace as BoxPlace
+    from animtool.systems.particles.places import Disc as Disc
+    from animtool.systems.particles.places import MeshSurface as MeshSurface
+    from animtool.systems.particles.places import Point as Point
+    from animtool.systems.particles.places import SpherePlace as SpherePlace
+    from animtool.systems.particles.run import ParticleFrame as ParticleFrame
+    from animtool.systems.particles.run import ParticleRun as ParticleRun
+    from animtool.systems.particles.setup import KillRegion as KillRegion
+    from animtool.systems.particles.setup import Particles as Particles
+    from animtool.systems.particles.state import ParticleState as ParticleState
+    from animtool.systems.particles.velocity_field import VelocityField as VelocityField
+
+_MODULES = {
+    "emitter": ("Emitter",),
+    "forces": ("FORCES", "find_force"),
+    "forces.force": ("Force",),
+    "places": ("BoxPlace", "Disc", "MeshSurface", "Point", "SpherePlace"),
+    "run": ("ParticleFrame", "ParticleRun"),
+    "setup": ("KillRegion", "Particles"),
+    "state": ("ParticleState",),
+    "velocity_field": ("VelocityField",),
+}
+_PUBLIC = {
+    name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names
+}
+
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
+    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -132,6 +132,16 @@ class MeshSurface:
 
 
 Place: TypeAlias = Point | Disc | SpherePlace | BoxPlace | MeshSurface
+
+
+# What entries of places name; a mesh becomes its surface.
+PLACES: dict[str, type[Any]] = {
+    "box": BoxPlace,
+    "disc": Disc,
+    "mesh": Mesh,
+    "point": Point,
+    "sphere": SpherePlace,
+}
 
 
 def _above(name: str, values: Sequence[float]) -> list[str]:

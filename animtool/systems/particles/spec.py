@@ -12,9 +12,10 @@ from animtool.documents.fields import Pair, Real, Vector, Whole
 from animtool.documents.records import with_fields
 from animtool.systems.fields import (
     CharacterModel,
+    ForceEntry,
     MovingMeshModel,
-    Named,
     PlacedModel,
+    PlaceEntry,
     Preroll,
     PrimName,
     SystemColliderModel,
@@ -37,7 +38,7 @@ class EmitterModel(PlacedModel):
     """What makes particles."""
 
     name: str = Field(default="", description="For messages.", examples=["embers"])
-    place: Named = Field(
+    place: PlaceEntry = Field(
         default={"point": None},
         description="Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
         examples=[{"disc": {"radius": 0.2}}],
@@ -97,7 +98,7 @@ class ParticlesModel(FileModel):
         description="What makes them.",
         examples=[[{"rate": 100, "speed": 2, "lifetime": 1}]],
     )
-    forces: list[Named] = Field(
+    forces: list[ForceEntry] = Field(
         default=[],
         description="What moves them: the name of a force, and its options.",
         examples=[[{"gravity": None}, {"drag": {"linear": 0.001}}]],

@@ -17,7 +17,11 @@ from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.systems.derived import SpecSetup, read_spec
 from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.scene.systems.simulation import open_systems, system_trials
+from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
+from animtool.systems.particles import Disc, Point
+from animtool.systems.particles.forces.gravity import Gravity
+from animtool.systems.particles.forces.wind import Wind
 from animtool.systems.simulation import SimulationRun
 
 FLOOR = {"shape": {"plane": None}, "at": [0, 0.25, 0]}
@@ -92,6 +96,65 @@ def test_colliders_are_read_at_their_places(tmp_path: Path) -> None:
         "SIM020",
         "systems[0].swing.colliders[1].restitution",
     )
+
+
+def test_keys_are_read_as_their_types_say(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", masses=[1.0, 2.0])
+    setup, document = read(
+        tmp_path,
+        forces=[{"gravity": None}, {"wind": {"velocity": [1, 0, 0], "drag": 2}}],
+        masses="a.npz#masses",
+        goal={"at": [1, 2, 3]},
+        kill=[FLOOR],
+        flocks=[{"place": {"disc": {"radius": 2}}}, {"wing": {"plane": None}}],
+    )
+    assert setup is not None, document
+    parts = setup.parts
+    assert parts["forces"] == [Gravity(), Wind(velocity=(1.0, 0.0, 0.0), drag=2.0)]
+    assert_array_equal(parts["masses"], [1, 2])
+    assert_array_equal(parts["goal"]["poses"].rows[0, :3], [1, 2, 3])
+    assert_array_equal(parts["kill"][0].poses.rows[0, :3], FLOOR["at"])
+    assert parts["flocks"] == [
+        {"place": Disc(2.0)},
+        {"place": Point(), "wing": Plane()},
+    ]
+    assert setup.reads == ("2 forces",)
+
+
+@pytest.mark.parametrize(
+    ("keys", "code", "where"),
+    [
+        ({"forces": [{"gravity": None}, {"wnd": None}]}, "SIM023", "forces[1].wnd"),
+        (
+            {"forces": [{"drag": {"linear": -1.0}}]},
+            "SIM022",
+            "forces[0].drag.linear",
+        ),
+        ({"masses": "b.npz"}, "SCN005", "masses"),
+        ({"goal": {"moves": [[1, 0, 0, 0], [0, 0, 0, 0]]}}, "SIM020", "goal.moves"),
+        ({"kill": [{**FLOOR, "friction": -1.0}]}, "SIM020", "kill[0].friction"),
+        ({"flocks": [{"place": {"disk": None}}]}, "SIM021", "flocks[0].place.disk"),
+        (
+            {"flocks": [{"place": {"disc": {"radius": -1.0}}}]},
+            "SIM020",
+            "flocks[0].place",
+        ),
+        (
+            {"flocks": [{"wing": {"sphere": {"radius": 0.0}}}]},
+            "SIM020",
+            "flocks[0].wing",
+        ),
+    ],
+)
+def test_faults_of_keys_are_at_their_places(
+    tmp_path: Path, keys: dict[str, Any], code: str, where: str
+) -> None:
+    setup, document = read(tmp_path, **keys)
+    assert setup is None
+    with pytest.raises(FormatError) as caught:
+        document.check()
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where) == (code, f"systems[0].swing.{where}")
 
 
 def test_steps_are_tried_against_finer_ones(tmp_path: Path) -> None:
