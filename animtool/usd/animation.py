@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Gf, Sdf, Vt
+from pxr import Sdf, Vt
 
 from animtool import _kernels
 from animtool._types import BoolArray, Float32Array, FloatArray
@@ -17,7 +17,14 @@ from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.jobs import RootPath, Rounding, WrittenBlock
-from animtool.usd.layers import Samples, attribute, author_order, prim
+from animtool.usd.layers import (
+    Samples,
+    attribute,
+    author_order,
+    prim,
+    quaternion,
+    vector,
+)
 from animtool.usd.names import RigPaths
 
 
@@ -248,20 +255,11 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = Samples(spec, names[0], types.Double3, _vector)
-        turn = Samples(spec, names[1], types.Quatd, _quaternion, quaternions=True)
+        move = Samples(spec, names[0], types.Double3, vector)
+        turn = Samples(spec, names[1], types.Quatd, quaternion, quaternions=True)
         author_order(spec, *placing, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)
             turn.add(codes, path.rotations)
         move.finish(np.zeros(3))
         turn.finish(so3.IDENTITY)
-
-
-def _vector(row: FloatArray) -> Any:
-    return Gf.Vec3d(*row.tolist())
-
-
-def _quaternion(row: FloatArray) -> Any:
-    x, y, z, w = row.tolist()
-    return Gf.Quatd(w, x, y, z)

@@ -43,6 +43,8 @@ from animtool.usd.names import RigPaths, joint_names, legal_name, plain_text
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_version_warnings
 
+BLOCK_FRAMES = 512  # of a take that is written in one call
+
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     """Author the layers of a job in memory; nothing is written yet.
@@ -80,7 +82,8 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
             for i, take in enumerate(takes)
         ]
         written = [part.written for part in parts]
-        _author_metadata(job, authored, written)
+        for layer in authored.layers:
+            author_metadata(layer, _metadata(job, written))
     notices += [notice for take in written for notice in take.notices]
     result = UsdResult(layer_span(animation), takes=written, notices=notices)
     for part in parts:
@@ -93,7 +96,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     author_extents(
         job,
         authored.visible,
-        [layer for layer in (authored.animation, authored.rig) if layer is not None],
+        authored.layers,
         [(part.written.name, part.writer) for part in parts],
     )
     for part in parts:
@@ -196,6 +199,12 @@ class Authored:
     rig: Any = None  # holds the skeleton; the same layer in a stage, None in a layer
     visible: bool = False  # whether there are bones or meshes to see
 
+    @property
+    def layers(self) -> list[Any]:
+        """The layer of the animation, and that of the rig where it is another."""
+        separate = self.rig is not None and self.rig is not self.animation
+        return [self.animation, self.rig] if separate else [self.animation]
+
 
 def write_usd(
     job: UsdJob,
@@ -234,18 +243,6 @@ def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
         unit, up = job.target.unit, job.target.up
     first, last = min(t.first for t in takes), max(t.last for t in takes)
     return StageMetadata(default, job.fps, first, last, unit, up, job.shot)
-
-
-def _author_metadata(
-    job: UsdJob, authored: Authored, takes: Sequence[WrittenTake]
-) -> None:
-    metadata = _metadata(job, takes)
-    author_metadata(authored.animation, metadata)
-    if authored.rig is not None and authored.rig is not authored.animation:
-        author_metadata(authored.rig, metadata)
-
-
-BLOCK_FRAMES = 512
 
 
 def write(

@@ -15,7 +15,14 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.layers import Samples, asset_path, author_order, prim, quaternion
+from animtool.usd.layers import (
+    Samples,
+    asset_path,
+    author_order,
+    prim,
+    quaternion,
+    vector,
+)
 from animtool.usd.names import TAKE_SET, RigPaths
 
 if TYPE_CHECKING:
@@ -240,9 +247,9 @@ def _author_track(
         author("xformOp:transform", types.Matrix4d, rows, _matrix)
         author_order(spec, "xformOp:transform")
     elif track.placed:
-        author("xformOp:translate", types.Double3, found.translations / unit, _vector)
+        author("xformOp:translate", types.Double3, found.translations / unit, vector)
         author("xformOp:orient", types.Quatd, found.rotations, quaternion)
-        author("xformOp:scale", types.Double3, found.scales * factor, _vector)
+        author("xformOp:scale", types.Double3, found.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for one, values in zip(track.attributes, found.values, strict=True):
         own_type = types.Find(one.type_name)
@@ -263,10 +270,6 @@ def _number(row: FloatArray) -> float:
 
 def _numbers(row: FloatArray) -> tuple[float, ...]:
     return tuple(row.tolist())
-
-
-def _vector(row: FloatArray) -> Any:
-    return Gf.Vec3d(*row.tolist())
 
 
 def _matrix(row: FloatArray) -> Any:

@@ -126,7 +126,7 @@ def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
 
         return compose_check(job.target, layers[0])
     top = Sdf.Layer.CreateAnonymous(".usda")
-    top.subLayerPaths = list(dict.fromkeys(layer.identifier for layer in layers))
+    top.subLayerPaths = [layer.identifier for layer in layers]
     stage = Usd.Stage.Open(top)
     stage.SetTimeCodesPerSecond(float(job.fps))
     return stage

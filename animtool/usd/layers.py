@@ -288,6 +288,11 @@ def author_order(spec: Any, *names: str) -> None:
     attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
+def vector(row: FloatArray) -> Any:
+    """Return a vector ``(3,)`` as USD has it."""
+    return Gf.Vec3d(*row.tolist())
+
+
 def quaternion(row: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as USD has it.
 
