@@ -185,3 +185,12 @@ def frame_spans(frames: Iterable[int], step: int = 1) -> str:
             spans.append([frame])
     ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
     return ", ".join(" to ".join(map(str, one)) for one in ends)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRange:
+    """Frames ``first`` to ``last``, both included, every ``step``-th [time codes]."""
+
+    first: int
+    last: int
+    step: int = 1

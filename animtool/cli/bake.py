@@ -334,7 +334,7 @@ def _simulation_table(
         simulation_table_json,
         simulation_table_text,
     )
-    from animtool.preview.tables import simulation_panels
+    from animtool.preview.work_precision import simulation_panels
     from animtool.scene.simulation_table import simulation_table
 
     with console.progress(f"measure {scene.path.name}") as progress:
@@ -352,7 +352,7 @@ def _bake_table(
 ) -> Callable[[], list[Panel]]:
     """Measure rates and tolerances, print it, and return what draws it."""
     from animtool.cli.summary import table_json, table_text
-    from animtool.preview.tables import bake_panels
+    from animtool.preview.work_precision import bake_panels
     from animtool.scene.table import bake_table
 
     options = bake_options_record(given)

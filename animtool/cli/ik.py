@@ -244,7 +244,7 @@ def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -
 
 def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
     from animtool.cli.ik_summary import ik_table_json, ik_table_text
-    from animtool.preview.tables import ik_panels
+    from animtool.preview.work_precision import ik_panels
     from animtool.scene.ik_table import ik_table
 
     named = (given["rig"], given["targets"], given["start"])

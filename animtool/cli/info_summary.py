@@ -11,8 +11,7 @@ from animtool.quantities import plain
 from animtool.rates import rate_label
 
 if TYPE_CHECKING:
-    from animtool.report.describe import TakeDescription
-    from animtool.report.describe_points import PointsDescription
+    from animtool.report.describe import PointsDescription, TakeDescription
     from animtool.report.describe_rig import RigDescription, TargetsDescription
     from animtool.report.describe_scene import (
         OutputDescription,

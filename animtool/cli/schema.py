@@ -29,7 +29,7 @@ def completion(console: Console, shell: str) -> None:
 
 
 MODELS = {
-    "batch": "animtool.batch.schema:BatchModel",
+    "batch": "animtool.batch.file:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",

@@ -11,7 +11,6 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
-from animtool.edit.frame_range import FrameRange
 from animtool.edit.frames import check_count
 from animtool.edit.travel import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
@@ -24,6 +23,7 @@ from animtool.passes import (
     Scope,
 )
 from animtool.rates import rate_option
+from animtool.shot import FrameRange
 from animtool.take import Take
 
 BLOCK_FRAMES = 512

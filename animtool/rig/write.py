@@ -29,7 +29,7 @@ def rig_text(rig: Rig) -> str:
 
     A joint that is the mirror image of one before it is left to that one's ``mirror``.
     References to arrays are as the rig's own file spelled them; an array in no file is
-    a `TypeError`, see `animtool.rig.store.with_file`.
+    a `TypeError`, see `animtool.rig.surfaces.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
@@ -230,7 +230,7 @@ def _mesh(mesh: Mesh) -> str:
 def _file(source: ArraySource | None) -> str | None:
     """Return where an array is, as the rig's file spells it."""
     if isinstance(source, HeldArray):
-        message = "the array is in no file; animtool.rig.store puts it into one"
+        message = "the array is in no file; animtool.rig.surfaces puts it into one"
         raise TypeError(message)
     return None if source is None else text(source.text)
 

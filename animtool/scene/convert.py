@@ -27,7 +27,7 @@ from animtool.take import Take
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake
     from animtool.clip.reduction import Reduction
-    from animtool.rig.store import StoredArrays
+    from animtool.rig.surfaces import StoredArrays
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
 # Of keys written for samples [m]: under what anyone sees on a person.
@@ -207,7 +207,7 @@ def _to_clip(
 ) -> ConvertReport:
     from animtool.clip.clip import clip_text
     from animtool.clip.keyed_take import keyed_take
-    from animtool.rig.store import with_file
+    from animtool.rig.surfaces import with_file
     from animtool.rig.write import rig_text
     from animtool.scene.convert_rig import write_arrays
 

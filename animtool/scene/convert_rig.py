@@ -19,7 +19,7 @@ from animtool.inputs import recorded_inputs
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.placing import output_error
 from animtool.rig.skeleton import Rig
-from animtool.rig.store import StoredArrays, with_file
+from animtool.rig.surfaces import StoredArrays, with_file
 from animtool.rig.write import rig_text
 from animtool.scene.onto_rig import open_rig
 

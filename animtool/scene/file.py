@@ -17,7 +17,6 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.documents.names import nearest
 from animtool.documents.references import referred, referred_input
 from animtool.documents.variables import resolve_variables
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
 from animtool.plugins import load_object
@@ -43,7 +42,7 @@ from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
 from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
-from animtool.shot import Shot
+from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.clock import Clock, frame_label, time_codes
-from animtool.edit.frame_range import FrameRange
 from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
@@ -23,7 +22,7 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
-from animtool.shot import Shot, frame_spans
+from animtool.shot import FrameRange, Shot, frame_spans
 from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:

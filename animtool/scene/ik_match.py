@@ -17,7 +17,7 @@ from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.placing import output_error
-from animtool.rig.store import StoredArrays
+from animtool.rig.surfaces import StoredArrays
 from animtool.scene.convert_rig import write_arrays
 from animtool.scene.ik import frame_index, naming
 from animtool.scene.onto_rig import open_rig

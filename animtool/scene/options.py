@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import excerpt
 from animtool.options import Key, option
 from animtool.rates import LARGEST_FRAME, exact_number, rate_option
 from animtool.scene.sources import SourceOptions
-from animtool.shot import Shot
+from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
 
 

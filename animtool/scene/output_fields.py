@@ -13,10 +13,10 @@ from pydantic import Field, create_model
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.documents.fields import Frame, Real, Whole, WholeFrame
-from animtool.edit.frame_range import FrameRange
 from animtool.options import Key, Kind, keys_of, options_of
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.shot import FrameRange
 from animtool.units import LengthUnit, UpAxis, parse_length
 
 Model = TypeVar("Model", bound=FileModel)

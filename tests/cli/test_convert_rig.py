@@ -15,8 +15,7 @@ from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.rig.skeleton import Rig
-from animtool.rig.store import with_file
-from animtool.rig.surfaces import surfaces_of
+from animtool.rig.surfaces import surfaces_of, with_file
 from animtool.rig.write import rig_text
 
 RIGS = sorted((ROOT / "rigs").glob("*/*.rig.yaml"))

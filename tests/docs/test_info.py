@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.report.describe import TakeDescription
-from animtool.report.describe_points import PointsDescription
+from animtool.report.describe import PointsDescription, TakeDescription
 from animtool.report.describe_rig import (
     GoalDescription,
     MeshDescription,

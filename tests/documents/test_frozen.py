@@ -14,13 +14,12 @@ from animtool.batch.spec import Limits
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
-from animtool.edit.frame_range import FrameRange
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.scene.tracks import TrackNames
-from animtool.shot import Shot
+from animtool.shot import FrameRange, Shot
 
 FROZEN = Path(__file__).parent / "frozen"
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.clock import Clock
-from animtool.edit.frame_range import FrameRange
 from animtool.edit.resample import SampleTimes, plan_samples, resampled, sample
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
+from animtool.shot import FrameRange
 from animtool.take import Take
 
 NTSC = Fraction(24000, 1001)

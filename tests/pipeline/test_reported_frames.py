@@ -21,11 +21,11 @@ from support.suite import examples
 
 from animtool.cli.summary import bake_json, bake_text
 from animtool.clock import Clock
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import OptionError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
+from animtool.shot import FrameRange
 from animtool.take import TakeStream
 from animtool.usd.read import read_usd
 

@@ -10,7 +10,7 @@ from support.cli import animtool
 from support.surfaces import shaped_rig
 
 from animtool.report.describe_rig import describe_rig
-from animtool.rig.store import with_file
+from animtool.rig.surfaces import with_file
 from animtool.rig.write import rig_text
 
 

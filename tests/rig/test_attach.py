@@ -19,7 +19,7 @@ from animtool.errors import Fault, FormatError
 from animtool.rig.file import load_rig, rig_of_document
 from animtool.rig.parts import Attachment, HeldArray
 from animtool.rig.skeleton import Rig
-from animtool.rig.store import with_file
+from animtool.rig.surfaces import with_file
 from animtool.rig.write import rig_text
 
 RIG = """\

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import OptionError
 from animtool.scene.options import (
     BakeOptions,
@@ -19,7 +18,7 @@ from animtool.scene.options import (
     parse_rest,
 )
 from animtool.scene.reading import check_options
-from animtool.shot import Shot
+from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
 
 RIG = Path("rig.usda")

@@ -19,11 +19,11 @@ from support.suite import examples
 from support.takes import assert_same_motion, motion_of, takes
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
+from animtool.shot import FrameRange
 from animtool.take import Take
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd

@@ -10,7 +10,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.bvh import TIP, random_rows, small_bvh
 from support.usd import joint_positions
 
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import FormatError
 from animtool.formats.bvh import read_bvh
 from animtool.report.compare import compare_takes
@@ -18,6 +17,7 @@ from animtool.rig.kinematics import forward
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
+from animtool.shot import FrameRange
 from animtool.usd.read import read_usd
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.clock import MAX_FRAMES
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
 from animtool.output import once_named, size_of
@@ -21,6 +20,7 @@ from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_watch import CharacterWatch
 from animtool.scene.systems.job import system_job
 from animtool.scene.systems.run import SystemRun
+from animtool.shot import FrameRange
 from animtool.units import UpAxis
 from animtool.usd.author_props import overlap, prop_paths
 from animtool.usd.chunks import Growing, save_grown, system_files

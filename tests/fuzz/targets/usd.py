@@ -15,8 +15,7 @@ from support.broken_usd import write_good
 from support.clean_layer import make_layer
 
 from animtool.errors import AnimtoolError
-from animtool.report.describe import describe
-from animtool.report.describe_points import describe_points
+from animtool.report.describe import describe, describe_points
 from animtool.scene.sources import SourceOptions
 from animtool.take import TakeStream
 from animtool.usd.checks.run import inspect_layer

@@ -9,9 +9,9 @@ import pytest
 from pxr import Usd
 
 from animtool import BakeOptions, bake
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError
 from animtool.scene.prims import BakeReport
+from animtool.shot import FrameRange
 from animtool.usd.checks import check_layer
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 6]\nsystems:\n"

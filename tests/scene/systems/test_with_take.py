@@ -17,13 +17,13 @@ from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.outputs import bake_scene
 from animtool.scene.sources import open_source
 from animtool.scene.steps import StepKind, bake_steps
+from animtool.shot import FrameRange
 from animtool.units import LengthUnit, UpAxis
 
 CODES = [float(code) for code in range(1, 10)]
