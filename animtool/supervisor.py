@@ -123,6 +123,8 @@ class _State:
     read: list[str] = field(default_factory=list)
     # Told of the file that is being read; None: nobody wants to know.
     listener: Callable[[str], object] | None = None
+    starting: int = 0  # how many threads start processes `without_main`
+    main: ModuleType | None = None  # the script's module meanwhile
 
 
 _state = _State()
@@ -228,14 +230,27 @@ def follow_parent() -> None:
 def without_main() -> Iterator[None]:
     """Let processes that are started now not run this one's script again.
 
-    What they do is in modules, and a script may start them without a guard.
+    What they do is in modules, and a script may start them without a guard. Its own
+    module gives place to one with the same names, which threads may look up, but
+    without a file. Threads may be in the block at the same time.
     """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
+    with _lock:
+        if not _state.starting:
+            _state.main = main = sys.modules["__main__"]
+            unnamed = ModuleType("__main__")
+            own = {"__spec__", "__file__", "__loader__"}
+            unnamed.__dict__.update(
+                (name, value) for name, value in vars(main).items() if name not in own
+            )
+            sys.modules["__main__"] = unnamed
+        _state.starting += 1
     try:
         yield
     finally:
-        sys.modules["__main__"] = main
+        with _lock:
+            _state.starting -= 1
+            if not _state.starting and _state.main is not None:
+                sys.modules["__main__"], _state.main = _state.main, None
 
 
 def can_supervise() -> bool:

@@ -218,3 +218,20 @@ def test_processes_do_not_run_the_script_again(
             "init_main_from_name",
         }
     assert sys.modules["__main__"] is main
+
+
+def test_threads_start_processes_at_the_same_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    main = ModuleType("__main__")
+    main.value = [1]  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    one, other = without_main(), without_main()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    hidden = sys.modules["__main__"]
+    assert hidden is not main
+    assert vars(hidden)["value"] is vars(main)["value"]
+    other.__exit__(None, None, None)
+    assert sys.modules["__main__"] is main
