@@ -232,6 +232,11 @@ class TakeStream:
     points: frozenset[str] = frozenset()
     simulated: list[dict[str, object]] = field(default_factory=list)
 
+    def __repr__(self) -> str:
+        """Return the rig's name, the rate and the joints."""
+        joints = counted(len(self.rig.joints), "joint")
+        return f"<TakeStream of {self.rig.name!r} at {rate_label(self.fps)}, {joints}>"
+
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)

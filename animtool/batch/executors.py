@@ -19,7 +19,7 @@ from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.batch.spec import Limits, made_by
-from animtool.batch.work import Maker, Outcome, Status
+from animtool.batch.work import Maker, Outcome
 from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, OutputError, excerpt
@@ -358,11 +358,7 @@ def _outcome(future: Any, item: Item) -> Outcome:
             return outcome
         why = "what it returned is no outcome of it"
     message = f"no worker of the cluster made it: {why}"
-    return _failed(item, Fault("BAT020", message, str(item.found.path)))
-
-
-def _failed(item: Item, fault: Fault) -> Outcome:
-    return Outcome(item.number, Status.FAILED, 0.0, (fault,))
+    return Outcome.failed(item, Fault("BAT020", message, str(item.found.path)))
 
 
 @dataclass(slots=True)
@@ -382,7 +378,7 @@ class _WorkerProcesses:
 
             message = f"{platform.node()} has other versions than the run: {other}"
             hint = "the same on every machine makes the same bytes"
-            return _failed(item, Fault("BAT036", message, hint=hint))
+            return Outcome.failed(item, Fault("BAT036", message, hint=hint))
         # Both are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
         self._busy.append(process)
@@ -392,7 +388,7 @@ class _WorkerProcesses:
             self._busy.remove(process)
             process.end()
             message = f"cannot be made here: {error}"
-            return _failed(item, Fault("BAT020", message, str(item.found.path)))
+            return Outcome.failed(item, Fault("BAT020", message, str(item.found.path)))
         self._busy.remove(process)
         self._idle.append(process)
         return outcome

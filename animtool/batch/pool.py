@@ -235,7 +235,7 @@ class _Pool:
         self.drop(worker)
         path = fault.path or str(item.found.path)
         named = Fault(fault.code, fault.message, path, hint=fault.hint)
-        return Outcome(item.number, Status.FAILED, seconds, (named,))
+        return Outcome.failed(item, named, seconds=seconds)
 
     def drop(self, worker: _Worker) -> None:
         """End a process at once, and remove what it began to write."""

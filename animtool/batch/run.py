@@ -372,10 +372,10 @@ class _Run:
         finally:
             close()
         for number in sorted(self.begun - self.found.keys()):
-            path = str(self.decisions[number].item.found.path)
+            item = self.decisions[number].item
             message = "whatever made it has not said what became of it"
-            fault = Fault("BAT020", message, path)
-            self._ended(Outcome(number, Status.FAILED, 0.0, (fault,)))
+            fault = Fault("BAT020", message, str(item.found.path))
+            self._ended(Outcome.failed(item, fault))
         # A process of a run that was killed may have lived a moment longer.
         self._tidy()
 
@@ -392,7 +392,7 @@ class _Run:
                 try:
                     check_overwrites(self.batch, [item], self._is_known)
                 except OptionError as error:
-                    self._ended(Outcome(item.number, Status.FAILED, 0.0, error.faults))
+                    self._ended(Outcome.failed(item, *error.faults))
                     continue
             self.ledger.claim([named_from(path, self.batch.root) for path in paths])
             self.listener.began(item)

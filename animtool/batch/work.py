@@ -61,6 +61,11 @@ class Outcome:
     at: int = 0  # when, by the clock of the disk that it was written to [ns]
     retired: bool = False  # whether the process that made it had better make no other
 
+    @classmethod
+    def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> Outcome:
+        """Return that an item failed after some time [s]."""
+        return cls(item.number, Status.FAILED, seconds, faults)
+
 
 @dataclass(slots=True)
 class Maker:
@@ -95,9 +100,7 @@ class Maker:
         finally:
             _forget_layers()
         seconds = time.perf_counter() - began
-        return Outcome(
-            item.number, Status.FAILED, seconds, tuple(faults), retired=retired
-        )
+        return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
 
     def _made(self, item: Item, began: float) -> Outcome:
         with recorded_inputs() as inputs:

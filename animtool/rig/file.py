@@ -124,40 +124,38 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
             if base is None
             else _overlaid(document, model, base, units)
         )
-    shaped = model.shapes or (base is not None and base.shapes)
-    if not (joints.joints or joints.unnamed or shaped):
+    inherited = Rig("", ()) if base is None else base
+    if not (joints.joints or joints.unnamed or model.shapes or inherited.shapes):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
         reader = ArrayReader(document, roots, archives)
         parts = PartReader(document, model, units, joints, reader)
-        meshes = parts.meshes() or (base.meshes if base is not None else ())
-        inherited = base.shapes if base is not None else ()
+        meshes = parts.meshes() or inherited.meshes
         shapes = parts.shapes(
-            [mesh.name for mesh in meshes], [shape.name for shape in inherited]
+            [mesh.name for mesh in meshes], [shape.name for shape in inherited.shapes]
         )
-        inherited_bind = {} if base is None else base.bind
-        bind = bind_of(document, model.bind, joints, units, inherited_bind)
-        names = [shape.name for shape in (*inherited, *shapes)]
-        controls = parts.controls(names, () if base is None else base.controls)
-        chains = parts.ik(() if base is None else base.ik)
-        colliders = parts.colliders(() if base is None else base.colliders)
-        attached = parts.attach(meshes, () if base is None else base.attach)
+        bind = bind_of(document, model.bind, joints, units, inherited.bind)
+        shapes = (*inherited.shapes, *shapes)
+        controls = parts.controls([shape.name for shape in shapes], inherited.controls)
+        chains = parts.ik(inherited.ik)
+        colliders = parts.colliders(inherited.colliders)
+        attached = parts.attach(meshes, inherited.attach)
     document.check()
     return Rig(
         model.name,
         joints.joints,
-        LengthUnit(model.units.length).meters if base is None else base.meters_per_unit,
+        units.length if base is None else base.meters_per_unit,
         UpAxis(model.up) if base is None else base.up,
         bind,
         meshes,
-        (*inherited, *shapes),
+        shapes,
         controls,
         chains,
         attached,
         colliders,
         units.angle,
-        (*(() if base is None else base.notices), *document.notices),
+        (*inherited.notices, *document.notices),
     )
 
 
