@@ -121,13 +121,7 @@ def bake_options(command: Command) -> Command:
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(
-        given,
-        given["source_prim"],
-        given["rig"],
-        clamp=given["clamp"],
-        take=given["take"],
-    )
+    source = source_options_record(given, "prim_path", "rig", "clamp", "take")
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
     values["form"] = "split" if given["split"] else values["form"]

@@ -21,6 +21,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
 from animtool.documents.names import is_named
+from animtool.scene.options import KEY_TOLERANCE
 
 
 @click.command(
@@ -43,7 +44,8 @@ Examples:
     "--reduce",
     type=LENGTH,
     metavar="LENGTH",
-    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: 0.5mm]",
+    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
+    f"{KEY_TOLERANCE}]",
 )
 @bake_option("reduce_at")
 @click.option(
@@ -85,11 +87,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     if of_rig:
         _rig(console, source, output, given)
         return
-    options = source_options_record(
-        given,
-        given["prim_path"],
-        take=given["take"],
-    )
+    options = source_options_record(given, "take", prim_path=given["prim_path"])
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,

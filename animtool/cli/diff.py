@@ -107,11 +107,7 @@ def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
     """Return what each file is: options of both where they fit, then its own."""
     from animtool.scene.sources import fitting_options
 
-    shared = source_options_record(
-        given,
-        given["prim_path"],
-        take=given["take"],
-    )
+    shared = source_options_record(given, "take", prim_path=given["prim_path"])
     options = []
     for path, side in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")

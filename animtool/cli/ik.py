@@ -20,6 +20,7 @@ from animtool.cli.options import (
     Parsed,
     common_options,
     format_option,
+    names_of,
     read_values,
     record_option,
     rig_layer_options,
@@ -40,6 +41,27 @@ from animtool.cli.outputs import (
 from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
 
 FIRST = "first"
+# Options of the command that a match heeds, beside those of its source.
+_HEEDED = frozenset(
+    {
+        "rig",
+        "start",
+        "match",
+        "chains",
+        "pose",
+        "output",
+        "reduce",
+        "overwrite",
+        "skip_existing",
+        "strict",
+        "report_format",
+        "units",
+        "up",
+        "source_fps",
+        "source_prim",
+        "take",
+    }
+)
 
 
 def _frame(text: str) -> Any:
@@ -178,9 +200,7 @@ def ik(console: Console, /, **given: Any) -> None:
     if given["match"]:
         if given["plot"] is not None:
             raise click.UsageError("--match measures nothing: no --plot.")
-        from animtool.cli.ik_match import match_command
-
-        match_command(console, given, _source(given))
+        _match(console, given, _source(given))
         return
     _check(given)
     cut = timeline_shot(console, given["start"], given, given["first_code"])
@@ -213,6 +233,57 @@ def ik(console: Console, /, **given: Any) -> None:
     _say(console, report, as_json=as_json)
 
 
+def _match(console: Console, given: dict[str, Any], source: Any) -> None:
+    """Write the targets of a take, and say what they are."""
+    _check_match(given)
+    as_json = given["report_format"] == "json"
+    output = given["output"]
+    if skipped(console, "ik", given, output, lambda: [output]):
+        return
+    from animtool.cli.ik_summary import match_json, match_text
+    from animtool.scene.ik_match import MatchJob, run_match
+
+    pose = given["pose"]
+    job = MatchJob(
+        rig=given["rig"],
+        take=given["start"],
+        output=output,
+        source=source,
+        chains=names_of(given["chains"]),
+        pose=pose is not None,
+        frame=None if isinstance(pose, str) else pose,
+        reduce=given["reduce"],
+        overwrite=given["overwrite"],
+        strict=given["strict"],
+    )
+    with console.progress(f"match {given['start'].name}") as progress:
+        report = run_match(job, progress=progress)
+    console.faults(report.notices)
+    if as_json:
+        console.result_json(match_json(report))
+        return
+    for line in match_text(report):
+        console.say(line)
+    for stage, seconds in report.seconds.items():
+        console.detail(f"{stage}: {seconds:.3f} s")
+
+
+def _check_match(given: dict[str, Any]) -> None:
+    """Refuse what a match lacks, and what it would not heed."""
+    for name, what in (("start", "--clip"), ("output", "-o")):
+        if given[name] is None:
+            raise click.UsageError(f"--match wants {what}.")
+    if str(given["output"]) == "-":
+        raise click.UsageError("--match writes a targets file, not to stdout.")
+    context = click.get_current_context()
+    default = click.core.ParameterSource.DEFAULT
+    for option in context.command.params:
+        name = option.name or ""
+        idle = name in given and name not in _HEEDED
+        if idle and context.get_parameter_source(name) is not default:
+            raise click.UsageError(f"{option.opts[-1]} does nothing for --match.")
+
+
 def _check(given: dict[str, Any]) -> None:
     if given["targets"] is None:
         raise click.UsageError("Give --targets, or --match to write some.")
@@ -223,9 +294,7 @@ def _check(given: dict[str, Any]) -> None:
 
 def _source(given: dict[str, Any]) -> Any:
     """Return what the start is."""
-    return source_options_record(
-        given, given["source_prim"], take=given["take"], shot=given["shot"]
-    )
+    return source_options_record(given, "prim_path", "take", shot=given["shot"])
 
 
 def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:

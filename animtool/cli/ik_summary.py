@@ -1,4 +1,4 @@
-"""What came of inverse kinematics, in words and in JSON."""
+"""What ``animtool ik`` reports, in words and in JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from animtool.quantities import angle_text, duration_text, length_text, plain
 
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses
+    from animtool.ik.tracks import GoalTrack
     from animtool.scene.ik import IkReport
+    from animtool.scene.ik_match import MatchReport
     from animtool.scene.ik_table import IkTable, IkTableRow
 
 MAX_NAMED = 8
@@ -216,3 +218,35 @@ def ik_table_json(table: IkTable) -> dict[str, object]:
 def _row_json(row: IkTableRow) -> dict[str, object]:
     misses = {"position": _finite(row.position), "angle": _finite(row.angle)}
     return {**asdict(row), **misses, "method": str(row.method)}
+
+
+def match_text(report: MatchReport) -> list[str]:
+    """Return the lines on what was matched."""
+    chains = counted(len(report.tracks.goals), "chain")
+    lines = [f"{chains} matched, {report.clock.span}"]
+    lines += [
+        f"  {goal.name}: {', '.join(_parts(goal))} of {goal.goal.joint!r}"
+        for goal in report.tracks.goals
+    ]
+    return [*lines, f"  written: {', '.join(map(str, report.outputs))}"]
+
+
+def _parts(goal: GoalTrack) -> list[str]:
+    return [part for part, value in goal.values.items() if value is not None]
+
+
+def match_json(report: MatchReport) -> dict[str, object]:
+    """Return what was matched, for machines."""
+    clock = report.clock
+    return {
+        "ik": "animtool/1",
+        "outputs": [str(path) for path in report.outputs],
+        "frames": clock.count,
+        "first": float(clock.start),
+        "fps": str(clock.fps),
+        "matched": [
+            {"chain": goal.name, "joint": goal.goal.joint, "parts": _parts(goal)}
+            for goal in report.tracks.goals
+        ],
+        "notices": [notice.as_dict() for notice in report.notices],
+    }

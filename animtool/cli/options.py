@@ -17,7 +17,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
-    from animtool.shot import Shot
+    pass
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -348,20 +348,12 @@ def format_option(command: Command) -> Command:
 
 
 def source_options_record(
-    given: Mapping[str, Any],
-    prim_path: str | None = None,
-    rig: Path | None = None,
-    *,
-    clamp: bool = False,
-    take: str | None = None,
-    shot: Shot | None = None,
+    given: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
-    """Return the record of `source_options`, and of what a command has beside them."""
-    declared_options = options_of(SourceOptions)
-    stated = {
-        name: read_value(declared_options[name], given[_SOURCE_NAMES.get(name, name)])
-        for name in ("unit", "up", "fps")
+    """Return what a BVH leaves open, more options by name, and values as they are."""
+    read = {
+        name: read_value(found, given[_SOURCE_NAMES.get(name, name)])
+        for name, found in options_of(SourceOptions).items()
+        if name in {"unit", "up", "fps", *names}
     }
-    return SourceOptions(
-        **stated, prim_path=prim_path, rig=rig, clamp=clamp, take=take, shot=shot
-    )
+    return SourceOptions(**read, **values)

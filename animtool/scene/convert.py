@@ -14,6 +14,7 @@ from animtool.errors import Fault, OptionError, Severity, listed, refuse_warning
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
 from animtool.rig.skeleton import JointType, Rig
+from animtool.scene.options import KEY_TOLERANCE
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
     Opener,
@@ -23,6 +24,7 @@ from animtool.scene.sources import (
 )
 from animtool.shot import Shot
 from animtool.take import Take
+from animtool.units import parse_length
 
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from animtool.rig.surfaces import StoredArrays
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
-# Of keys written for samples [m]: under what anyone sees on a person.
-REDUCTION = 0.0005
 MAX_NAMES = 6
 
 
@@ -111,7 +111,7 @@ def convert(
         return _to_usd(source, output, options, overwrite, strict, progress, opener)
     with together():
         if to_clip:
-            tolerance = REDUCTION if reduce is None else reduce
+            tolerance = parse_length(KEY_TOLERANCE) if reduce is None else reduce
             keys = _Keys(tolerance, dict(reduce_at), base, rig_file)
             return _to_clip(
                 source, output, options, keys, overwrite, strict, progress, opener

@@ -14,6 +14,9 @@ from animtool.scene.sources import SourceOptions
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
 
+# Keys written for samples stay within it: under what anyone sees on a person.
+KEY_TOLERANCE = "0.5mm"
+
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
@@ -263,7 +266,7 @@ class BakeOptions:
         not_for=("systems", "deform"),
         scene=Key(
             "Leave out samples that the others give back within this length. "
-            "Not given: all stay; of keys: 0.5mm.",
+            f"Not given: all stay; of keys: {KEY_TOLERANCE}.",
             "0.5mm",
         ),
         batch=Key(
