@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from annotated_types import Ge, Gt, Len
 from pydantic import AfterValidator, Field
@@ -195,7 +196,14 @@ class MovingMeshModel(FollowedPrimModel, _MaterialModel):
 
 
 class SystemSpec(FileModel):
-    """What a scene says of a system that steps evenly: subclass it, and add keys."""
+    """What a scene says of a system that steps evenly: subclass it, and add keys.
+
+    Attributes:
+        methods: What its key ``method``, if it adds one, may be; ``--table`` compares
+            them, each with several steps.
+    """
+
+    methods: ClassVar[Sequence[str]] = ()
 
     name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = Field(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Gt
@@ -35,6 +35,8 @@ class FlockModel(FileModel):
 class Spec(SystemSpec):
     """What there is to say of it."""
 
+    methods: ClassVar[tuple[str, ...]] = ("euler", "midpoint")
+    method: Literal["euler", "midpoint"] = "midpoint"
     speed: Annotated[Real, Gt(0)] = Field(description="[rad/s].")
     colliders: list[SystemColliderModel] = Field(default=[])
     forces: list[ForceEntry] = Field(default=[])
@@ -53,9 +55,10 @@ class Swing:
         return np.array([1.0, 0.0])
 
     def step(self, state: np.ndarray, t: float, dt: float) -> np.ndarray:  # noqa: ARG002
-        """Go on by the midpoint method."""
+        """Go on by its method."""
         rate = self.spec.speed * np.array([[0.0, -1.0], [1.0, 0.0]])
-        return state + dt * rate @ (state + dt / 2 * rate @ state)
+        middle = dt / 2 if self.spec.method == "midpoint" else 0.0
+        return state + dt * rate @ (state + middle * rate @ state)
 
     def frame(self, state: np.ndarray, t: float) -> PointsFrame:
         point = np.array([[*state, 0.0]])

@@ -25,7 +25,7 @@ from animtool.systems.fields import SystemSpec
 from animtool.systems.simulation import Simulation, SimulationRun
 
 _AROUND = {"colliders", "characters", "systems", "meshes"}
-STEPS = "steps"  # what a setting of such a kind is called
+STEPS = "steps"  # what a setting of a kind that has no methods is called
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,18 @@ class SpecSetup:
     @property
     def makes(self) -> str:
         """What results from it, in words."""
-        return f"{self.spec.name}, in steps of {self.spec.step:g} s"
+        by = f" by {self.method}" if self.spec.methods else ""
+        return f"{self.spec.name},{by} in steps of {self.spec.step:g} s"
+
+    @property
+    def method(self) -> str:
+        """Its method, or what stands for one."""
+        return str(getattr(self.spec, "method", STEPS))
 
     @property
     def facts(self) -> SystemFacts:
         """What it is made of, in numbers."""
-        return SystemFacts({}, STEPS, self.spec.step, self.around.count)
+        return SystemFacts({}, self.method, self.spec.step, self.around.count)
 
     @property
     def preroll(self) -> float:
@@ -110,19 +116,19 @@ def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[Simulati
     """Return a system at its beginning; characters are read now."""
     (member,) = members
     setup = cast(SpecSetup, member.setup)
-    return [_run(member, opening, setup.spec.step)]
+    return [_run(member, opening, setup.spec)]
 
 
-def _run(member: SceneSystem, opening: Opening, step: float) -> SimulationRun:
+def _run(member: SceneSystem, opening: Opening, spec: SystemSpec) -> SimulationRun:
     setup = cast(SpecSetup, member.setup)
     begin = -setup.preroll
-    colliders = Colliders(*setup.around.built(opening, begin, step))
+    colliders = Colliders(*setup.around.built(opening, begin, spec.step))
     build = cast(
         Callable[[SystemSpec, Context], Simulation[Any]],
         load_object(SYSTEM_KINDS[member.kind].build),
     )
-    simulation = build(setup.spec, Context(begin, opening.last, colliders, setup.parts))
-    return SimulationRun(member.name, simulation, begin, step)
+    simulation = build(spec, Context(begin, opening.last, colliders, setup.parts))
+    return SimulationRun(member.name, simulation, begin, spec.step)
 
 
 def spec_trial(
@@ -134,29 +140,34 @@ def spec_trial(
 
 
 class SpecTrial:
-    """A system with the step of its file, and with others."""
+    """A system with the method and the step of its file, and with others."""
 
     def __init__(
         self, member: SceneSystem, rebuild: Callable[[], Opening], times: FloatArray
     ) -> None:
-        spec = cast(SpecSetup, member.setup).spec
+        setup = cast(SpecSetup, member.setup)
+        spec = self._spec = setup.spec
         self.name, self.kind = member.name, member.kind
         self.span = float(times[-1]) + spec.preroll
-        self.chosen = Setting.of(STEPS, step=spec.step)
+        self.chosen = Setting.of(setup.method, step=spec.step)
         self._member, self._rebuild, self._times = member, rebuild, times
-        self._step = spec.step
 
     def settings(self) -> list[Setting]:
-        """Return several steps."""
-        return stepwise(STEPS, self._step)
+        """Return each method with several steps."""
+        methods = self._spec.methods or [self.chosen.method]
+        return [one for name in methods for one in stepwise(name, self._spec.step)]
 
     def references(self) -> list[list[Setting]]:
-        """Return finer and finer steps."""
-        return [stepwise(STEPS, self._step, FINER)]
+        """Return finer and finer steps of the method of the file."""
+        return [stepwise(self.chosen.method, self._spec.step, FINER)]
 
     def run(self, setting: Setting) -> Outcome:
-        """Simulate it with one step."""
-        run = _run(self._member, self._rebuild(), setting["step"])
+        """Simulate it in one way."""
+        changes: dict[str, Any] = dict(setting.options)
+        if self._spec.methods:
+            changes["method"] = setting.method
+        spec = self._spec.model_copy(update=changes)
+        run = _run(self._member, self._rebuild(), spec)
         began = time.perf_counter()
         shots, energies, status, reason = [], [], Status.OK, ""
         try:

@@ -19,6 +19,7 @@ from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.scene.systems.simulation import open_systems, system_trials
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
+from animtool.sim.trials.trial import Setting
 from animtool.systems.particles import Disc, Point
 from animtool.systems.particles.forces.gravity import Gravity
 from animtool.systems.particles.forces.wind import Wind
@@ -157,10 +158,27 @@ def test_faults_of_keys_are_at_their_places(
     assert (fault.code, fault.where) == (code, f"systems[0].swing.{where}")
 
 
-def test_steps_are_tried_against_finer_ones(tmp_path: Path) -> None:
+def test_methods_and_steps_are_tried_against_finer_ones(tmp_path: Path) -> None:
     ((_, trial),) = system_trials([system(tmp_path)], TIMES)
-    errors = [row.error.largest for row in measure(trial).rows]
-    assert all(a > b for a, b in pairwise(errors))
+    rows = measure(trial).rows
+    assert trial.chosen in trial.settings()
+    for method, order in (("euler", 1), ("midpoint", 2)):
+        errors = [row.error.largest for row in rows if row.setting.method == method]
+        assert len(errors) == 4
+        assert all(a > 1.6**order * b for a, b in pairwise(errors))
+
+
+def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
+    ((_, trial),) = system_trials([system(tmp_path)], TIMES)
+    (setting,) = [
+        one for one in trial.settings() if one == Setting.of("euler", step=0.02)
+    ]
+    euler = run(tmp_path, method="euler", step=0.02)
+    for t, shot in zip(TIMES, trial.run(setting).shots, strict=True):
+        assert_array_equal(euler.at(t).points, shot.points)
+    assert system(tmp_path, method="euler").setup.makes == (
+        "it, by euler in steps of 0.01 s"
+    )
 
 
 def test_what_blows_up_is_stopped(tmp_path: Path) -> None:

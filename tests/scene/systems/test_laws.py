@@ -19,13 +19,12 @@ from animtool import BakeOptions
 from animtool.errors import OptionError, ToleranceError
 from animtool.maths import so3
 from animtool.scene.systems.kinds import SYSTEM_KINDS
+from animtool.scene.systems.schema import SystemModel
 from animtool.sim.trajectory import Status
 from animtool.units import LengthUnit
 
 # Times of frames that are multiples of every step [s].
 FRAMES = [k / 16 for k in range(9)]
-# What the method of a kind is called.
-KEYS = {"particles": "method"}
 # A rotation about no axis, and a way elsewhere.
 ELSEWHERE = View(1.0, so3.exp(np.array([0.7, -1.9, 0.4])), (40.0, 3.0, -7.0))
 
@@ -58,8 +57,23 @@ def arrays(rows: list[Any], *names: str) -> list[np.ndarray]:
 
 def methods(kind: str) -> list[list[dict[str, Any]]]:
     """Return the example by each of its methods."""
-    example, key = EXAMPLES[kind], KEYS.get(kind, "solver")
-    return [entry(kind, **{key: name}) for name in (*example.orders, *example.more)]
+    example = EXAMPLES[kind]
+    return [
+        entry(kind, **by_method(kind, name))
+        for name in (*example.orders, *example.more)
+    ] or [entry(kind)]
+
+
+def method_key(kind: str) -> str:
+    """Return what the method of a kind is called; empty where it has but one."""
+    keys = SystemModel.model_fields[kind].annotation.model_fields
+    return next((key for key in ("method", "solver") if key in keys), "")
+
+
+def by_method(kind: str, name: str) -> dict[str, str]:
+    """Return the key that chooses a method; none where a kind has but one."""
+    key = method_key(kind)
+    return {key: name} if key else {}
 
 
 # What solves equations or chooses its steps stops within a tolerance of its own.
@@ -177,7 +191,7 @@ def test_turned_and_put_elsewhere_it_moves_alike(
     for systems in methods(kind):
         here = simulator.simulate(systems, FRAMES)["it"]
         there = simulator.simulate(systems, FRAMES, ELSEWHERE)["it"]
-        near = WITHIN.get(systems[0][kind][KEYS.get(kind, "solver")], 1e-10)
+        near = WITHIN.get(systems[0][kind].get(method_key(kind)), 1e-10)
         for a, b in zip(here, there, strict=True):
             assert_allclose(b.points, ELSEWHERE.points(a.points), atol=near)
             velocities = ELSEWHERE.vectors(a.velocities)
@@ -217,10 +231,9 @@ def test_errors_go_with_the_order_of_each_method(
     kind: str, simulator: Simulator
 ) -> None:
     example = EXAMPLES[kind]
-    key = KEYS.get(kind, "solver")
 
     def last(method: str, step: float) -> np.ndarray:
-        keys = {**example.smooth, key: method, "step": step}
+        keys = {**example.smooth, **by_method(kind, method), "step": step}
         return simulator.simulate(entry(kind, **keys), [0.125])["it"][0].points
 
     for method, order in example.orders.items():
@@ -233,14 +246,13 @@ def test_settings_of_a_table_are_those_of_the_file(
     kind: str, simulator: Simulator
 ) -> None:
     """Each is simulated or refused, and a file with it is simulated alike."""
-    key = KEYS.get(kind, "solver")
     times = [1 / 64, 1 / 32]
     trial = simulator.trial(entry(kind), times)
     settings = trial.settings()
     assert trial.chosen in settings
     methods = {setting.method: setting for setting in settings}
     for setting in methods.values():
-        keys = {key: setting.method, **dict(setting.options)}
+        keys = {**by_method(kind, setting.method), **dict(setting.options)}
         try:
             outcome = trial.run(setting)
         except OptionError:
