@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from animtool.errors import Fault, OptionError, ToleranceError
-from animtool.frames import Frame
+from animtool.frames import Frame, TransformsFrame
 from animtool.sim.colliders import Colliders
 from animtool.sim.system import Energy
 
@@ -169,7 +169,10 @@ class SimulationRun(SteppedRun[Reached[Any], Frame]):
         after = self.simulation.step(state.state, now, until - now)
         self.taken += 1
         frame = self.simulation.frame(after, until)
-        finite = np.isfinite(frame.points) & np.isfinite(frame.velocities)
+        arrays = [frame.points, frame.velocities]
+        if isinstance(frame, TransformsFrame):
+            arrays += [frame.rotations, frame.spins, frame.scales]
+        finite = np.isfinite(np.concatenate(arrays, axis=1))
         (bad,) = np.nonzero(~finite.all(axis=1))
         if len(bad):
             message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"

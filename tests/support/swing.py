@@ -11,7 +11,8 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Real
-from animtool.frames import PointsFrame
+from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
+from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.systems.fields import (
     ArrayEntry,
@@ -23,6 +24,8 @@ from animtool.systems.fields import (
     SystemSpec,
 )
 from animtool.systems.simulation import Diagnostics, SimContext
+
+WING = MeshFrame(np.eye(3), np.zeros((3, 3)), np.array([3]), np.arange(3))
 
 
 class FlockModel(FileModel):
@@ -40,6 +43,7 @@ class Spec(SystemSpec):
     speed: Annotated[Real, Gt(0)] = Field(description="[rad/s].")
     colliders: list[SystemColliderModel] = Field(default=[])
     forces: list[ForceEntry] = Field(default=[])
+    copies: bool = False
     masses: ArrayEntry | None = None
     goal: PlacedModel | None = None
     kill: list[SystemColliderModel] = Field(default=[])
@@ -60,7 +64,15 @@ class Swing:
         middle = dt / 2 if self.spec.method == "midpoint" else 0.0
         return state + dt * rate @ (state + middle * rate @ state)
 
-    def frame(self, state: np.ndarray, t: float) -> PointsFrame:
+    def frame(self, state: np.ndarray, t: float) -> PointsFrame | TransformsFrame:
+        """Show a point; as a copy it stays, and turns with the angle on the circle."""
+        if self.spec.copies:
+            turn = so3.exp(np.arctan2(*state[::-1]) * np.array([[0.0, 0.0, 1.0]]))
+            none = np.zeros((1, 3))
+            which = np.zeros(1, np.int64)
+            return TransformsFrame(
+                np.arange(1), none, none, turn, none, none + 1, which, (WING,)
+            )
         point = np.array([[*state, 0.0]])
         if self.context.colliders:
             away = self.context.colliders.sample(point, t)

@@ -11,7 +11,7 @@ from typing import Any, cast
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
 from animtool.errors import ToleranceError, counted
-from animtool.frames import PointsFrame
+from animtool.frames import PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
@@ -173,7 +173,11 @@ class SpecTrial:
         try:
             for t in self._times.tolist():
                 frame = run.at(t)
-                ids = frame.ids if isinstance(frame, PointsFrame) else None
+                ids = (
+                    frame.ids
+                    if isinstance(frame, PointsFrame | TransformsFrame)
+                    else None
+                )
                 shots.append(Shot(frame.points, ids))
                 energies.append(run.diagnostics.energy)
         except ToleranceError as error:

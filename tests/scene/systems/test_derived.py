@@ -13,6 +13,7 @@ from support.swing import Spec
 
 from animtool.documents.document import Document, read_document
 from animtool.errors import FormatError, OptionError, ToleranceError
+from animtool.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.systems.derived import SpecSetup, read_spec
 from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
@@ -187,3 +188,21 @@ def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
         pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
     ):
         run(tmp_path, speed=1e18).at(1.0)
+
+
+@pytest.mark.parametrize("speed", [2.0, 1e18])
+def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) -> None:
+    opened = run(tmp_path, speed=speed, copies=True, method="euler")
+    if speed == 2.0:
+        frame = opened.at(0.3)
+        assert isinstance(frame, TransformsFrame)
+        assert_allclose(np.linalg.norm(frame.rotations, axis=1), 1)
+        ((_, trial),) = system_trials([system(tmp_path, copies=True)], TIMES)
+        (shot, *_) = trial.run(trial.chosen).shots
+        assert shot.ids is not None
+        return
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
+    ):
+        opened.at(1.0)
