@@ -152,7 +152,7 @@ def find_batch(spec: BatchSpec) -> Batch:
             variable that nothing uses is given (SCN031), or both the batch and its
             scene name outputs (SCN044), or outputs are of no kind of USD layer
             (OUT004), or leave the folder that the pattern or the project states
-            (OUT006, BAT003); or the items of a scene would be the same (BAT060), or a
+            (OUT006, DOC014); or the items of a scene would be the same (BAT060), or a
             variant has a name of another meaning (BAT063).
     """
     spec = _with_timeline(spec)
@@ -318,7 +318,7 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     shown = listed([str(root) for root in spec.roots])
     hint = "give -o, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("BAT003", f"{str(folder)!r} is outside of {shown}", place, (), hint)
+        Fault("DOC014", f"{str(folder)!r} is outside of {shown}", place, (), hint)
         for folder in folders
         if not any(inside(folder, root) for root in spec.roots)
         for place in [None if spec.path is None else str(spec.path)]

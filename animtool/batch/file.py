@@ -184,7 +184,7 @@ class BatchModel(FileModel):
     ignore: list[IgnoreModel] = Field(
         default=[],
         description="Findings of `animtool validate` that are known and stay.",
-        examples=[[{"code": "BAT003", "why": "it is made before the batch runs"}]],
+        examples=[[{"code": "DOC015", "why": "it is made before the batch runs"}]],
     )
 
 
@@ -412,5 +412,4 @@ class _BatchReader:
 
     def _input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None, and a fault, where it is refused or missing."""
-        codes = "BAT003", "BAT003"
-        return referred_input(self.document, at, name, self.roots, codes)
+        return referred_input(self.document, at, name, self.roots)

@@ -73,7 +73,7 @@ def clip_of_document(document: Document) -> ClipFile:
     rig = None
     if model.rig is not None:
         roots = project_roots(document.path)
-        rig = referred(document, ("rig",), model.rig, roots, "CLIP012")
+        rig = referred(document, ("rig",), model.rig, roots)
     return ClipFile(document, model, rig)
 
 
@@ -107,7 +107,7 @@ def _note_missing(file: ClipFile) -> NoReturn:
     message = f"{file.model.rig!r} does not exist"
     near = missing_hint(file.document, file.model.rig or "")
     hint = "; ".join(filter(None, [near, "--rig gives another rig"]))
-    file.document.add("CLIP012", ("rig",), message, hint)
+    file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
 

@@ -37,7 +37,6 @@ def referred(
     location: Location,
     name: str,
     roots: Sequence[Path],
-    code: str,
     *,
     written: bool = False,
 ) -> Path | None:
@@ -48,14 +47,14 @@ def referred(
         location: Where the name stands in it.
         name: As written.
         roots: Folders that references may lead into.
-        code: Of the fault.
         written: The file is to be written, and need not exist.
     """
     folder = document.path.resolve().parent
     try:
         return reference(folder, roots, name)
     except ValueError as error:
-        document.add(code, location, str(error), _way_out(document.path, name, written))
+        hint = _way_out(document.path, name, written)
+        document.add("DOC014", location, str(error), hint)
         return None
 
 
@@ -94,7 +93,6 @@ def referred_input(
     location: Location,
     name: str,
     roots: Sequence[Path],
-    codes: tuple[str, str],
 ) -> Path | None:
     """Return a file that a document reads; None, and a fault, where it cannot.
 
@@ -103,11 +101,10 @@ def referred_input(
         location: Where the name stands in it.
         name: As written.
         roots: Folders that references may lead into.
-        codes: Of faults: one that leads out of them, and one that is not there.
     """
-    path = referred(document, location, name, roots, codes[0])
+    path = referred(document, location, name, roots)
     if path is not None and not is_there(path):
         message = f"{name!r} does not exist"
-        document.add(codes[1], location, message, missing_hint(document, name))
+        document.add("DOC015", location, message, missing_hint(document, name))
         return None
     return path

@@ -323,18 +323,18 @@ class ValueReader:
             self.document.add("TGT009", at, message, "add file: shot.usda")
             return None
         place = (*at, "file")
-        path = referred(self.document, place, model.file, self.roots, "TGT010")
+        path = referred(self.document, place, model.file, self.roots)
         there = path is not None and is_there(path)
         if path is not None and not (there and path.is_file()):
             wrong = "is a folder" if there else "does not exist"
             hint = missing_hint(self.document, model.file)
-            self.document.add("TGT010", place, f"{model.file!r} {wrong}", hint)
+            self.document.add("DOC015", place, f"{model.file!r} {wrong}", hint)
             return None
         return path
 
     def _rows(self, at: Location, text: str, key: str) -> Rows | None:
         name, array = split_reference(text, key)
-        path = referred(self.document, at, name, self.roots, "TGT010")
+        path = referred(self.document, at, name, self.roots)
         if path is None:
             return None
         try:

@@ -46,7 +46,7 @@ class ArrayReader:
         """Return a reference, and note what is wrong with where it leads."""
         name, key = split_reference(text, _KEYS.get(role, role))
         path = self.paths.get(name)
-        path = path or referred(self.document, at, name, self.roots, "RIG021")
+        path = path or referred(self.document, at, name, self.roots)
         if path is None:
             return NO_ARRAY
         self.paths[name] = path

@@ -163,7 +163,7 @@ def _base(
     document: Document, name: str, roots: tuple[Path, ...], above: tuple[Path, ...]
 ) -> Rig | None:
     """Return the rig that a sidecar adds to."""
-    path = referred(document, ("from",), name, roots, "RIG021")
+    path = referred(document, ("from",), name, roots)
     if path is None:
         return None
     above = (*above, document.path.resolve())

@@ -410,13 +410,12 @@ class _SceneReader:
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
         roots = self.output_roots
-        found = referred(self.document, at, name, roots, "SCN004", written=True)
+        found = referred(self.document, at, name, roots, written=True)
         return Path(name) if found is None else found
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        codes = "SCN004", "SCN005"
-        found = referred_input(self.document, at, name, self.roots, codes)
+        found = referred_input(self.document, at, name, self.roots)
         return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:

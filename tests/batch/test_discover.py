@@ -201,7 +201,7 @@ def test_outputs_are_in_one_of_several_roots(takes: Path) -> None:
     with pytest.raises(OptionError) as error:
         made(takes, "takes/take*.bvh", output="else/{stem}.usdc", roots=roots)
     (fault,) = error.value.faults
-    assert fault.code == "BAT003"
+    assert fault.code == "DOC014"
     assert str(takes / "else") in fault.message
 
 

@@ -62,9 +62,9 @@ def test_what_it_asks_for(tmp_path: Path) -> None:
         ("limits: {memory: 0GB}\n", "BAT002", "limits.memory"),
         ("limits: {seconds: 0}\n", "DOC022", "limits.seconds"),
         ("variables: {1st: a}\n", "BAT002", "variables.1st"),
-        ("scene: none.scene.yaml\n", "BAT003", "scene"),
-        ("scene: ../../a.scene.yaml\n", "BAT003", "scene"),
-        ("options: {rig_layer: none.usda}\n", "BAT003", "options.rig_layer"),
+        ("scene: none.scene.yaml\n", "DOC015", "scene"),
+        ("scene: ../../a.scene.yaml\n", "DOC014", "scene"),
+        ("options: {rig_layer: none.usda}\n", "DOC015", "options.rig_layer"),
         ("output: '{stm}.usdc'\n", "BAT004", "output"),
         ("output: '{stem:3}.usdc'\n", "BAT004", "output"),
         ("output: '{}.usdc'\n", "BAT004", "output"),
@@ -85,7 +85,7 @@ def test_all_faults_come_at_once(tmp_path: Path) -> None:
     text = "scene: none.scene.yaml\nlimits: {memory: lots}\noutput: '{stm}'\n"
     with pytest.raises(FormatError) as error:
         load_batch(written(tmp_path, text))
-    assert [f.code for f in error.value.faults] == ["BAT003", "BAT002", "BAT004"]
+    assert [f.code for f in error.value.faults] == ["DOC015", "BAT002", "BAT004"]
 
 
 def test_a_batch_is_no_scene(tmp_path: Path) -> None:

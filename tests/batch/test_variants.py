@@ -93,7 +93,7 @@ def test_tables_of_batch_files(
         ]),
         ("{k: 1..200, s: 1..200}", [("BAT065", 3, 11)]),
         ("{k: []}", [("BAT065", 3, 11)]),
-        ("none.csv", [("BAT003", 3, 11)]),
+        ("none.csv", [("DOC015", 3, 11)]),
     ],
 )  # fmt: skip
 def test_faults_of_batch_files(

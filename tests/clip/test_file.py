@@ -194,7 +194,7 @@ def test_a_rig_outside_the_project(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         check_clip(open_clip(path))
     (fault,) = caught.value.faults
-    assert (fault.code, fault.lines) == ("CLIP012", (2,))
+    assert (fault.code, fault.lines) == ("DOC014", (2,))
 
 
 def test_all_faults_in_one_go(tmp_path: Path) -> None:

@@ -113,13 +113,13 @@ def test_a_batch_file(show: Path, disk: Path, record_property: Record) -> None:
     (show / "j.batch.yaml").write_text(
         "batch: animtool/1\ninputs: [take000.bvh]\noutput: ../../evil/{stem}.usdc\n"
     )
-    refused(show, "BAT003", "batch", "j.batch.yaml")
-    refused(show, "BAT003", "job", "j.batch.yaml", "-o", "job")
+    refused(show, "DOC014", "batch", "j.batch.yaml")
+    refused(show, "DOC014", "job", "j.batch.yaml", "-o", "job")
     # What a user types may go anywhere.
     done = animtool("batch", "j.batch.yaml", "-o", disk / "made/{stem}.usdc", cwd=show)
     assert done.code == 0, done.stderr
     assert (disk / "made/take000.usdc").exists()
-    record_property(FAULTS, "a batch file states ../../evil | BAT003 | nothing")
+    record_property(FAULTS, "a batch file states ../../evil | DOC014 | nothing")
 
 
 def test_states_that_a_pass_saves(show: Path) -> None:
@@ -127,7 +127,7 @@ def test_states_that_a_pass_saves(show: Path) -> None:
         "scene: animtool/1\nsource: {file: take000.bvh}\npasses:\n"
         "- simulate: {save: ../../evil.npz, save_at: [1]}\noutput: {file: o.usdc}\n"
     )
-    refused(show, "SCN004", "bake", "s.scene.yaml")
+    refused(show, "DOC014", "bake", "s.scene.yaml")
 
 
 def test_a_key_of_weights_is_no_path(show: Path) -> None:

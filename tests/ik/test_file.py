@@ -24,7 +24,7 @@ FAULTS = {
     "TGT007": "- {effector: leg_l, orientation: [0, 0, 0, 0]}",
     "TGT008": "- {effector: leg_l, aim: {axis: [0, 0, 0], at: [0, 0, 1]}}",
     "TGT009": "- {effector: leg_l, position: {offset: [0, 0, 1]}}",
-    "TGT010": "- {effector: leg_l, position: ../../arrays.npz}",
+    "DOC014": "- {effector: leg_l, position: ../../arrays.npz}",
     "TGT012": "- {effector: leg_l, root: knee_r, position: [0, 0, 0]}",
     "CLIP004": "- {effector: leg_l, position: {keys: [{t: 2, v: [0, 0, 0]}, "
     "{t: 1, v: [0, 0, 0]}]}}",
@@ -63,7 +63,7 @@ MORE = [
         "- {effector: leg_l, orientation: {keys: [{t: 1, v: [1, 0, 0, 0]}], "
         "rotate: [1, 0, 0, 0]}}",
     ),
-    ("TGT010", "- {effector: leg_l, position: {prim: /World/prop, file: no.usda}}"),
+    ("DOC015", "- {effector: leg_l, position: {prim: /World/prop, file: no.usda}}"),
     (
         "CLIP009",
         "- {effector: leg_l, position: {euler: XYZ, keys: [{t: 1, v: [0, 0, 0]}]}}",

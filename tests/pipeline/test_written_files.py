@@ -56,7 +56,7 @@ CLIPS = [
     ("fps: 24", "fps: fast", "CLIP008", 3),
     ("interp: bezier", "interp: slerp", "CLIP009", 7),
     ("control/grin", "joint/elbow_l.angle", "CLIP010", 11),
-    ("rig: hero.rig.yaml", "rig: ../hero.rig.yaml", "CLIP012", 2),
+    ("rig: hero.rig.yaml", "rig: ../hero.rig.yaml", "DOC014", 2),
     (CLIP[CLIP.index("range") :], "channels: []\n", "CLIP013", 4),
     ("[1, 0, 0, 0]", "[0, 0, 0, 0]", "RIG006", 12),
 ]
@@ -70,9 +70,9 @@ SCENES = [
     ("last: 8", "last: soon", "SCN002", 6),
     ("range: [1001, 1007]", "range: [9, 1]", "SCN003", 3),
     ("fps: 24", "fps: 0", "SCN003", 2),
-    ("file: good.clip.yaml", "file: /good.clip.yaml", "SCN004", 4),
-    ("file: shot.usda", "file: ../shot.usda", "SCN004", 8),
-    ("loop: {}", "layer: {take: no.bvh}", "SCN005", 7),
+    ("file: good.clip.yaml", "file: /good.clip.yaml", "DOC014", 4),
+    ("file: shot.usda", "file: ../shot.usda", "DOC014", 8),
+    ("loop: {}", "layer: {take: no.bvh}", "DOC015", 7),
     ("loop:", "lop:", "SCN010", 7),
 ]
 

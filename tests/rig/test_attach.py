@@ -104,7 +104,7 @@ FAULTS = [
     (", points: a.npz#hair", "", "RIG031", 12),
     ("joint: head", "joint: haed", "RIG008", 12),
     ("joint: head", "joint: head, pins: a.npz", "RIG031", 12),
-    ("a.npz#hair", "../a.npz#hair", "RIG021", 12),
+    ("a.npz#hair", "../a.npz#hair", "DOC014", 12),
     ("a.npz#hair", "a.npz#broken", "RIG027", 12),
     ("a.npz#hair", "a.npz#still", "RIG027", 12),
     ("a.npz#hair", "a.npz#bald", "RIG019", 12),

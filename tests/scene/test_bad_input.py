@@ -42,7 +42,7 @@ def test_springs_in_steps_too_long(solver: str) -> None:
 def test_pins_to_what_is_not_there() -> None:
     for pin, code in (
         ("joint: {file: still.clip.yaml, joint: hand}", "SIM053"),
-        ("prim: {file: no.usda, prim: /hook}", "SCN005"),
+        ("prim: {file: no.usda, prim: /hook}", "DOC015"),
     ):
         with cloth(sheet(), [0]) as other, rope(moves=f", {pin}") as folder:
             for name in ("flag.npz", RIG, "still.clip.yaml"):

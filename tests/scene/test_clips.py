@@ -129,7 +129,7 @@ def test_a_missing_rig_has_its_place_in_the_clip(tmp_path: Path) -> None:
     with pytest.raises(AnimtoolError) as caught:
         open_source(path)
     found = [(f.code, f.lines[0], f.column) for f in caught.value.faults]
-    assert found == [("CLIP012", 2, 6), ("CLIP006", 5, 8)]
+    assert found == [("DOC015", 2, 6), ("CLIP006", 5, 8)]
     assert caught.value.faults[0].message == "'none.rig.yaml' does not exist"
 
 

@@ -87,8 +87,8 @@ FAULTS = {
     "SCN010": ("mirror:", "miror:", 4),
     "SCN001": ("first: 5", "frist: 5", 5),
     "SCN002": ("last: 20", "last: [x]", 5),
-    "SCN004": ("file: walk.bvh", "file: ../../walk.bvh", 2),
-    "SCN005": ("file: walk.bvh", "file: none.bvh", 2),
+    "DOC014": ("file: walk.bvh", "file: ../../walk.bvh", 2),
+    "DOC015": ("file: walk.bvh", "file: none.bvh", 2),
     "DOC004": ("output:", "passes:", 6),
     "DOC009": ("scene:", "rig:", 1),
     "DOC020": ("output:", "outptu:", 6),
@@ -127,9 +127,9 @@ def test_every_file_to_read_must_be_there(shot: Path) -> None:
         load_scene(shot)
     said = [(f.code, f.lines[0], f.where) for f in caught.value.faults]
     assert said == [
-        ("SCN005", 2, "rig"),
-        ("SCN005", 3, "source.file"),
-        ("SCN005", 4, "output.rig_layer"),
+        ("DOC015", 2, "rig"),
+        ("DOC015", 3, "source.file"),
+        ("DOC015", 4, "output.rig_layer"),
     ]
 
 
@@ -168,10 +168,10 @@ output: {file: shot.usda, start: now}
 """
 MIXED_FAULTS = [
     ("DOC020", 2),
-    ("SCN005", 2),
+    ("DOC015", 2),
     ("SCN003", 3),
     ("SCN003", 4),
-    ("SCN004", 5),
+    ("DOC014", 5),
     ("DOC022", 5),
     ("SCN010", 7),
     ("SCN001", 8),
@@ -223,7 +223,7 @@ def test_options_are_checked_before_there_is_a_take(shot: Path) -> None:
         ("SCN013", 4),
         ("SCN016", 5),
         ("SCN018", 6),
-        ("SCN005", 7),
+        ("DOC015", 7),
         ("SCN014", 7),
         ("SCN002", 8),
         ("SCN022", 9),
@@ -314,7 +314,7 @@ def test_a_file_that_a_variable_names_may_be_anywhere(
     shot.write_text(GOOD.replace("walk.bvh", '"${input}"'), "utf-8")
     assert load_scene(shot, {"input": str(away)}).sources[0].path == away.resolve()
     outside = {"input": "../" + away.parent.name + "/far.bvh"}
-    with pytest.raises(FormatError, match="SCN004"):
+    with pytest.raises(FormatError, match="DOC014"):
         load_scene(shot, outside)
 
 

@@ -76,7 +76,7 @@ def test_chains_and_limits_of_another_rig(place: Path) -> None:
     ("options", "codes"),
     [
         ("{}", ["TGT013"]),
-        ("{targets: nowhere.targets.yaml}", ["SCN005"]),
+        ("{targets: nowhere.targets.yaml}", ["DOC015"]),
         ("{targets: feet.targets.yaml, method: magic}", ["SCN002"]),
         ("{targets: feet.targets.yaml, tolerance: '5'}", ["IK014"]),
         (f"{{targets: feet.targets.yaml, seed: {2**64}}}", ["IK014"]),

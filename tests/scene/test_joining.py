@@ -350,7 +350,7 @@ def test_a_bvh_meets_the_rig_that_the_scene_names(place: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "code", "line"),
     [
-        ("face.clip.yaml", "none.clip.yaml", "SCN005", 4),
+        ("face.clip.yaml", "none.clip.yaml", "DOC015", 4),
         ("10:00:00:00", "25:00:00:00", "SCN033", 3),
         (', timecode: "10:00:00:00"', "", "SCN034", 3),
         ('"10:00:00:00"}\noutput', '"11:00:00:00"}\noutput', "SCN035", 4),

@@ -309,7 +309,7 @@ def test_clips_and_captures_have_no_place_for_them(folder: Path) -> None:
         ("{from: props.usda, prim: /Set/box, path: Rig}", "SCN047"),
         ("{from: props.usda, prim: /Set/box, path: /walk}", "SCN047"),
         ("{from: props.usda, prim: /Set/box, path: Rig/Skel/box}", "SCN047"),
-        ("{from: no.usda, prim: /Set/box}", "SCN005"),
+        ("{from: no.usda, prim: /Set/box}", "DOC015"),
     ],
 )
 def test_what_is_refused(folder: Path, entries: str, code: str) -> None:

@@ -318,13 +318,12 @@ class EntryReader:
         try:
             return load_array(path, key)
         except ValueError as error:
-            self.note(at, Fault("SCN005", str(error)))
+            self.note(at, Fault("RIG018", str(error)))
             return None
 
     def input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None, and a fault, where there is none."""
-        codes = "SCN004", "SCN005"
-        path = referred_input(self.document, at, name, self.roots, codes)
+        path = referred_input(self.document, at, name, self.roots)
         self.sound &= path is not None
         return path
 

@@ -139,10 +139,10 @@ CASES = {
         "mass: 0.1", "mass: 0.1\n    colliders: [{shape: {plain: }}]", ["SIM020"]
     ),
     "no character": (
-        "mass: 0.1", "mass: 0.1\n    characters: [{file: no.clip.yaml}]", ["SCN005"]
+        "mass: 0.1", "mass: 0.1\n    characters: [{file: no.clip.yaml}]", ["DOC015"]
     ),
-    "strands of no file": (f"points: {NPZ}", "points: no.npz", ["SCN005"]),
-    "strands of no array": (f"points: {NPZ}", f"points: {NPZ}#p", ["SCN005"]),
+    "strands of no file": (f"points: {NPZ}", "points: no.npz", ["DOC015"]),
+    "strands of no array": (f"points: {NPZ}", f"points: {NPZ}#p", ["RIG018"]),
     "strands of one": (f"points: {NPZ}", f"points: {NPZ}#flat", ["SIM050"]),
     "a mesh and a sheet": (
         "mass: 0.2",
@@ -188,7 +188,7 @@ CASES = {
         PIN, "[{particles: [0], prim: {file: set.usda, prim: /Set/hok}}]", ["SIM053"]
     ),
     "no file to hold": (
-        PIN, "[{particles: [0], joint: {file: no.bvh, joint: hips}}]", ["SCN005"]
+        PIN, "[{particles: [0], joint: {file: no.bvh, joint: hips}}]", ["DOC015"]
     ),
     "joined to nobody": (
         PIN, "[{particles: [0], to: {system: flg, particles: [0]}}]", ["SCN063"]

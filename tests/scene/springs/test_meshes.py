@@ -130,7 +130,7 @@ def test_a_rope_lies_on_stairs(tmp_path: Path) -> None:
         ("{file: props.usda, prim: /crat}", "SIM051"),
         ("{file: props.usda, prim: /crate, radius: 0}", "SIM020"),
         ("{file: props.usda, prim: /crate, friction: -1}", "SIM020"),
-        ("{file: no.usda, prim: /crate}", "SCN005"),
+        ("{file: no.usda, prim: /crate}", "DOC015"),
     ],
 )
 def test_meshes_that_are_none(tmp_path: Path, entry: str, expected: str) -> None:

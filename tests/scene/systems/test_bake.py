@@ -162,7 +162,7 @@ def test_a_character_without_capsules_is_said(walk: Path, tmp_path: Path) -> Non
         bake(written(tmp_path, text), tmp_path / "o.usdc")
     assert error.value.code == "SIM020"
     missing = text.replace("walk.bvh", "run.bvh")
-    assert codes(tmp_path, missing) == ["SCN005"]
+    assert codes(tmp_path, missing) == ["DOC015"]
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
@@ -195,11 +195,11 @@ def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
         ("step: 0.02", "step: -1", ["SIM004"]),
         ("step: 0.02", "method: rk5", ["SIM001"]),
         ("range: [1, 12]\n", "", ["SCN061"]),
-        ("range: [1, 12]", "rig: x.rig.yaml", ["SCN005", "SCN060", "SCN061"]),
+        ("range: [1, 12]", "rig: x.rig.yaml", ["DOC015", "SCN060", "SCN061"]),
         ("embers.usdc", "embers.bvh", ["SCN060"]),
         ("forces:", "velocity: {x: '1'}\n    forces:", ["SIM024"]),
         ("forces:", "velocity: {x: '1 +'}\n    forces:", ["SIM022"]),
-        ("{disc: {radius: 0.2}}", "{mesh: {points: no.npz}}", ["SCN002", "SCN005"]),
+        ("{disc: {radius: 0.2}}", "{mesh: {points: no.npz}}", ["SCN002", "DOC015"]),
     ],
 )
 def test_faults_have_codes_and_places(

@@ -132,7 +132,7 @@ def test_keys_are_read_as_their_types_say(tmp_path: Path) -> None:
             "SIM022",
             "forces[0].drag.linear",
         ),
-        ({"masses": "b.npz"}, "SCN005", "masses"),
+        ({"masses": "b.npz"}, "DOC015", "masses"),
         ({"goal": {"moves": [[1, 0, 0, 0], [0, 0, 0, 0]]}}, "SIM020", "goal.moves"),
         ({"kill": [{**FLOOR, "friction": -1.0}]}, "SIM020", "kill[0].friction"),
         ({"flocks": [{"place": {"disk": None}}]}, "SIM021", "flocks[0].place.disk"),

@@ -148,7 +148,7 @@ def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:
         ("turns: [[0, 1, 0, 0]]", ["DOC022"]),
         ("moves: [[1, 1, 0, 0], [0, 1, 0, 0]]", ["SIM020"]),
         ("prim: {file: set.usda, prim: /mil}", ["SIM053"]),
-        ("prim: {file: no.usda, prim: /mill}", ["SCN005"]),
+        ("prim: {file: no.usda, prim: /mill}", ["DOC015"]),
         ("prim: {file: set.usda, prim: /mill}, moves: [[0, 0, 0, 0]]", ["SIM020"]),
     ],
 )
@@ -170,7 +170,7 @@ def test_what_cannot_be_gone_with(
         ("{file: set.usda, prim: /mill}", "SIM051"),
         ("{file: set.usda, prim: /shet}", "SIM051"),
         ("{file: set.usda, prim: /sheet, radius: 0}", "SIM020"),
-        ("{file: no.usda, prim: /sheet}", "SCN005"),
+        ("{file: no.usda, prim: /sheet}", "DOC015"),
     ],
 )
 def test_meshes_that_are_none(
