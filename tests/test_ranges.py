@@ -8,7 +8,7 @@ from typing import Annotated
 
 import pytest
 
-from animtool.ranges import OF_ENTRY, Range, above, at_least, or_more, range_faults
+from animtool.options import OF_ENTRY, Range, above, at_least, or_more, range_faults
 from animtool.systems.springs.spec import RopeModel
 
 RANGES = {

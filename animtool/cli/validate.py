@@ -132,8 +132,8 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     is none to check.
     """
     from animtool.errors import Severity
-    from animtool.validation.files import find_files
     from animtool.validation.options import ValidateOptions
+    from animtool.validation.run import find_files
 
     options = ValidateOptions(
         tuple(code for codes in given["select"] for code in codes),

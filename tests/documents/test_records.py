@@ -9,9 +9,8 @@ import pytest
 from pydantic import Field, ValidationError
 
 from animtool.documents.check import FileModel
-from animtool.documents.records import with_fields
-from animtool.options import Key
-from animtool.ranges import above, or_more
+from animtool.documents.fields import with_fields
+from animtool.options import Key, above, or_more
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def test_states_that_a_pass_saves(show: Path) -> None:
 
 
 def test_a_key_of_weights_is_no_path(show: Path) -> None:
-    from animtool.validation.fixes.mend import NotMendedError
+    from animtool.validation.fixes.draft import NotMendedError
     from animtool.validation.fixes.texts import _free
 
     with pytest.raises(NotMendedError):

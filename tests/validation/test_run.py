@@ -16,10 +16,8 @@ from animtool.errors import (
     Severity,
 )
 from animtool.rules import Rule, own_rules
-from animtool.validation.files import find_files
-from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions
-from animtool.validation.run import validate, validate_files
+from animtool.validation.run import Ignores, find_files, validate, validate_files
 from animtool.validation.testing import check_rule
 
 KNEE = """\

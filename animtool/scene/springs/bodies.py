@@ -13,7 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
-from animtool.ranges import OF_ENTRY, range_faults
+from animtool.options import OF_ENTRY, range_faults
 from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import Body, Family
 from animtool.systems.springs.drawing import Shape

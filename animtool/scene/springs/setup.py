@@ -13,7 +13,7 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError, counted
-from animtool.ranges import OF_ENTRY, range_faults
+from animtool.options import OF_ENTRY, range_faults
 from animtool.scene.entries import SceneSystem
 from animtool.scene.springs.bodies import BodyEntry, SpringBody, families_of, mass_of
 from animtool.scene.springs.pins import Join, Pin, air_of, numbered, read_pins

@@ -14,8 +14,11 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.entries import Place
-from animtool.scene.systems.character_motion import CharacterMotions
-from animtool.scene.systems.character_skin import CharacterSkin, no_mesh
+from animtool.scene.systems.character_motion import (
+    CharacterMotions,
+    CharacterSkin,
+    no_mesh,
+)
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.units import UpAxis
 

@@ -3,26 +3,90 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, TypeAlias, cast, get_args, get_origin
 
 from animtool._types import FloatArray
+from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.errors import ToleranceError, counted
+from animtool.errors import Fault, ToleranceError, counted
 from animtool.frames import PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
+from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
-from animtool.scene.systems.parts import PartReader
 from animtool.scene.systems.simulation import Opening
-from animtool.scene.systems.surroundings import Surroundings, read_surfaces
+from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
-from animtool.systems.fields import SystemSpec
+from animtool.systems.fields import Part, PlacedModel, SystemColliderModel, SystemSpec
 from animtool.systems.simulation import Simulation, SimulationRun
+
+Reader: TypeAlias = Callable[[Location, Any], Any]
+
+
+class PartReader(EntryReader):
+    """Reads what the models of entries hold."""
+
+    def parts(
+        self, at: Location, model: FileModel, skipped: Container[str] = ()
+    ) -> dict[str, Any]:
+        """Return what the keys of a model are read as, by key; plain ones are left out.
+
+        A list has one of each entry, without those that faults leave none. A model in a
+        model is such parts again, and what is placed has its ``poses`` among them.
+        """
+        parts: dict[str, Any] = {}
+        if isinstance(model, PlacedModel):
+            parts["poses"] = self._sound(at, self._poses, model)
+        for key, declared in type(model).model_fields.items():
+            value = getattr(model, key)
+            placing = isinstance(model, PlacedModel) and key in PLACING
+            read = self._reader(declared.annotation, declared.metadata)
+            if key in skipped or placing or read is None or value is None:
+                continue
+            if isinstance(value, list):
+                each = [read((*at, key, i), entry) for i, entry in enumerate(value)]
+                parts[key] = [part for part in each if part is not None]
+            else:
+                parts[key] = read((*at, key), value)
+        return parts
+
+    def _reader(self, annotation: Any, marks: Sequence[Any] = ()) -> Reader | None:
+        """Return what reads entries of a type; None for plain values."""
+        readers: dict[Part, Reader] = {
+            Part.ARRAY: lambda at, text: self.array(at, text, "points"),
+            Part.FORCE: self.force,
+            Part.PLACE: lambda at, entry: self._sound(at, self.emitter_place, entry),
+            Part.SHAPE: lambda at, entry: self._sound(at, self.shape, entry),
+        }
+        for mark in marks:
+            if isinstance(mark, Part):
+                return readers[mark]
+        if get_origin(annotation) is Annotated:
+            return self._reader(annotation.__origin__, annotation.__metadata__)
+        if isinstance(annotation, type) and issubclass(annotation, FileModel):
+            collides = issubclass(annotation, SystemColliderModel)
+            return self.collider if collides else self.parts
+        inner = (self._reader(one) for one in get_args(annotation))
+        return next((read for read in inner if read is not None), None)
+
+    def _poses(self, at: Location, model: PlacedModel) -> Any:
+        return self.poses(at, model, "SIM020")
+
+    def _sound(self, at: Location, read: Reader, entry: Any) -> Any:
+        """Return what an entry is read as, its own faults noted; None of any."""
+        part = read(at, entry)
+        if part is None:
+            self.sound = False
+            return None
+        for why in part.faults():
+            self.note(at, Fault("SIM020", why))
+        return part
+
 
 _AROUND = {"colliders", "characters", "systems", "meshes"}
 STEPS = "steps"  # what a setting of a kind that has no methods is called
@@ -102,7 +166,7 @@ def read_spec(
 
     colliders = reader.colliders(*entries("colliders"))
     characters = reader.characters(*entries("characters"))
-    surfaces = read_surfaces(reader, *entries("systems"))
+    surfaces = reader.surfaces(*entries("systems"))
     meshes = reader.meshes(*entries("meshes"))
     parts = reader.parts(at, spec, _AROUND)
     if not reader.sound:

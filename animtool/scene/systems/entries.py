@@ -18,10 +18,10 @@ from animtool.documents.names import nearest
 from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
-from animtool.ranges import OF_ENTRY, range_faults
+from animtool.options import OF_ENTRY, range_faults
 from animtool.scene.entries import Place, place_of_entry
-from animtool.scene.systems.character_collider import CharacterCollider
-from animtool.scene.systems.moving_mesh import MovingMesh
+from animtool.scene.systems.character_motion import CharacterCollider
+from animtool.scene.systems.surroundings import MovingMesh, SurfaceCollider
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 from animtool.systems.fields import (
     CharacterModel,
@@ -29,6 +29,7 @@ from animtool.systems.fields import (
     Named,
     PlacedModel,
     SystemColliderModel,
+    SystemSurfaceModel,
 )
 
 if TYPE_CHECKING:
@@ -240,6 +241,19 @@ class EntryReader:
             for option, why in found[-1].problems():
                 self.note((*at, i, option), Fault("SIM020", why))
         return tuple(found)
+
+    def surfaces(
+        self, at: Location, models: Sequence[SystemSurfaceModel]
+    ) -> tuple[SurfaceCollider, ...]:
+        """Return surfaces of the scene that entries name."""
+        surfaces = tuple(
+            SurfaceCollider(one.system, one.restitution, one.friction, (*at, i))
+            for i, one in enumerate(models)
+        )
+        for surface in surfaces:
+            for option, why in surface.problems():
+                self.note((*surface.at, option), Fault("SIM020", why))
+        return surfaces
 
     def character(self, at: Location, model: NamedCharacter) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""

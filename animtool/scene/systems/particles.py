@@ -16,7 +16,7 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.simulation import Opening
-from animtool.scene.systems.surroundings import Surroundings, read_surfaces
+from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.options import IntegrateOptions
 from animtool.systems.particles import (
     Emitter,
@@ -166,7 +166,7 @@ def read_particles(
     characters = reader.characters((*at, "characters"), model.characters)
     if particles is None:
         return None
-    surfaces = read_surfaces(reader, (*at, "systems"), model.systems)
+    surfaces = reader.surfaces((*at, "systems"), model.systems)
     meshes = reader.meshes((*at, "meshes"), model.meshes)
     around = Surroundings(
         tuple(particles.colliders), characters, surfaces, meshes, tuple(reader.files)

@@ -1,12 +1,13 @@
-"""Systems under way, frame by frame."""
+"""Systems of a scene taken through the frames, those that tear looked at first."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
+from animtool._types import BoolArray
 from animtool.errors import Fault, FormatError
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
@@ -14,6 +15,7 @@ from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.job import named_alike
+from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import (
     SystemProgress,
     Tearable,
@@ -21,6 +23,34 @@ from animtool.scene.systems.simulation import (
     open_systems,
 )
 from animtool.usd.point_based import CachedMesh
+
+
+def predicted_tears(
+    systems: Sequence[SceneSystem],
+    wanted: Sequence[int],
+    times: Sequence[float],
+    own: CharacterMotion | None = None,
+    progress: Progress = None,
+) -> Mapping[int, BoolArray]:
+    """Return which springs of some systems are torn in the end ``(S,)``.
+
+    A mesh that parts has all its points from the first frame on, so that it keeps its
+    topology: what will tear must be known before anything is written. Systems that
+    these do not need are left out, and do not change them.
+
+    ``times`` [s].
+    """
+    numbers = simulated_with(systems, wanted)
+    opened = open_systems([systems[i] for i in numbers], times[-1], own)
+    found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
+    for k, t in enumerate(times):
+        for i, one in found.items():
+            with located_systems([systems[i]]):
+                one.at(t)
+        if progress is not None:
+            progress((k + 1) / len(times))
+    return {i: one.torn for i, one in found.items() if isinstance(one, Tearable)}
+
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
 MAX_STEPS = 10_000_000
@@ -105,7 +135,6 @@ class SystemRun:
         }
         if not tearing:
             return
-        from animtool.scene.systems.tear_prepass import predicted_tears
 
         began = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()

@@ -1,6 +1,6 @@
 """What particles run into: shapes, their poses over time, and what contact does."""
 
-from animtool.sim.colliders.collider import Collider
+from animtool.sim.colliders.collider import Collider, Poses
 from animtool.sim.colliders.colliding import (
     Collided,
     Colliders,
@@ -9,7 +9,6 @@ from animtool.sim.colliders.colliding import (
     collide,
 )
 from animtool.sim.colliders.on_joints import joint_poses, rig_colliders
-from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Shape, Sphere
 from animtool.sim.colliders.sheets import Sheet, SheetMotion
 

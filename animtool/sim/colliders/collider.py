@@ -1,4 +1,4 @@
-"""What particles run into."""
+"""Colliders: a shape, where it stands over time, and what touching it does."""
 
 from __future__ import annotations
 
@@ -8,11 +8,103 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault
-from animtool.ranges import OF_ENTRY, Range, above, or_more, range_faults
-from animtool.sim.colliders.poses import Poses
+from animtool.maths import so3
+from animtool.options import OF_ENTRY, Range, above, or_more, range_faults
 from animtool.sim.colliders.shapes import Shape
+
+
+@dataclass(frozen=True)
+class Poses:
+    """World poses at times, straight and even between them and held outside.
+
+    Attributes:
+        times: Ascending ``(T,)`` [s]; of a fixed collider one.
+        origins: ``(T, 3)`` [m].
+        rotations: Quaternions ``(T, 4)``, x y z w, of any length above 0.
+
+    >>> Poses([0, 1], [[0, 0, 0], [2, 0, 0]], [[0, 0, 0, 1]] * 2).at(0.25).tolist()
+    [0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    """
+
+    times: ArrayLike = (0.0,)
+    origins: ArrayLike = ((0.0, 0.0, 0.0),)
+    rotations: ArrayLike = ((0.0, 0.0, 0.0, 1.0),)
+
+    @staticmethod
+    def fixed(
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    ) -> Poses:
+        """Return the pose of what does not move."""
+        return Poses((0.0,), np.array([origin], float), np.array([rotation], float))
+
+    @cached_property
+    def moments(self) -> FloatArray:
+        """Times as an array ``(T,)`` [s]."""
+        return np.asarray(self.times, np.float64)
+
+    @cached_property
+    def rows(self) -> FloatArray:
+        """Origins and unit quaternions ``(T, 7)``."""
+        rotations = so3.normalize(np.asarray(self.rotations, np.float64))
+        origins = np.asarray(self.origins, np.float64)
+        return np.concatenate([origins, so3.align_signs(rotations)], axis=1)
+
+    def at(self, t: float) -> FloatArray:
+        """Return origin and quaternion ``(7,)`` at a time [s]."""
+        row: FloatArray = self.over(np.array([t]))[0]
+        return row
+
+    def over(self, times: FloatArray) -> FloatArray:
+        """Return origins and quaternions ``(F, 7)`` at times ``(F,)`` [s].
+
+        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).over(np.array([0.5, 9]))
+        array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
+               [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
+        """
+        moments, rows = self.moments, self.rows
+        last = np.searchsorted(moments, times, side="right") - 1
+        found: FloatArray = rows[np.maximum(last, 0)]
+        within = (last >= 0) & (last + 1 < len(moments))
+        i = last[within]
+        if len(i):
+            before, after = rows[i], rows[i + 1]
+            share = (times[within] - moments[i]) / (moments[i + 1] - moments[i])
+            way = (after[:, :3] - before[:, :3]) * share[:, None]
+            found[within, :3] = before[:, :3] + way
+            found[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
+        return found
+
+    def to_world(self, points: FloatArray) -> FloatArray:
+        """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""
+        turned = so3.rotate(self.rows[:, None, 3:], points)
+        return np.asarray(self.rows[:, None, :3] + turned, np.float64)
+
+    def jumps(self, points: FloatArray, limit: float) -> BoolArray:
+        """Return between which times points go faster than a limit ``(T - 1,)``."""
+        way = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
+        return np.asarray(way.max(axis=1) > limit * np.diff(self.moments), np.bool_)
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        times = np.asarray(self.times, np.float64)
+        wanted = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
+        if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
+            return ["its times must ascend, at least one"]
+        faults = [] if np.isfinite(times).all() else ["its times are not finite"]
+        for name, (values, width) in wanted.items():
+            array = np.asarray(values, np.float64)
+            if array.shape != (len(times), width):
+                shape = (len(times), width)
+                faults.append(f"its {name} must have shape {shape}, not {array.shape}")
+            elif not np.isfinite(array).all():
+                faults.append(f"its {name} are not finite")
+            elif width == 4 and not array.any(axis=1).all():
+                faults.append("its rotations must not be all 0")
+        return faults
+
 
 Restitution: TypeAlias = Annotated[float, Range("0 to 1", "SIM020", 0, 1)]
 Friction: TypeAlias = Annotated[float, or_more(0, "SIM020", finite=True)]

@@ -15,8 +15,7 @@ from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_float
 from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
-from animtool.sim.colliders.sheet_contact import collide_with_sheet
-from animtool.sim.colliders.sheets import Sheet
+from animtool.sim.colliders.sheets import Sheet, collide_with_sheet
 from animtool.sim.colliders.surfaces import Surfaces
 
 _KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}

@@ -10,8 +10,7 @@ from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders.collider import Collider
-from animtool.sim.colliders.poses import Poses
+from animtool.sim.colliders.collider import Collider, Poses
 from animtool.sim.colliders.shapes import Capsule
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from animtool.errors import Fault, OptionError
 from animtool.keyed import Interpolation, Weight, chosen, weights_at
+from animtool.options import Range, ranges_of
 from animtool.passes import OptionChecks
-from animtool.ranges import Range, ranges_of
 from animtool.rig.parts import AttachKind
 from animtool.units import parse_length
 

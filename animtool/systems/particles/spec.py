@@ -8,8 +8,7 @@ from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Pair, Real, Vector, Whole
-from animtool.documents.records import with_fields
+from animtool.documents.fields import Pair, Real, Vector, Whole, with_fields
 from animtool.systems.fields import (
     CharacterModel,
     ForceEntry,

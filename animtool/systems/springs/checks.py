@@ -7,7 +7,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.ranges import range_faults
+from animtool.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.motion import warning
 from animtool.systems.springs.paths import Pins, Targets

@@ -7,8 +7,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool._types import ArrayLike
-from animtool.options import Key
-from animtool.ranges import above, or_more
+from animtool.options import Key, above, or_more
 
 
 @dataclass(frozen=True, slots=True)

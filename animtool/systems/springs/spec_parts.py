@@ -8,9 +8,8 @@ from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole
-from animtool.documents.records import with_fields
-from animtool.ranges import or_more
+from animtool.documents.fields import Name, Real, Vector, Whole, with_fields
+from animtool.options import or_more
 from animtool.systems.fields import (
     CharacterFile,
     FollowedPrimModel,

@@ -12,8 +12,7 @@ from typing import Any
 from pxr import Sdf, UsdValidation
 
 from animtool.errors import Fault, Severity
-from animtool.usd.checks.run import check_stage
-from animtool.usd.checks.usd_validators import OWN_KEYWORD
+from animtool.usd.checks.run import OWN_KEYWORD, check_stage
 
 # What plugInfo.json says, and what `register` does without it.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"

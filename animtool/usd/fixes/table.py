@@ -21,6 +21,6 @@ EDITS = {
     "USD203": "animtool.usd.fixes.timing:unit",
     "USD204": "animtool.usd.fixes.timing:continuous",
     "USD232": "animtool.usd.fixes.structure:normalised",
-    "USD250": "animtool.usd.fixes.extents:computed",
-    "USD251": "animtool.usd.fixes.extents:computed",
+    "USD250": "animtool.usd.fixes.structure:computed",
+    "USD251": "animtool.usd.fixes.structure:computed",
 }

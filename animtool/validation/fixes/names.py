@@ -14,9 +14,9 @@ from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
 from animtool.rig.joints import DRIVEN_PARTS, split_part
-from animtool.validation.fixes.mend import Mend, NotMendedError
+from animtool.validation.fixes.draft import Mend, NotMendedError
 from animtool.validation.fixes.texts import place_of
-from animtool.validation.rules.rig_meshes import legal, names_in
+from animtool.validation.rules.rig_parts import legal, names_in
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from animtool.errors import Fault
 from animtool.readers import READERS, USD
-from animtool.validation.fixes.draft import Draft, Step
-from animtool.validation.fixes.mend import has_fix
+from animtool.validation.fixes.draft import Draft, Step, has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from animtool.errors import Fault, counted
 from animtool.output import check_outputs, together
-from animtool.validation.fixes.mend import has_fix
+from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
     FileMend,
     is_layer,

@@ -23,8 +23,7 @@ from animtool.output import ahead, name_problem, replacing, together
 from animtool.placing import output_error
 from animtool.rig.parts import ArrayRef
 from animtool.scene.convert_rig import write_arrays
-from animtool.validation.fixes.draft import Step
-from animtool.validation.fixes.mend import Mend, NotMendedError, fix_of
+from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject

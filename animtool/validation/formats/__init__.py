@@ -13,10 +13,10 @@ __all__ = ["FORMATS", "written"]
 
 FORMATS = {
     "text": "animtool.validation.formats.plain:text_report",
-    "json": "animtool.validation.formats.junit:json_report",
-    "github": "animtool.validation.formats.junit:github_report",
+    "json": "animtool.validation.formats.plain:json_report",
+    "github": "animtool.validation.formats.plain:github_report",
     "sarif": "animtool.validation.formats.sarif:sarif_report",
-    "junit": "animtool.validation.formats.junit:junit_report",
+    "junit": "animtool.validation.formats.plain:junit_report",
 }
 
 

@@ -13,8 +13,12 @@ from pxr import Usd, UsdGeom
 from animtool import bake
 from animtool.errors import FormatError
 from animtool.scene.file import load_scene
-from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.character_skin import CharacterSkin, SkinMotion
+from animtool.scene.systems.character_motion import (
+    CharacterMotion,
+    CharacterMotions,
+    CharacterSkin,
+    SkinMotion,
+)
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Collider, Colliders, Mesh
 

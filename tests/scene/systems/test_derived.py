@@ -22,8 +22,8 @@ from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting
 from animtool.systems.particles import Disc, Point
-from animtool.systems.particles.forces.gravity import Gravity
-from animtool.systems.particles.forces.wind import Wind
+from animtool.systems.particles.forces.air import Wind
+from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.simulation import SimulationRun
 
 FLOOR = {"shape": {"plane": None}, "at": [0, 0.25, 0]}

@@ -12,7 +12,7 @@ from animtool import bake
 from animtool.errors import AnimtoolError, FormatError
 from animtool.maths import so3
 from animtool.scene.file import load_scene
-from animtool.scene.systems.moving_mesh import MovingMesh
+from animtool.scene.systems.surroundings import MovingMesh
 from animtool.sim.colliders import Poses
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 25]\noutput: {file: o.usdc}\nsystems:\n"

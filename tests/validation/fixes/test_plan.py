@@ -13,7 +13,7 @@ from support.suite import examples
 from animtool.documents.document import document_of
 from animtool.errors import Fault
 from animtool.rules import own_rules
-from animtool.validation.fixes.mend import FIXES, fix_of
+from animtool.validation.fixes.draft import FIXES, fix_of
 from animtool.validation.fixes.plan import plan_file, with_fixable
 from animtool.validation.fixes.run import fix_files
 from animtool.validation.options import ValidateOptions
@@ -122,7 +122,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from animtool.documents.edit import Put
-    from animtool.validation.fixes.mend import Mend
+    from animtool.validation.fixes.draft import Mend
 
     def wrong(_opened: object, _fault: Fault) -> Mend:
         return Mend("makes it no rig", (Put(("joints", 0, "type"), "wheel"),))

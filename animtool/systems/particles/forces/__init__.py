@@ -1,4 +1,4 @@
-"""The table of forces on particles: one file each, imported when used."""
+"""The table of forces on particles: a class each, imported when used."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ __all__ = ["FORCES", "find_force"]
 
 _FOLDER = "animtool.systems.particles.forces"
 FORCES: dict[str, str] = {
-    "central": f"{_FOLDER}.central:Central",
-    "charges": f"{_FOLDER}.charges:Charges",
-    "drag": f"{_FOLDER}.drag:Drag",
-    "electromagnetic": f"{_FOLDER}.electromagnetic:Electromagnetic",
-    "field": f"{_FOLDER}.field:Field",
-    "friction": f"{_FOLDER}.friction:Friction",
-    "gravity": f"{_FOLDER}.gravity:Gravity",
-    "propulsion": f"{_FOLDER}.propulsion:Propulsion",
-    "spring": f"{_FOLDER}.spring:Spring",
-    "turbulence": f"{_FOLDER}.turbulence:Turbulence",
-    "uniform": f"{_FOLDER}.uniform:Uniform",
-    "viscosity": f"{_FOLDER}.viscosity:Viscosity",
-    "wind": f"{_FOLDER}.wind:Wind",
+    "central": f"{_FOLDER}.pulls:Central",
+    "charges": f"{_FOLDER}.fields:Charges",
+    "drag": f"{_FOLDER}.air:Drag",
+    "electromagnetic": f"{_FOLDER}.fields:Electromagnetic",
+    "field": f"{_FOLDER}.fields:Field",
+    "friction": f"{_FOLDER}.air:Friction",
+    "gravity": f"{_FOLDER}.pulls:Gravity",
+    "propulsion": f"{_FOLDER}.pulls:Propulsion",
+    "spring": f"{_FOLDER}.pulls:Spring",
+    "turbulence": f"{_FOLDER}.fields:Turbulence",
+    "uniform": f"{_FOLDER}.pulls:Uniform",
+    "viscosity": f"{_FOLDER}.air:Viscosity",
+    "wind": f"{_FOLDER}.air:Wind",
 }
 
 

@@ -1,0 +1,116 @@
+"""Forces of what particles move through: drag, viscosity, wind, friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.systems.particles.state import ParticleState
+
+
+@dataclass(frozen=True)
+class Drag(Force):
+    """Drag against the velocity, by the speed and by its square."""
+
+    linear: float = 0.0  # [kg/s]
+    quadratic: float = 0.0  # half of density, area and coefficient together [kg/m]
+
+    drains = True
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        if self.quadratic == 0:
+            return -self.linear * v
+        speed = np.linalg.norm(v, axis=1)[:, None]
+        return np.asarray(-(self.linear + self.quadratic * speed) * v)
+
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
+        """Return how much it grows with velocity [kg/s]."""
+        speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
+        return self.linear + 2 * self.quadratic * speed
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return at_least(self, ["linear", "quadratic"])
+
+
+@dataclass(frozen=True)
+class Viscosity(Force):
+    """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls."""
+
+    viscosity: float = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
+
+    drains = True
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        return -6 * np.pi * self.viscosity * particles.radii[:, None] * v
+
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
+        """Return how much it grows with velocity [kg/s]."""
+        return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return at_least(self, ["viscosity"])
+
+
+@dataclass(frozen=True)
+class Wind(Force):
+    """Air that moves and takes particles along."""
+
+    velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
+    drag: float = 0.0  # of particles in it [kg/s]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        return self.drag * (np.asarray(self.velocity, np.float64) - v)
+
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
+        """Return how much it grows with velocity [kg/s]."""
+        return self.drag
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return three(self, ["velocity"]) + at_least(self, ["drag"])
+
+
+@dataclass(frozen=True)
+class Friction(Force):
+    """A brake against the velocity, as of what slides on a table everywhere.
+
+    Of surfaces that particles touch, the colliders have their own.
+    """
+
+    deceleration: float = 0.0  # [m/s²]
+    # Speed below which it goes to 0, so that nothing is pushed back [m/s].
+    smooth: float = 0.01
+
+    drains = True
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
+        pull = self.deceleration * particles.masses / speed
+        return np.asarray(-pull[:, None] * v)
+
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
+        """Return how much it grows with velocity [kg/s]."""
+        speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
+        return float((self.deceleration * particles.masses / speed).max(initial=0.0))
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        found = at_least(self, ["deceleration", "smooth"])
+        return found or ([] if self.smooth else [("smooth", "must be above 0")])

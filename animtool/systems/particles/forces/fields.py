@@ -1,0 +1,145 @@
+"""Forces of fields: expressions, turbulence, electromagnetism, charges.
+
+References:
+    R. Bridson, J. Hourihan, M. Nordenstam, "Curl-noise for procedural fluid flow",
+    2007: the curl of any vector field has no divergence. The field is gradient noise:
+    K. Perlin, "Improving noise", 2002.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.rig.expressions import Expression, parse_expression
+from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.particles.velocity_field import (
+    VARIABLES,
+    evaluated,
+    expression_faults,
+)
+
+
+@dataclass(frozen=True)
+class Field(Force):
+    """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
+
+    x: str = "0"  # [N]
+    y: str = "0"  # [N]
+    z: str = "0"  # [N]
+
+    @cached_property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The three, ready to be evaluated."""
+        return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        return evaluated(self.expressions, t, x, v, particles)
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return expression_faults(self, VARIABLES)
+
+
+@dataclass(frozen=True)
+class Turbulence(Force):
+    """Accelerations that swirl and go nowhere in the mean."""
+
+    strength: float = 1.0  # about the root mean square [m/s²]
+    size: float = 1.0  # of the largest swirls [m]
+    change: float = 0.5  # how often a second they become others [1/s]
+    octaves: int = 2  # sizes of swirls, each half of the one before and half as strong
+    seed: int = 0  # of what is random
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        found = np.zeros_like(x)
+        for octave in range(self.octaves):
+            finer = 2.0**octave
+            places = x * (finer / self.size)
+            times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
+            seed = (self.seed + octave) % 2**64
+            found += _kernels.curl_noise(places, times * finer, seed) / finer
+        return found * (self.strength * particles.masses[:, None])
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        found = at_least(self, ["strength", "change"])
+        found += at_least(self, ["octaves"], 1)
+        if not 0 < self.size < np.inf:
+            found.append(("size", f"must be above 0, not {self.size:g}"))
+        return found
+
+
+@dataclass(frozen=True)
+class Electromagnetic(Force):
+    """Lorentz's force ``q (E + v ^ B)`` of fields that are the same everywhere."""
+
+    electric: Vector = (0.0, 0.0, 0.0)  # electric field [V/m]
+    magnetic: Vector = (0.0, 0.0, 0.0)  # magnetic flux density [T]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        turned = np.cross(v, np.asarray(self.magnetic, np.float64))
+        return particles.charges[:, None] * (np.asarray(self.electric) + turned)
+
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
+        """Return energies ``(N,)`` [J]."""
+        return -particles.charges * (x @ np.asarray(self.electric, np.float64))
+
+    def turning(self, particles: ParticleState) -> float:
+        """Return how fast it turns velocities [rad/s]."""
+        field = float(np.linalg.norm(self.magnetic))
+        return field * float(
+            (np.abs(particles.charges) / particles.masses).max(initial=0.0)
+        )
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return three(self, ["electric", "magnetic"])
+
+
+# Pairs at once: this bounds memory.
+_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Charges(Force):
+    """Coulomb's law between all particles, softened where they are close."""
+
+    constant: float = 8.9875517862e9  # coulomb's [N m²/C²]
+    softening: float = 0.01  # length that keeps it finite [m]
+
+    pairs = True
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        found = np.zeros_like(x)
+        for first in range(0, len(x), _ROWS):
+            rows = slice(first, first + _ROWS)
+            off = x[rows, None] - x
+            squared = (off * off).sum(axis=2) + self.softening**2
+            weights = particles.charges / squared**1.5
+            found[rows] = (off * weights[:, :, None]).sum(axis=1)
+        return found * (self.constant * particles.charges[:, None])
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        found = at_least(self, ["constant", "softening"])
+        if self.softening == 0:
+            found.append(("softening", "must be above 0"))
+        return found

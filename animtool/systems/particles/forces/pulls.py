@@ -1,0 +1,175 @@
+"""Forces towards somewhere: gravity, constant forces, centres, springs, propulsion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.systems.particles.state import ParticleState
+
+
+@dataclass(frozen=True)
+class Gravity(Force):
+    """The same acceleration everywhere."""
+
+    acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        return np.outer(particles.masses, self.acceleration)
+
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
+        """Return energies ``(N,)`` [J]."""
+        return np.asarray(-particles.masses * (x @ np.asarray(self.acceleration)))
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return three(self, ["acceleration"])
+
+
+@dataclass(frozen=True)
+class Uniform(Force):
+    """The same force everywhere, whatever the mass."""
+
+    push: Vector = (0.0, 0.0, 0.0)  # [N]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        return np.tile(np.asarray(self.push, np.float64), (len(x), 1))
+
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
+        """Return energies ``(N,)`` [J]."""
+        return -(x @ np.asarray(self.push, np.float64))
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return three(self, ["push"])
+
+
+@dataclass(frozen=True)
+class Central(Force):
+    """Acceleration towards a centre."""
+
+    centre: Vector = (0.0, 0.0, 0.0)  # [m]
+    strength: float = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
+    power: float = -2.0  # of the distance: -2 is that of gravity and of charges
+    softening: float = 0.01  # length that keeps it finite at the centre [m]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        off = np.asarray(self.centre) - x
+        distance = self._distance(x)[:, None]
+        return np.asarray(
+            particles.masses[:, None]
+            * off
+            * self.strength
+            * distance ** (self.power - 1)
+        )
+
+    def _distance(self, x: FloatArray) -> FloatArray:
+        off = x - np.asarray(self.centre)
+        return np.asarray(np.sqrt((off * off).sum(axis=1) + self.softening**2))
+
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
+        """Return energies ``(N,)`` [J]."""
+        distance = self._distance(x)
+        if self.power == -1:
+            return np.asarray(particles.masses * self.strength * np.log(distance))
+        raised = distance ** (self.power + 1) / (self.power + 1)
+        return np.asarray(particles.masses * self.strength * raised)
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        found = three(self, ["centre"]) + at_least(self, ["softening"])
+        found += [
+            (name, "is not finite")
+            for name in ("strength", "power")
+            if not math.isfinite(getattr(self, name))
+        ]
+        if self.power < 1 and not self.softening > 0:
+            found.append(("softening", "must be above 0 where the power is below 1"))
+        return found
+
+
+@dataclass(frozen=True)
+class Spring(Force):
+    """A spring to a point, or to where each particle was born."""
+
+    anchor: Vector | None = None  # the point [m]; None is where each was born
+    k: float = 1.0  # stiffness [N/m]
+    rest: float = 0.0  # length at which it pulls nobody [m]
+    kd: float = 0.0  # damping against change of its length [kg/s]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        off = x - self._anchors(particles)
+        if self.rest == 0 and self.kd == 0:
+            return -self.k * off
+        length = np.linalg.norm(off, axis=1)[:, None]
+        along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
+        rate = (v * along).sum(axis=1)[:, None]
+        return np.asarray(-(self.k * (length - self.rest) + self.kd * rate) * along)
+
+    def _anchors(self, particles: ParticleState) -> FloatArray:
+        return particles.origins if self.anchor is None else np.asarray(self.anchor)
+
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
+        """Return energies ``(N,)`` [J]."""
+        stretch = np.linalg.norm(x - self._anchors(particles), axis=1) - self.rest
+        return np.asarray(0.5 * self.k * stretch**2)
+
+    def stiffness(self) -> float:
+        """Return its stiffness [N/m]."""
+        return self.k
+
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
+        """Return its damping [kg/s]."""
+        return self.kd
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        return three(self, ["anchor"]) + at_least(self, ["k", "rest", "kd"])
+
+
+@dataclass(frozen=True)
+class Propulsion(Force):
+    """A thrust along the velocity, or in a direction."""
+
+    thrust: float = 0.0  # [N]; below 0 it brakes
+    direction: Vector | None = None  # of any length above 0; None is along the velocity
+    duration: float = math.inf  # from birth on [s]
+
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
+        """Return forces ``(N, 3)`` [N]."""
+        way = v
+        if self.direction is not None:
+            way = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
+        length = np.linalg.norm(way, axis=1)[:, None]
+        along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
+        burns = (t - particles.births <= self.duration)[:, None]
+        return np.asarray(self.thrust * along * burns)
+
+    def faults(self) -> list[tuple[str, str]]:
+        """Return which options make no sense, and why."""
+        found = three(self, ["direction"])
+        if self.direction is not None and not any(self.direction):
+            found.append(("direction", "must not be all 0"))
+        if not math.isfinite(self.thrust):
+            found.append(("thrust", "is not finite"))
+        if self.duration != math.inf:
+            found += at_least(self, ["duration"])
+        return found
