@@ -199,7 +199,7 @@ def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
         ("embers.usdc", "embers.bvh", ["SCN060"]),
         ("forces:", "velocity: {x: '1'}\n    forces:", ["SIM024"]),
         ("forces:", "velocity: {x: '1 +'}\n    forces:", ["SIM022"]),
-        ("{disc: {radius: 0.2}}", "{mesh: {points: no.npz}}", ["SCN002", "DOC015"]),
+        ("{disc: {radius: 0.2}}", "{mesh: {points: no.npz}}", ["DOC015", "SCN002"]),
     ],
 )
 def test_faults_have_codes_and_places(
