@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import MAX_TEXT_BYTES, read_input
-from animtool.inputs import note_input
+from animtool.files import MAX_TEXT_BYTES, note_input, read_input
 from animtool.rates import LARGEST_FRAME
 
 # What tools of version control keep at the top of a checkout.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 
 from animtool.errors import Fault, OptionError, OutputError
-from animtool.inputs import check_inputs, recorded_inputs
+from animtool.files import check_inputs, recorded_inputs
 from animtool.leftovers import new_temporary, take_back
 from animtool.placing import Target, Whole, output_error, place_files, target
 from animtool.signals import deferred_signals, ending, interrupt

@@ -18,10 +18,10 @@ from animtool.files import (
     nearest_file,
     open_input,
     read_input,
+    recorded_inputs,
     unreadable,
 )
 from animtool.formats.bvh.read import read_bvh
-from animtool.inputs import recorded_inputs
 
 
 @pytest.fixture

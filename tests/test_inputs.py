@@ -9,7 +9,7 @@ import pytest
 
 from animtool import BakeOptions, bake
 from animtool.errors import FormatError
-from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
+from animtool.files import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import replacing
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from animtool.errors import AnimtoolError, OptionError, OutputError
-from animtool.inputs import note_input
+from animtool.files import note_input
 from animtool.leftovers import remove_leftovers, temporary_prefix
 from animtool.output import (
     check_outputs,

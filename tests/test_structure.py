@@ -30,7 +30,6 @@ LAYERS = [
         "config",
         "_types",
         "_kernels",
-        "inputs",
         "files",
         "junit",
         "signals",

@@ -34,7 +34,7 @@ from animtool.batch.records import (
 )
 from animtool.batch.spec import place_of
 from animtool.errors import Fault, OutputError, excerpt
-from animtool.inputs import FileState
+from animtool.files import FileState
 from animtool.leftovers import is_running
 from animtool.output import replacing
 from animtool.placing import output_error

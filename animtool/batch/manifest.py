@@ -26,8 +26,7 @@ from animtool.batch.records import (
     whole_in,
 )
 from animtool.errors import Fault
-from animtool.files import open_input
-from animtool.inputs import FileState
+from animtool.files import FileState, open_input
 from animtool.output import replacing
 
 # What names, digests and clocks can be.

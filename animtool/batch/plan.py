@@ -15,8 +15,7 @@ from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_dige
 from animtool.batch.recipe import Item
 from animtool.batch.spec import made_by, named_from, place_of
 from animtool.errors import Fault, FormatError, OptionError, OutputError
-from animtool.files import Places
-from animtool.inputs import FileState
+from animtool.files import FileState, Places
 from animtool.output import name_key
 
 

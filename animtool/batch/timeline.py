@@ -21,8 +21,7 @@ from zipfile import ZipFile
 
 from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import open_input
-from animtool.inputs import FileState
+from animtool.files import FileState, open_input
 from animtool.rates import LARGEST_FRAME, parse_rate, rate_from_float
 
 # A feature film with all its metadata takes a fifth [bytes].

@@ -19,7 +19,7 @@ from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import named_from
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, excerpt
-from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
+from animtool.files import FileState, Inputs, note_input, recorded_inputs
 from animtool.placing import output_error
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.supervisor import follow_parent, report_reading

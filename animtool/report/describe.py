@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.errors import Fault
-from animtool.inputs import note_input
+from animtool.files import note_input
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.take import Take

@@ -15,7 +15,7 @@ from animtool.errors import (
     Severity,
     refuse_warnings,
 )
-from animtool.inputs import recorded_inputs
+from animtool.files import recorded_inputs
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.placing import output_error
 from animtool.rig.skeleton import Rig

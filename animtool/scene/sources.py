@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.inputs import note_input
+from animtool.files import note_input
 from animtool.options import option, options_of
 from animtool.rates import rate_option
 from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader

@@ -13,7 +13,7 @@ from typing import Any
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from animtool.errors import Fault, FormatError, excerpt
-from animtool.inputs import FileState, note_input
+from animtool.files import FileState, note_input
 from animtool.usd.layers import layer_state, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 

@@ -19,8 +19,14 @@ from pxr import Gf, Sdf, Tf, Vt, Work
 from animtool._types import FloatArray
 from animtool.clock import FrameSpan, time_fraction
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import open_input, seen_from, too_large, unreadable
-from animtool.inputs import FileState, changed_error
+from animtool.files import (
+    FileState,
+    changed_error,
+    open_input,
+    seen_from,
+    too_large,
+    unreadable,
+)
 from animtool.maths import so3
 from animtool.output import replacing
 from animtool.placing import output_error

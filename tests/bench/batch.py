@@ -26,7 +26,7 @@ from animtool.batch.ledger import held_ledger
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
 from animtool.batch.spec import BatchSpec, named_from
-from animtool.inputs import FileState
+from animtool.files import FileState
 
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
 POOL = HERE / "peers/batch_pool.py"

@@ -13,7 +13,7 @@ from support.cli import animtool
 from support.drifting import author_samples
 
 from animtool.cli.info_summary import points_text
-from animtool.inputs import recorded_inputs
+from animtool.files import recorded_inputs
 from animtool.report import describe as module
 from animtool.report.describe import describe, describe_points
 

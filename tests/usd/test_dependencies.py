@@ -10,7 +10,7 @@ from pxr import Sdf, Usd
 
 from animtool.cli.main import run
 from animtool.errors import FormatError
-from animtool.inputs import FileState, recorded_inputs
+from animtool.files import FileState, recorded_inputs
 from animtool.usd import layers
 from animtool.usd.checks import check_layer
 from animtool.usd.dependencies import open_composed

@@ -11,10 +11,9 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.files import InputFile, open_input, unreadable
+from animtool.files import FileState, InputFile, changed_error, open_input, unreadable
 from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
-from animtool.inputs import FileState, changed_error
 
 # A quarter of a megabyte of float64 a block: it stays in the processor's cache from
 # the parser to the writer.

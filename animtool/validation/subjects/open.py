@@ -1,4 +1,4 @@
-"""Opening a file as what it is."""
+"""Opening a file as what rules look at, by its kind."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
+from animtool.batch.file import batch_of_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
@@ -14,6 +15,12 @@ from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import Opened
+
+
+def open_batch(document: Document) -> Opened:
+    """Return what a batch file asks for."""
+    return Opened(Kind.BATCH, [], batch_of_document(document))
+
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
@@ -28,7 +35,7 @@ SUFFIXES = (
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
-    Kind.BATCH: "animtool.validation.subjects.batch:open_batch",
+    Kind.BATCH: "animtool.validation.subjects.open:open_batch",
     Kind.RIG: "animtool.validation.subjects.rig:open_rig",
     Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",

@@ -11,9 +11,9 @@ import numpy as np
 
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
+from animtool.files import recorded_inputs
 from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
-from animtool.inputs import recorded_inputs
 from animtool.motion import Channel, Motion
 from animtool.rules import Kind
 from animtool.scene.entries import SceneOutput

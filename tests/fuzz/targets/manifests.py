@@ -24,7 +24,7 @@ from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
 from animtool.batch.work import Status
 from animtool.errors import AnimtoolError
-from animtool.inputs import FileState
+from animtool.files import FileState
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "records of batches, owners, path rules, reports, addresses, tables of variants"
