@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from animtool.errors import NAMING
 from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
@@ -76,6 +77,21 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+
+def _as_arguments(text: str) -> str:
+    """Return the text of an error with arguments in place of flags."""
+    if "--" not in text:
+        return text
+    from animtool.ik.options import TakeOptions
+    from animtool.options import as_arguments
+    from animtool.scene.options import BakeOptions
+    from animtool.scene.sources import SourceOptions
+
+    return as_arguments(text, BakeOptions, SourceOptions, TakeOptions)
+
+
+NAMING.arguments = _as_arguments
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
     __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

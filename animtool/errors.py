@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import ClassVar
@@ -90,6 +90,16 @@ class Fault:
         }
 
 
+@dataclass(slots=True)
+class Naming:
+    """What the text of an error in Python calls the flags that faults name."""
+
+    arguments: Callable[[str], str] = str  # set by `animtool`, whose records have them
+
+
+NAMING = Naming()
+
+
 class AnimtoolError(Exception):
     """Base of every error that animtool raises on purpose.
 
@@ -105,6 +115,10 @@ class AnimtoolError(Exception):
             (faults,) if isinstance(faults, Fault) else tuple(faults)
         )
         super().__init__("\n".join(map(str, self.faults)))
+
+    def __str__(self) -> str:
+        """Return the faults, a line each; options are called as in Python."""
+        return NAMING.arguments("\n".join(map(str, self.faults)))
 
     def __reduce__(self) -> tuple[type[AnimtoolError], tuple[tuple[Fault, ...]]]:
         """Let an error come back from another process with its faults."""

@@ -10,6 +10,7 @@ Records are dataclasses, or the models of files; pydantic does not look at a `Ra
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -101,6 +102,24 @@ def keys_of(record: Any, place: Literal["scene", "batch"]) -> dict[str, Key]:
     """Return the keys that a kind of file has for a record, by name of the option."""
     keys = {name: getattr(o, place) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
+
+
+def as_arguments(text: str, *records: Any) -> str:
+    """Return a text in which flags are called as the arguments of records are.
+
+    The first record that has a flag names it; what none has stays.
+    """
+    names: dict[str, str] = {}
+    for record in records:
+        for name, described in options_of(record).items():
+            flag, _, word = described.flag.partition(" ")
+            value = {"switch": "=True", "answer": "=False"}.get(described.kind, "")
+            names.setdefault(flag, f"{name}{value}")
+            if word and not word.startswith("("):
+                names.setdefault(described.flag, f"{name}{value}")
+    flags = sorted(names, key=len, reverse=True)
+    pattern = rf"(?<![\w-])(?:{'|'.join(map(re.escape, flags))})(?![\w-])"
+    return re.sub(pattern, lambda flag: names[flag[0]], text)
 
 
 def refused_options(record: Any, use: str) -> list[Option]:

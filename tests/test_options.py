@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
 
+import animtool
 from animtool.cli.bake import bake
 from animtool.cli.options import declared
-from animtool.options import Key, keys_of, option, options_of, refused_options
+from animtool.errors import OptionError
+from animtool.options import (
+    Key,
+    as_arguments,
+    keys_of,
+    option,
+    options_of,
+    refused_options,
+)
 from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions
 
 
 @dataclass(frozen=True)
@@ -37,6 +48,22 @@ def test_a_use_refuses_what_is_not_the_default(
     given: Cut, use: str, flags: list[str]
 ) -> None:
     assert [refused.flag for refused in refused_options(given, use)] == flags
+
+
+def test_a_text_calls_options_as_arguments() -> None:
+    text = "--sharp, --width 2 or --sharpen, --no-width"
+    assert as_arguments(text, Cut) == "sharp=True, width 2 or --sharpen, --no-width"
+
+
+def test_errors_in_python_name_arguments(walk: Path, tmp_path: Path) -> None:
+    output = tmp_path / "walk.usda"
+    output.touch()
+    with pytest.raises(OptionError, match="overwrite=True replaces it") as caught:
+        animtool.bake(walk, output)
+    assert "--overwrite" in str(caught.value.faults[0])
+    fps = SourceOptions(fps=24)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="to_units, to_up and fps convert"):
+        animtool.open_source(output, fps)
 
 
 def test_files_have_the_keys_that_options_declare() -> None:
