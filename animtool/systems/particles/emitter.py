@@ -12,7 +12,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.options import OF_ENTRY, Key, Range, above, range_faults
+from animtool.options import OF_ENTRY, Range, above, range_faults
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point
 
@@ -106,23 +106,15 @@ class Emitter:
     end: float = math.inf
     direction: Sequence[float] | None = None
     spread: float = 0.0
-    speed: Annotated[float, Key("Speed [m/s].", 3)] = 0.0
-    speed_spread: Annotated[
-        float, _SPREAD, Key("Most that it differs by [m/s].", 0.5)
-    ] = 0.0
-    inherit: Annotated[
-        float, Key("Share of the emitter's velocity that they have too.", 0.5)
-    ] = 1.0
+    speed: float = 0.0
+    speed_spread: Annotated[float, _SPREAD] = 0.0
+    inherit: float = 1.0
     lifetime: Annotated[float, above(0, "SIM021")] = math.inf
-    lifetime_spread: Annotated[
-        float, _SPREAD, Key("Most that it differs by [s].", 0.5)
-    ] = 0.0
-    radius: Annotated[float, _AMOUNT, Key("Their radius [m].", 0.01)] = 0.005
-    radius_spread: Annotated[
-        float, _SPREAD, Key("Most that it differs by [m].", 0.005)
-    ] = 0.0
-    mass: Annotated[float, _AMOUNT, Key("Their mass [kg].", 0.1)] = 0.001
-    charge: Annotated[float, Key("Their charge [C].", 1e-6)] = 0.0
+    lifetime_spread: Annotated[float, _SPREAD] = 0.0
+    radius: Annotated[float, _AMOUNT] = 0.005
+    radius_spread: Annotated[float, _SPREAD] = 0.0
+    mass: Annotated[float, _AMOUNT] = 0.001
+    charge: float = 0.0
     seed: int = 0
 
     def births(

@@ -8,7 +8,7 @@ from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Pair, Real, Vector, Whole, with_fields
+from animtool.documents.fields import Pair, Real, Vector, Whole
 from animtool.systems.fields import (
     CharacterModel,
     ForceEntry,
@@ -20,19 +20,8 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSurfaceModel,
 )
-from animtool.systems.particles.emitter import Emitter
 
 
-@with_fields(Emitter, "speed", "speed_spread", "inherit", before="lifetime")
-@with_fields(
-    Emitter,
-    "lifetime_spread",
-    "radius",
-    "radius_spread",
-    "mass",
-    "charge",
-    before="seed",
-)
 class EmitterModel(PlacedModel):
     """What makes particles."""
 
@@ -71,11 +60,31 @@ class EmitterModel(PlacedModel):
         description="Half the angle of the cone about it [deg]; 180 is all around.",
         examples=[20],
     )
+    speed: Real = Field(default=0.0, description="Speed [m/s].", examples=[3])
+    speed_spread: Real = Field(
+        default=0.0, description="Most that it differs by [m/s].", examples=[0.5]
+    )
+    inherit: Real = Field(
+        default=1.0,
+        description="Share of the emitter's velocity that they have too.",
+        examples=[0.5],
+    )
     lifetime: Real | None = Field(
         default=None,
         description="How long they live [s]. Not given: for ever.",
         examples=[2.5],
     )
+    lifetime_spread: Real = Field(
+        default=0.0, description="Most that it differs by [s].", examples=[0.5]
+    )
+    radius: Real = Field(
+        default=0.005, description="Their radius [m].", examples=[0.01]
+    )
+    radius_spread: Real = Field(
+        default=0.0, description="Most that it differs by [m].", examples=[0.005]
+    )
+    mass: Real = Field(default=0.001, description="Their mass [kg].", examples=[0.1])
+    charge: Real = Field(default=0.0, description="Their charge [C].", examples=[1e-6])
     seed: Whole = Field(
         default=0, description="Of what is random about them.", examples=[7]
     )

@@ -751,10 +751,11 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     nothing, springs, particles = map(json.loads, lines)
     # Keys of the kinds, and those that they share, are part of the schema of scenes.
     keys = ["springs", "springs.records", "springs.spec", "springs.spec_parts"]
-    assert nothing == [f"animtool.systems.{name}" for name in ("fields", *keys)]
+    others = ["fields", "particles", "particles.spec"]
+    assert nothing == [f"animtool.systems.{name}" for name in (*others, *keys)]
     assert "animtool.systems.springs.system" in springs
-    assert "animtool.systems.particles" not in springs
-    assert "animtool.systems.particles" in particles
+    assert "animtool.systems.particles.run" not in springs
+    assert "animtool.systems.particles.run" in particles
     loaded = {name for name in particles if ".springs" in name}
     assert loaded == {f"animtool.systems.{name}" for name in keys}
     assert {p.stem for p in tmp_path.glob("*.usdc")} == {"plain", "rope", "rain"}
