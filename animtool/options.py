@@ -115,6 +115,11 @@ def as_arguments(text: str, *records: Any) -> str:
             flag, _, word = described.flag.partition(" ")
             value = {"switch": "=True", "answer": "=False"}.get(described.kind, "")
             names.setdefault(flag, f"{name}{value}")
+            if described.kind == "choice":
+                files = described.scene.choices if described.scene else ()
+                for choice in (*described.choices, *files):
+                    for said in (f"{flag} {choice}", f"--{choice}"):
+                        names.setdefault(said, f'{name}="{choice}"')
             if word and not word.startswith("("):
                 names.setdefault(described.flag, f"{name}{value}")
     flags = sorted(names, key=len, reverse=True)

@@ -123,9 +123,11 @@ def test_where_the_rest_pose_comes_from() -> None:
     ],
 )
 def test_what_excludes_each_other(given: dict[str, Any], word: str) -> None:
-    with pytest.raises(OptionError, match=word) as caught:
+    with pytest.raises(OptionError) as caught:
         check_options(BakeOptions(**given), to_stdout=False)
+    assert any(word in fault.message for fault in caught.value.faults)
     assert {fault.code for fault in caught.value.faults} == {"CLI002"}
+    assert "--" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -455,7 +455,7 @@ def test_a_rig_whose_own_opinions_are_stronger_than_variants(
     with pytest.raises(AnimtoolError) as caught:
         library(sources, tmp_path / "lib.usda", options)
     assert caught.value.code == code
-    assert "--prim-path" in str(caught.value)
+    assert "prim_path" in str(caught.value)
     assert sorted(tmp_path.iterdir()) == before
 
 
