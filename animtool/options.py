@@ -109,6 +109,13 @@ def as_arguments(text: str, *records: Any) -> str:
 
     The first record that has a flag names it; what none has stays.
     """
+    names, flags = _arguments(records)
+    return flags.sub(lambda flag: names[flag[0]], text)
+
+
+@cache
+def _arguments(records: tuple[Any, ...]) -> tuple[dict[str, str], re.Pattern[str]]:
+    """Return what flags are in Python, and a pattern that finds them."""
     names: dict[str, str] = {}
     for record in records:
         for name, described in options_of(record).items():
@@ -122,9 +129,8 @@ def as_arguments(text: str, *records: Any) -> str:
                         names.setdefault(said, f'{name}="{choice}"')
             if word and not word.startswith("("):
                 names.setdefault(described.flag, f"{name}{value}")
-    flags = sorted(names, key=len, reverse=True)
-    pattern = rf"(?<![\w-])(?:{'|'.join(map(re.escape, flags))})(?![\w-])"
-    return re.sub(pattern, lambda flag: names[flag[0]], text)
+    flags = "|".join(map(re.escape, sorted(names, key=len, reverse=True)))
+    return names, re.compile(rf"(?<![\w-])(?:{flags})(?![\w-])")
 
 
 def refused_options(record: Any, use: str) -> list[Option]:
