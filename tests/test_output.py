@@ -52,18 +52,18 @@ def test_nothing_written_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "error", "code"),
+    ("name", "error", "code", "why"),
     [
-        ("there.usda", OptionError, "OUT001"),
-        ("missing/a.usda", OutputError, "OUT002"),
-        ("there.usda/a.usda", OutputError, "OUT002"),
-        ("folder", OutputError, "OUT002"),
-        ("input.bvh", OptionError, "OUT003"),
-        ("../{}/input.bvh", OptionError, "OUT003"),
+        ("there.usda", OptionError, "OUT001", "exists"),
+        ("missing/a.usda", OutputError, "OUT002", "does not exist"),
+        ("there.usda/a.usda", OutputError, "OUT002", "is no folder"),
+        ("folder", OutputError, "OUT002", "folder"),
+        ("input.bvh", OptionError, "OUT003", "input"),
+        ("../{}/input.bvh", OptionError, "OUT003", "input"),
     ],
 )
 def test_refusals(
-    tmp_path: Path, name: str, error: type[AnimtoolError], code: str
+    tmp_path: Path, name: str, error: type[AnimtoolError], code: str, why: str
 ) -> None:
     (tmp_path / "there.usda").write_text("mine")
     (tmp_path / "folder").mkdir()
@@ -72,7 +72,7 @@ def test_refusals(
     output = tmp_path / name.format(tmp_path.name)
     with pytest.raises(error) as caught:
         check_outputs([output], [source], overwrite=False)
-    assert caught.value.code == code
+    assert (caught.value.code, why in str(caught.value)) == (code, True)
 
 
 def test_overwrite_allows_what_exists(tmp_path: Path) -> None:

@@ -107,6 +107,10 @@ def test_a_time_as_long_as_one_may_ask_for(number: float) -> None:
     assert parse_seconds(f"{number:g}") == number
 
 
+def test_a_size_may_have_spaces_about_it() -> None:
+    assert parse_bytes(" 2 GB ") == 2 * 10**9
+
+
 LARGE = ["9" * 400 + "TB", "9999999999999GB"]
 
 

@@ -199,5 +199,9 @@ def test_lines_that_do_not_fit_are_not_there(
         monkeypatch.setattr(os, "write", lambda to, data: write(to, data[:5]))
         with pytest.raises(OutputError) as error:
             writer.write(LINES)
-    assert error.value.code == "BAT012"
+    (refused,) = error.value.faults
+    assert (refused.code, refused.hint) == (
+        "BAT012",
+        "what was made so far is recorded",
+    )
     assert path.read_bytes() == content

@@ -120,6 +120,23 @@ def test_a_control_that_moves_nothing_keeps_its_sign(tmp_path: Path) -> None:
     assert found.signs[NAMES.index("raise_l")] == 1
 
 
+def test_a_control_that_cannot_be_0_is_mirrored_about_its_default(
+    tmp_path: Path,
+) -> None:
+    text = RIG.replace(
+        "range: [-60, 60]\n  default: 5", "range: [20, 60]\n  default: 40"
+    )
+    path = tmp_path / "bust.rig.yaml"
+    path.write_text(text, "utf-8")
+    rig = Rig.load(path)
+    partners = np.arange(len(rig.controls))
+    none = np.zeros(0, np.int64)
+    way = np.array([-1.0, 1.0, 1.0])
+    found = ControlMirror.of(rig, partners, np.arange(len(rig.names)), none, way)
+    turn = [control.name for control in rig.controls].index("turn")
+    assert (found.signs[turn], found.pivots[turn]) == (-1, 40)
+
+
 def lift(rig: Rig, values: np.ndarray) -> np.ndarray:
     """Return values of one lift as the other has them, by where the arms point."""
     across = np.array([-1.0, 1.0, 1.0])

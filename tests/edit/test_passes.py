@@ -116,6 +116,10 @@ def test_blocks_do_not_show(name: str, blocks: int) -> None:
             assert_array_equal(ours, theirs)
 
 
+def test_a_time_warp_without_a_curve_changes_nothing() -> None:
+    assert content(run("time_warp", small(), curve=())) == content(small())
+
+
 @pytest.mark.parametrize("name", PASSES)
 def test_a_single_frame(name: str) -> None:
     options = {"curve": ((1, 1), (3, 1))} if name == "time_warp" else {}

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
+from support.props import write_props
 
 from animtool.report.describe_scene import describe_scene
 from animtool.scene.file import load_scene
@@ -134,3 +135,15 @@ def test_an_output_without_a_file_is_props_the_scene(tmp_path: Path) -> None:
     text = SYSTEMS.replace("output: {file: snow.usdc, chunk: 5}\n", "")
     (output,) = described(tmp_path, text)["outputs"]
     assert Path(output["file"]) == tmp_path / "shot.usdc"
+
+
+def test_a_set_is_its_file_its_prim_and_where_it_is_written(tmp_path: Path) -> None:
+    write_props(tmp_path / "set.usda")
+    (tmp_path / "walk.bvh").write_text(small_bvh(random_rows(6)))
+    (found,) = described(
+        tmp_path,
+        "scene: animtool/1\nsource: {file: walk.bvh}\n"
+        "props: [{from: set.usda, prim: /Set/box, path: /shot/crate}]\n",
+    )["props"]
+    assert Path(found["file"]).name == "set.usda"
+    assert (found["prim"], found["path"]) == ("/Set/box", "/shot/crate")

@@ -343,6 +343,9 @@ BAD_HEADERS = {
     "offset comma": ("BVH006", JOINT + "OFFSET 0 1,5 0\n", (4,)),
     "channel name": ("BVH007", CHANNELS + " 1 Xscale\n", (5,)),
     "channel count": ("BVH007", CHANNELS + " 2 Xrotation\n", (5,)),
+    "a brace in place of a channel": (
+        "BVH007", CHANNELS + " 2 Xrotation } Yrotation\n", (5,)
+    ),
     "channel twice": ("BVH007", CHANNELS + " 2 Xrotation Xrotation\n", (5,)),
     "no count": ("BVH007", CHANNELS + " Xrotation\n", (5,)),
     "no channels": ("BVH007", JOINT + "OFFSET 0 0 0\n}\nMOTION\n", (6,)),

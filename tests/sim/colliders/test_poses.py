@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -40,6 +41,14 @@ def test_its_own_times_have_its_own_poses(seed: int, count: int) -> None:
     assert_allclose(poses.over(poses.moments), poses.rows, atol=1e-12)
     outside = np.array([poses.moments[-1] + 1, poses.moments[0] - 1])
     assert_array_equal(poses.over(outside), poses.rows[[-1, 0]])
+
+
+@pytest.mark.parametrize("part", ["times", "origins", "rotations"])
+def test_each_part_that_is_not_finite_is_named(part: str) -> None:
+    parts = {"times": [0.0], "origins": np.zeros((1, 3)), "rotations": np.ones((1, 4))}
+    wrong = np.array(parts[part])
+    wrong.flat[0] = np.inf
+    assert Poses(**{**parts, part: wrong}).faults() == [f"its {part} are not finite"]
 
 
 def test_between_two_it_goes_straight_and_turns_evenly() -> None:

@@ -43,6 +43,10 @@ CASES: dict[str, tuple[str, list[str]]] = {
         TWO.replace("LIMITS", "[5, 95]").replace("MIMIC", "{joint: a, offset: 5}"),
         [],
     ),
+    "a follower that goes below its limits": (
+        TWO.replace("LIMITS", "[0, 90]").replace("MIMIC", "{joint: a, offset: -30}"),
+        ["RIG201", "RIG205"],
+    ),
     "a mirrored joint, said once": (
         "- {name: k_l, type: pin, axis: [1, 0, 0], limits: [5, 9], mirror: k_r, "
         "translate: [1, 0, 0]}\n",
