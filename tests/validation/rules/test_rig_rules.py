@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from animtool.validation.run import validate
@@ -150,6 +151,24 @@ def test_a_rig(name: str, tmp_path: Path) -> None:
     path = tmp_path / "page.rig.yaml"
     path.write_text(HEAD + text, "utf-8")
     assert sorted(fault.code for fault in validate(path)) == wanted
+
+
+def test_a_shape_without_an_effect_is_named_at_its_place(tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / "body.npz",
+        points=np.eye(3),
+        faces=[[0, 1, 2]],
+        still=np.zeros((3, 3)),
+    )
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(
+        f"{HEAD}{ROOT}meshes: [{{name: body, points: body.npz, faces: body.npz}}]\n"
+        "shapes: [{name: smile, mesh: body, deltas: body.npz#still}]\n",
+        "utf-8",
+    )
+    (fault,) = [fault for fault in validate(path) if fault.code == "RIG209"]
+    assert fault.where == "shapes[0]"
+    assert fault.message == "'smile' moves no point of 'body'"
 
 
 def test_a_drive_without_a_value_is_no_fault_of_those_that_read_it(
