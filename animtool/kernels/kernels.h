@@ -134,6 +134,12 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double share,
                                  double step);
 
+std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
+    In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
+    std::optional<In<std::int32_t, 1>> others, double radius, double cosine,
+    std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
+    In<double, 1> repulsion, double softening, In<double, 2> period, double most);
+
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 
 RoundedPoints round_points(In<double, 3> points, double unit);

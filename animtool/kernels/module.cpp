@@ -167,6 +167,20 @@ how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``
 Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
 ways out and velocities of the surfaces ``(C, N, 3)``.)");
 
+  m.def("flock_accelerations", &flock_accelerations, "points"_a, "velocities"_a,
+        "members"_a.none(), "others"_a.none(), "radius"_a, "cosine"_a, "nearest"_a,
+        "attraction"_a, "alignment"_a, "repulsion"_a, "softening"_a, "period"_a, "most"_a,
+        R"(What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].
+
+``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. One sees those within
+``radius`` and an angle of its velocity whose ``cosine`` is given (-1 is all around), of
+these the ``nearest`` (0 is all), and goes by ``attraction`` to their centre, by
+``alignment`` to their mean velocity, and by ``repulsion`` away from each: pairs of a weight
+and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for none.
+
+Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
+there were to look at; where these are more than ``most``, nothing is done.)");
+
   m.def("curl_noise", &curl_noise, "points"_a, "times"_a, "seed"_a,
         R"(Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.
 
