@@ -191,6 +191,20 @@ def sample_colliders(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape
     ways out and velocities of the surfaces ``(C, N, 3)``.
     """
 
+def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], members: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, others: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, radius: float, cosine: float, nearest: int, attraction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], alignment: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], repulsion: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], softening: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], float]:
+    """
+    What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].
+
+    ``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. One sees those within
+    ``radius`` and an angle of its velocity whose ``cosine`` is given (-1 is all around), of
+    these the ``nearest`` (0 is all), and goes by ``attraction`` to their centre, by
+    ``alignment`` to their mean velocity, and by ``repulsion`` away from each: pairs of a weight
+    and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for none.
+
+    Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
+    there were to look at; where these are more than ``most``, nothing is done.
+    """
+
 def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.

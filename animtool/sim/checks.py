@@ -213,6 +213,6 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 
 def _odd_ones(what: str, values: FloatArray, when: str) -> list[str]:
     """Return a message for each row that is not finite."""
-    rows = np.isfinite(values).reshape(len(values), -1) if values.ndim else values
-    odd = np.flatnonzero(~np.atleast_2d(rows).all(axis=-1))
+    finite = np.isfinite(np.atleast_1d(values))
+    odd = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
     return [f"{what} {i} is not finite {when}" for i in odd.tolist()]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any, ClassVar
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
 from animtool.documents.check import FileModel
@@ -16,6 +16,7 @@ from animtool.documents.fields import (
     Quaternion,
     Real,
     Vector,
+    Whole,
     check_numbers,
 )
 
@@ -192,6 +193,31 @@ class MovingMeshModel(FollowedPrimModel, _MaterialModel):
         default=False,
         description="It is the skin of a body: met from outside alone.",
         examples=[True],
+    )
+
+
+class PrototypeModel(FileModel):
+    """A mesh that copies are made of; its cycle, where it moves.
+
+    A part is a function without arguments to its meshes, one for each phase of the
+    cycle: `animtool.frames.MeshFrame`, about the origin of its file, y up [m].
+    """
+
+    file: Name = Field(
+        description="A USD file, or a clip or a scene whose rig has the mesh.",
+        examples=["bird.usda"],
+    )
+    prim: PrimPath | None = Field(
+        default=None, description="Path of the mesh in a USD file.", examples=["/bird"]
+    )
+    mesh: Name | None = Field(
+        default=None, description="Name of the mesh of a rig.", examples=["body"]
+    )
+    samples: Annotated[Whole, Ge(1), Le(240)] = Field(
+        default=12,
+        description="Phases of its cycle that are shown; its last frame comes at the "
+        "place of its first. What does not move has one.",
+        examples=[24],
     )
 
 

@@ -86,6 +86,10 @@ class Progressed(Protocol):
 ProgressedT = TypeVar("ProgressedT", bound=Progressed)
 
 
+# A time that is as near to the end of a step is that end [steps].
+ON_STEP = 1e-9
+
+
 class SteppedRun(ABC, Generic[ProgressedT, FrameT_co]):
     """Takes a state through time in steps of one length, and looks at any time.
 
@@ -119,14 +123,15 @@ class SteppedRun(ABC, Generic[ProgressedT, FrameT_co]):
             OptionError: Time runs backwards (SIM002).
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
-        whole = max(math.floor((t - self.begin) / self.step_length + 1e-9), 0)
+        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
         if whole < self.state.steps:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
         while self.state.steps < whole:
             self.state = self.stepped(self.state, self.time(self.state.steps + 1))
         now = self.time(whole)
-        state = self.state if t <= now else self.stepped(self.state, t)
+        part = t > now + ON_STEP * self.step_length
+        state = self.stepped(self.state, t) if part else self.state
         return self.frame(state, max(t, now))
 
     def time(self, steps: int) -> float:

@@ -55,6 +55,17 @@ def springs(rng: np.random.Generator) -> list[np.ndarray]:
     return [rates, one, stepped, projected]
 
 
+def flocks(rng: np.random.Generator) -> list[np.ndarray]:
+    x, v = rng.uniform(0, 4, (301, 3)), rng.normal(size=(301, 3))
+    pull, far, open_ = np.array([0.8, 1.0]), np.array([0.8, 9.0]), np.zeros((2, 3))
+    return [
+        _kernels.flock_accelerations(
+            x, v, None, None, 1.0, cosine, 0, radii, radii, pull, 0.1, open_, 1e9
+        )[0]
+        for cosine, radii in ((-0.5, pull), (-1.0, far))
+    ]
+
+
 def strands(rng: np.random.Generator) -> list[np.ndarray]:
     places = np.cumsum(rng.uniform(-0.02, 0.03, (6, 7, 3)), axis=1)
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
@@ -95,7 +106,7 @@ def skins(rng: np.random.Generator) -> list[np.ndarray]:
 
 def digests() -> dict[str, list[str]]:
     kinds: list[Callable[[np.random.Generator], list[np.ndarray]]] = [
-        springs, strands, skins,
+        springs, strands, skins, flocks,
     ]  # fmt: skip
     return {
         kind.__name__: [

@@ -69,6 +69,16 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class Array:
+    """Displacements or velocities, which become a file."""
+
+    value: np.ndarray
+
+    def seen(self, view: View) -> Any:
+        return view.vectors(self.value)
+
+
+@dataclass(frozen=True)
 class Length:
     """A length, or what has another power of it."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool.maths import so3
-from support.simulated import Bursts, Length, Point, Rotation, Timed, Vector
+from support.simulated import Array, Bursts, Length, Point, Rotation, Timed, Vector
 
 TILT = so3.exp(np.array([0.3, -0.2, 0.5]))
 TILTED = Rotation(TILT[[3, 0, 1, 2]].tolist())
@@ -91,6 +91,14 @@ JELLY = OFFSET + np.array(
 )
 CELLS = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
 
+# Five that see some of each other, and go ahead of a way and across it.
+SHOAL = OFFSET + np.array(
+    [[0.1, 0, 0], [0.4, 0.2, 0.1], [0.2, -0.1, 0.5], [0.7, 0.1, 0.2], [0.3, 0.3, 0.3]]
+)
+SWIMMING = np.array(
+    [[1.0, 0.1, 0.2], [1.2, -0.3, 0], [0.8, 0.2, 0.6], [1.1, 0, -0.4], [1.3, 0.2, 0.1]]
+)
+
 EXAMPLES = {
     "particles": Example(
         {
@@ -154,6 +162,102 @@ EXAMPLES = {
             "kill": [],
             "emitters": [
                 {"at": OFFSET.tolist(), "bursts": [[0, 2]], "speed": 1.5, "mass": 0.1}
+            ],
+        },
+    ),
+    "flocks": Example(
+        {
+            "species": [
+                {
+                    "name": "fish",
+                    "points": Point(SHOAL),
+                    "velocities": Array(SWIMMING),
+                    "radius": Length(0.02),
+                    "mass": 0.1,
+                    "vision": {"radius": Length(1.1), "angle": 270, "nearest": 3},
+                    "repulsion": {
+                        "weight": Length(0.15, 2),
+                        "softening": Length(0.1),
+                    },
+                    "speed": {
+                        "cruise": Length(1.5),
+                        "weight": Length(0.2, -2),
+                        "most": Length(2.5),
+                    },
+                    "turning": 400,
+                    "acceleration": Length(30.0),
+                    "goals": [
+                        {
+                            "at": Point(np.add(OFFSET, [0, 0.5, 0])),
+                            "weight": 0.5,
+                            "radius": Length(0.1),
+                            "moves": MOVES,
+                        }
+                    ],
+                    "paths": [
+                        {
+                            "points": [Point(p) for p in ROPE],
+                            "ahead": Length(0.2),
+                        }
+                    ],
+                    "avoidance": {
+                        "distance": Length(0.9),
+                        "weight": Length(10.0),
+                    },
+                    "flees": [
+                        {
+                            "species": "pike",
+                            "weight": Length(2.0, 2),
+                            "radius": Length(2.0),
+                        }
+                    ],
+                },
+                {
+                    "name": "pike",
+                    "points": Point(np.add(OFFSET, [[1.0, 0.2, 0.3]])),
+                    "velocities": Array(np.array([[-1.0, 0.1, 0.2]])),
+                    "radius": Length(0.05),
+                    "vision": {"radius": Length(1.0)},
+                    "repulsion": {"weight": 0, "softening": Length(0.1)},
+                    "speed": {
+                        "cruise": Length(1.2),
+                        "weight": Length(0.2, -2),
+                        "most": Length(3.0),
+                    },
+                    "avoidance": {
+                        "distance": Length(0.9),
+                        "weight": Length(10.0),
+                    },
+                    "chases": [{"species": "fish", "weight": 2, "radius": Length(3.0)}],
+                },
+            ],
+            "forces": [
+                {"gravity": {"acceleration": Vector([0.2, -0.5, 0.1])}},
+                {"wind": {"velocity": Vector([1.0, 0.5, 2.0]), "drag": 0.05}},
+            ],
+            # Near enough to be avoided, too far to be touched.
+            "colliders": [{**FLOOR, "at": Point(np.add(OFFSET, [0, -0.8, 0]))}],
+            "step": 1 / 128,
+        },
+        few=(
+            ({"species": [{"name": "fish", "count": 0}]}, 0),
+            ({"species": [{"name": "fish", "count": 1}]}, 1),
+        ),
+        wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e9}}]},
+        initial=np.concatenate([SHOAL, np.add(OFFSET, [[1.0, 0.2, 0.3]])]),
+        orders={"symplectic_euler": 1, "midpoint": 2, "rk4": 4},
+        more=("velocity_verlet",),
+        smooth={
+            "colliders": [],
+            "species": [
+                {
+                    "name": "fish",
+                    "points": Point(SHOAL),
+                    "velocities": Array(SWIMMING),
+                    "vision": {"radius": 9},
+                    "goals": [{"at": OFFSET.tolist(), "weight": 2}],
+                    "speed": {"most": 9},
+                }
             ],
         },
     ),

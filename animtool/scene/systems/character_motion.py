@@ -171,6 +171,12 @@ class SkinMotion:
         share = (t - times[i]) / (times[i + 1] - times[i])
         return np.asarray(before + (self._frame(i + 1) - before) * share)
 
+    @property
+    def faces(self) -> tuple[IntArray, IntArray]:
+        """Corners of each face ``(M,)``, and these face by face."""
+        surface = self._skin.surface
+        return surface.counts, surface.indices
+
     def _frame(self, i: int) -> FloatArray:
         if i not in self._kept:
             self._kept[i] = self._skin.frame(i)

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, cast, get_args, get_origin
 
 from animtool._types import FloatArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.errors import Fault, ToleranceError, counted
+from animtool.errors import AnimtoolError, Fault, ToleranceError, counted
 from animtool.frames import PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
+from animtool.scene.systems.prototypes import Prototype
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
-from animtool.systems.fields import Part, PlacedModel, SystemColliderModel, SystemSpec
+from animtool.systems.fields import (
+    Part,
+    PlacedModel,
+    PrototypeModel,
+    SystemColliderModel,
+    SystemSpec,
+)
 from animtool.systems.simulation import Simulation, SimulationRun
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
@@ -69,10 +76,31 @@ class PartReader(EntryReader):
         if get_origin(annotation) is Annotated:
             return self._reader(annotation.__origin__, annotation.__metadata__)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
+            if issubclass(annotation, PrototypeModel):
+                return self.prototype
             collides = issubclass(annotation, SystemColliderModel)
             return self.collider if collides else self.parts
         inner = (self._reader(one) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
+
+    def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
+        """Return a mesh that copies are made of; a USD file is looked at now."""
+        if (model.prim is None) is (model.mesh is None):
+            message = "it is the prim of a USD file, or the mesh of a rig"
+            hint = "write prim: /bird/body, or mesh: body"
+            self.note(at, Fault("SIM053", message, hint=hint))
+            return None
+        path = self.input((*at, "file"), model.file)
+        if path is None:
+            return None
+        self.files.append(path)
+        made = Prototype(path, model.prim, model.mesh, model.samples)
+        if model.prim is not None:
+            try:
+                made()
+            except AnimtoolError as error:
+                self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
+        return made
 
     def _poses(self, at: Location, model: PlacedModel) -> Any:
         return self.poses(at, model, "SIM020")

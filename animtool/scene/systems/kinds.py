@@ -128,6 +128,11 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "animtool.scene.systems.particles:open_particles",
         "animtool.scene.systems.particles:particle_trial",
     ),
+    "flocks": system_kind(
+        "animtool.systems.flocks",
+        "Flocks that attract, align and repel: birds, fish, and who hunts them.",
+        {"name": "birds", "species": [{"name": "starling", "count": 200}]},
+    ),
     "rope": _springs(
         "RopeModel",
         "A rope.",

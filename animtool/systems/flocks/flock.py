@@ -1,0 +1,204 @@
+"""A flock as a simulation: steps by any integrator, looked at as points or meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Severity, ToleranceError
+from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
+from animtool.sim.checks import check_fit
+from animtool.sim.colliders import Box, Collider, Colliders, Poses
+from animtool.sim.colliders.colliding import collide
+from animtool.sim.equations import Equations
+from animtool.sim.integrating import integrate
+from animtool.sim.options import IntegrateOptions, check_options
+from animtool.sim.system import SecondOrder
+from animtool.sim.trajectory import Checkpoint, Status
+from animtool.systems.flocks.heading import (
+    Heading,
+    first_heading,
+    next_heading,
+    shown,
+)
+from animtool.systems.flocks.members import Members, check_species
+from animtool.systems.flocks.rules import Rule, flocking, rules_of
+from animtool.systems.flocks.spec import DomainModel, FlocksModel
+from animtool.systems.flocks.steering import (
+    avoidance,
+    kept_speeds,
+    own_ways,
+    steered,
+)
+from animtool.systems.particles.forces.force import Force
+from animtool.systems.simulation import Diagnostics, SimContext
+
+
+@dataclass(frozen=True, slots=True)
+class FlockState:
+    """Where members are, and how they are turned."""
+
+    motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
+    heading: Heading | None  # None where points are shown
+
+
+@dataclass(frozen=True)
+class FlockForces(SecondOrder):
+    """N members under all that moves them."""
+
+    members: Members
+    domain: DomainModel | None
+    colliders: Colliders
+    forces: Sequence[Force]
+    rules: Sequence[Rule]
+    motion: FloatArray  # (2, N, 3)
+    settles = True
+
+    @property
+    def state(self) -> FloatArray:
+        """Where they start."""
+        return self.motion
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²]."""
+        members = self.members
+        made = flocking(self.rules, self.domain, x, v)
+        made += own_ways(members, t, x, v)
+        if len(self.colliders):
+            made += avoidance(members, self.colliders, t, x, v)
+        made = steered(members, v, made)
+        if self.forces:
+            particles = members.particles
+            pushed = sum(force.force(t, x, v, particles) for force in self.forces)
+            made = made + pushed / particles.masses[:, None]
+        return made
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return where speeds and colliders let a step end."""
+        x, v = after[0], kept_speeds(self.members, after[1])
+        if self.colliders.meet:
+            radii = self.members.radii
+            done = collide(x, v, before, self.colliders, t - h, t, radii)
+            x, v = done.points, done.velocities
+        return after if x is after[0] and v is after[1] else np.stack([x, v])
+
+
+class Flock:
+    """Members that see each other, in steps.
+
+    Attributes:
+        system: They and what moves them, as integrators see them at the beginning.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM001, SIM005, SIM006,
+            SIM060).
+    """
+
+    def __init__(self, spec: FlocksModel, context: SimContext) -> None:
+        check_species(spec)
+        self._options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
+        integrator = check_options(self._options)
+        colliders = context.colliders
+        if spec.domain is not None and not spec.domain.wrap:
+            walls = Collider(
+                Box(spec.domain.size), Poses.fixed(spec.domain.at), "domain", True
+            )
+            colliders = Colliders([*colliders, walls], colliders.sheets)
+        self._members = Members.of(spec, context.parts["species"], context.begin)
+        points, self._notices = self._members.outside(colliders)
+        forces = context.parts.get("forces", ())
+        start = np.stack([points, self._members.velocities])
+        self._domain = spec.domain
+        rules = rules_of(self._members)
+        self.system = FlockForces(
+            self._members, spec.domain, colliders, forces, rules, self._within(start)
+        )
+        check_fit(Equations(self.system), integrator)
+        shows = [parts.get("shows") for parts in context.parts["species"]]
+        # Species that show the same share its meshes.
+        cycles = {show: show() for show in shows if show is not None}
+        self._meshes: tuple[MeshFrame, ...] = tuple(
+            m for c in cycles.values() for m in c
+        )
+        ends = dict(
+            zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True)
+        )
+        self._shown = np.array(
+            [(ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0) for s in shows]
+        )
+
+    def initial(self) -> FlockState:
+        """Return where all begin."""
+        motion = self.system.motion
+        if not self._meshes:
+            return FlockState(motion, None)
+        return FlockState(motion, first_heading(self._members, motion[1]))
+
+    def step(self, state: FlockState, t: float, dt: float) -> FlockState:
+        """Return where members are a step [s] later.
+
+        Raises:
+            ToleranceError: The method could not go on (SIM102 to SIM105).
+        """
+        system = replace(self.system, motion=state.motion)
+        options = replace(self._options, step=dt)
+        begin = Checkpoint(t, state.motion)
+        found = integrate(system, (t, t + dt), options, begin)
+        if found.stats.status is not Status.OK:
+            faults = [replace(one, severity=Severity.ERROR) for one in found.notices]
+            raise ToleranceError(faults)
+        heading, motion = state.heading, found.states[-1]
+        if heading is not None:
+            heading = next_heading(
+                self._members, heading, state.motion[1], motion[1], dt
+            )
+        return FlockState(self._within(motion), heading)
+
+    def _within(self, motion: FloatArray) -> FloatArray:
+        """Return members that left a domain that wraps where they come in again."""
+        if self._domain is None or not self._domain.wrap:
+            return motion
+        size = np.array(self._domain.size)
+        low = np.array(self._domain.at) - size / 2
+        turns = np.floor((motion[0] - low) / size)
+        return (
+            np.stack([motion[0] - turns * size, motion[1]]) if turns.any() else motion
+        )
+
+    def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
+        """Return what members show."""
+        members, heading = self._members, state.heading
+        points, velocities = state.motion
+        ids = np.arange(len(members))
+        several = len(members.species) > 1
+        primvars = {"species": members.kinds} if several else {}
+        if heading is None:
+            return PointsFrame(ids, points, velocities, members.radii, primvars)
+        return TransformsFrame(
+            ids,
+            points,
+            velocities,
+            heading.rotations,
+            heading.spins,
+            np.ones((len(members), 3)),
+            shown(members, self._shown, heading.phases),
+            self._meshes,
+            primvars,
+        )
+
+    def diagnostics(self, state: FlockState, t: float) -> Diagnostics:  # noqa: ARG002
+        """Return how fast members are, and how much they go one way."""
+        velocities = state.motion[1]
+        speeds = np.linalg.norm(velocities, axis=1)
+        moving = speeds > 0
+        values = {"members": float(len(speeds))}
+        if moving.any():
+            ways = velocities[moving] / speeds[moving, None]
+            values["speed"] = float(speeds.mean())
+            values["order"] = float(np.linalg.norm(ways.mean(axis=0)))
+        return Diagnostics(values=values, notices=self._notices)

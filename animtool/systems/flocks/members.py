@@ -1,0 +1,222 @@
+"""Who is in a flock: species one after the other, and where each member begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.sim.colliders import Colliders
+from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
+from animtool.systems.particles.emitter import Emitter
+from animtool.systems.particles.state import ParticleState
+
+# Moves out of colliders that a member begins in: who needs more is held by several.
+MOVES = 20
+# How far beyond the surface it is put then, over its radius [1].
+CLEAR = 1e-6
+
+
+@dataclass(frozen=True)
+class Members:
+    """N members of some species, and where they begin."""
+
+    species: Sequence[SpeciesModel]
+    parts: Sequence[Mapping[str, Any]]  # what keys of each are read as
+    ends: Sequence[int]  # where each species ends among all
+    begin: float  # when [s]
+    points: FloatArray  # (N, 3) [m]
+    velocities: FloatArray  # (N, 3) [m/s]
+
+    @staticmethod
+    def of(
+        spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
+    ) -> Members:
+        """Return the members of a spec: refused where two begin at one place."""
+        drawn = [
+            _drawn(species, own, begin)
+            for species, own in zip(spec.species, parts, strict=True)
+        ]
+        points, velocities = (np.concatenate(each) for each in zip(*drawn, strict=True))
+        ends = np.cumsum([len(each[0]) for each in drawn]).tolist()
+        members = Members(spec.species, parts, ends, begin, points, velocities)
+        members.check_apart()
+        return members
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.points)
+
+    @cached_property
+    def parted(self) -> list[slice]:
+        """Return the members of each species."""
+        starts = [0, *self.ends[:-1]]
+        return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """Return the number of each member's species ``(N,)``."""
+        counts = np.diff([0, *self.ends])
+        return np.repeat(np.arange(len(self.species)), counts)
+
+    def each(self, values: Sequence[float]) -> FloatArray:
+        """Return a value of each member's species ``(N,)``."""
+        return np.asarray(values, np.float64)[self.kinds]
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """Return how near members come to colliders ``(N,)`` [m]."""
+        return self.each([one.radius for one in self.species])
+
+    @cached_property
+    def particles(self) -> ParticleState:
+        """Return members as the forces on particles see them."""
+        count = len(self)
+        return ParticleState(
+            np.arange(count),
+            self.each([one.mass for one in self.species]),
+            np.zeros(count),
+            self.radii,
+            np.full(count, self.begin),
+            np.full(count, np.inf),
+            self.points,
+        )
+
+    def named(self, i: int) -> str:
+        """Return a member, for messages."""
+        kind = int(self.kinds[i])
+        return f"member {i - self.parted[kind].start} of {self.species[kind].name!r}"
+
+    def check_apart(self) -> None:
+        """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
+        order = np.lexsort(self.points.T)
+        same = (np.diff(self.points[order], axis=0) == 0).all(axis=1)
+        if same.any():
+            i = int(np.argmax(same))
+            one, other = sorted(order[[i, i + 1]].tolist())
+            message = f"{self.named(one)} and {self.named(other)} begin at one place"
+            hint = "place: {sphere: {radius: 2}}, or another place that has a size"
+            refuse(message, hint, "species")
+
+    def outside(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
+        """Return where members begin that no collider holds ``(N, 3)`` [m].
+
+        Who would begin inside is moved out, which is a warning (SIM124).
+        """
+        points, moved = self.points, np.zeros(len(self), bool)
+        for _ in range(MOVES if len(colliders) else 0):
+            found = colliders.sample(points, self.begin)
+            depths = self.radii - found.distances
+            worst = np.argmax(depths, axis=0)
+            all_of_them = np.arange(len(self))
+            depth = depths[worst, all_of_them]
+            within = depth > 0
+            if not within.any():
+                break
+            moved |= within
+            way = found.normals[worst, all_of_them]
+            points = points + (way * ((depth + CLEAR * self.radii) * within)[:, None])
+        else:
+            if len(colliders):
+                name = self.named(int(np.argmax(within)))
+                message = f"{name} begins inside colliders, and finds no way out"
+                refuse(
+                    message, "begin elsewhere, or leave room between them", "species"
+                )
+        if not moved.any():
+            return points, []
+        message = (
+            f"{counted(int(moved.sum()), 'member')} would begin inside a collider, "
+        )
+        message += f"{self.named(int(np.argmax(moved)))} first: moved out"
+        hint = "begin elsewhere"
+        return points, [Fault("SIM124", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _drawn(
+    species: SpeciesModel, parts: Mapping[str, Any], begin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
+    points, velocities = parts.get("points"), parts.get("velocities")
+    if points is None and velocities is not None:
+        refuse("velocities are of points, and there are none", "points: birds.npz", "")
+    emitter = Emitter(
+        place=parts["place"],
+        poses=parts["poses"],
+        bursts=[(begin, species.count if points is None else len(points))],
+        direction=species.direction or (0.0, 0.0, 1.0),
+        spread=np.radians(species.spread),
+        speed=species.speed.cruise,
+        inherit=0.0,
+        seed=species.seed,
+    )
+    (_, number) = emitter.bursts[0]
+    own, ways, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+    if points is None:
+        return own, ways
+    for name, array in (("points", points), ("velocities", velocities)):
+        shape = (len(points), 3)
+        if array is not None and (array.shape != shape or not np.isfinite(array).all()):
+            message = f"{name} of {species.name!r} are of shape {array.shape} or not "
+            refuse(f"{message}finite: they must be {shape}", "", name)
+    return points, ways if velocities is None else velocities
+
+
+def check_species(spec: FlocksModel) -> None:
+    """Refuse species whose keys do not fit together (SIM060)."""
+    names = [species.name for species in spec.species]
+    for species in spec.species:
+        if names.count(species.name) > 1:
+            refuse(f"two species are named {excerpt(species.name)}", "", "species")
+        others = [*species.joins, *(one.species for one in species.flees)]
+        others += [one.species for one in species.chases]
+        for name in others:
+            if name not in names:
+                hint = f"there are {', '.join(names)}"
+                refuse(f"no species is named {excerpt(name)}", hint, "species")
+        speed = species.speed
+        if not speed.least <= speed.cruise <= most_speed(species):
+            message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
+            message += f"between {speed.least:g} and {most_speed(species):g}"
+            refuse(message, "", "species")
+    shown = [species.shows is not None for species in spec.species]
+    if any(shown) and not all(shown):
+        name = names[shown.index(False)]
+        hint = f"give {name!r} a mesh to show, or make two systems"
+        refuse("some species show a mesh and others points", hint, "species")
+    if spec.domain is not None:
+        _check_domain(spec, spec.domain)
+
+
+def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
+    least = min(domain.size)
+    for species in spec.species:
+        radius, what = species.radius, "its radius"
+        if domain.wrap:
+            radius, what = farthest(species), "what it sees"
+        if least < 2 * radius:
+            message = f"the domain is {least:g} m wide, and {species.name!r} needs "
+            message += f"{2 * radius:g} m: twice {what}"
+            refuse(message, "a larger domain, or a smaller radius", "domain")
+
+
+def most_speed(species: SpeciesModel) -> float:
+    """Return how fast members may be [m/s]."""
+    speed = species.speed
+    return 2 * speed.cruise if speed.most is None else speed.most
+
+
+def farthest(species: SpeciesModel) -> float:
+    """Return how far members heed others [m]."""
+    others = [*species.flees, *species.chases]
+    return max(species.vision.radius, *(one.radius for one in others), 0.0)
+
+
+def refuse(message: str, hint: str, key: str) -> None:
+    """Raise what of a flock makes no sense (SIM060)."""
+    raise OptionError(Fault("SIM060", message, hint=hint or None, where=key or None))

@@ -1,0 +1,132 @@
+"""What members do by those that they see: one call of the kernel a rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault, ToleranceError
+from animtool.systems.flocks.members import Members
+from animtool.systems.flocks.spec import DomainModel, SpeciesModel
+
+Indices: TypeAlias = npt.NDArray[np.int32]
+# Distances that are looked at for one member, on average, and in all: beyond both a
+# flock takes minutes a step, as where thousands see each other.
+MOST_EACH, MOST_ALL = 20_000, 2_000_000_000
+_NEVER = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What members of a species do by those of some: arguments of the kernel."""
+
+    members: Indices | None  # (M,); None is all
+    others: Indices | None
+    radius: float  # [m]
+    cosine: float  # of half the angle that is seen
+    nearest: int  # 0 is all
+    attraction: tuple[float, float]  # [1/s²] and [m]
+    alignment: tuple[float, float]  # [1/s] and [m]
+    repulsion: tuple[float, float]  # [m²/s²] and [m]
+    softening: float  # [m]
+
+
+def rules_of(members: Members) -> list[Rule]:
+    """Return the rules of all species, those without an effect left out."""
+    found = []
+    names = [species.name for species in members.species]
+    for number, species in enumerate(members.species):
+        own = _some(members, [number])
+        mates = [number, *(names.index(name) for name in species.joins)]
+        found.append(_flocking(species, own, _some(members, sorted({*mates}))))
+        for flee in species.flees:
+            those = _some(members, [names.index(flee.species)])
+            push = (flee.weight, flee.radius)
+            found.append(
+                Rule(
+                    own, those, flee.radius, -1.0, 0, _NEVER, _NEVER, push,
+                    species.repulsion.softening,
+                )
+            )  # fmt: skip
+        for chase in species.chases:
+            those = _some(members, [names.index(chase.species)])
+            pull = (chase.weight, chase.radius)
+            found.append(
+                Rule(own, those, chase.radius, -1.0, 1, pull, _NEVER, _NEVER, 0.0)
+            )
+    return [rule for rule in found if _acts(rule)]
+
+
+def _flocking(
+    species: SpeciesModel,
+    own: Indices | None,
+    mates: Indices | None,
+) -> Rule:
+    vision, repulsion = species.vision, species.repulsion
+
+    def within(radius: float | None) -> float:
+        return vision.radius if radius is None else min(radius, vision.radius)
+
+    return Rule(
+        own,
+        mates,
+        vision.radius,
+        -1.0 if vision.angle == 360 else float(np.cos(np.radians(vision.angle / 2))),
+        vision.nearest or 0,
+        (species.attraction.weight, within(species.attraction.radius)),
+        (species.alignment.weight, within(species.alignment.radius)),
+        (repulsion.weight, within(repulsion.radius)),
+        repulsion.softening,
+    )
+
+
+def _acts(rule: Rule) -> bool:
+    weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
+    sizes = [len(some) for some in (rule.members, rule.others) if some is not None]
+    return any(weights) and 0 not in sizes
+
+
+def _some(members: Members, numbers: Sequence[int]) -> Indices | None:
+    """Return the members of some species ``(M,)``; None of all."""
+    if len(numbers) == len(members.species):
+        return None
+    every = [np.arange(len(members))[members.parted[number]] for number in numbers]
+    return np.concatenate(every).astype(np.int32)
+
+
+def flocking(
+    rules: Sequence[Rule], domain: DomainModel | None, x: FloatArray, v: FloatArray
+) -> FloatArray:
+    """Return accelerations by those that members see ``(N, 3)`` [m/s²].
+
+    ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
+
+    Raises:
+        ToleranceError: They are so many at one place that a step would take minutes
+            (SIM107).
+    """
+    period = np.zeros((2, 3))
+    if domain is not None and domain.wrap:
+        period[1] = domain.size
+        period[0] = np.subtract(domain.at, period[1] / 2)
+    total = np.zeros_like(x)
+    for rule in rules:
+        size = len(x) if rule.members is None else len(rule.members)
+        most = max(MOST_EACH * size, MOST_ALL)
+        found, _, looked = _kernels.flock_accelerations(
+            x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
+            np.array(rule.attraction), np.array(rule.alignment),
+            np.array(rule.repulsion), rule.softening, period, float(most),
+        )  # fmt: skip
+        if looked > most:
+            message = f"{size} members are so close that each is near thousands"
+            hint = "let them see less far, or repel each other more"
+            raise ToleranceError(Fault("SIM107", message, hint=hint))
+        total[slice(None) if rule.members is None else rule.members] += found
+    return total

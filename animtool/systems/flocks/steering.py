@@ -1,0 +1,139 @@
+"""What members do by themselves: goals, ways, speed, what they avoid, and limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.colliders import Colliders
+from animtool.systems.flocks.members import Members, most_speed
+from animtool.systems.flocks.spec import PathModel
+
+# Members whose ways are looked at together, so that their distances stay in the cache.
+BLOCK = 4096
+_TINY = 1e-12  # lengths and speeds below have no direction [m], [m/s]
+
+
+def own_ways(members: Members, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+    """Return what goals, ways and speeds do ``(N, 3)`` [m/s²]."""
+    made = np.zeros_like(x)
+    for species, parts, own in zip(
+        members.species, members.parts, members.parted, strict=True
+    ):
+        here, speed = x[own], species.speed
+        if speed.weight:
+            squares = (v[own] * v[own]).sum(axis=1)
+            lack = speed.weight * (speed.cruise**2 - squares)
+            made[own] += lack[:, None] * v[own]
+        for goal, placed in zip(species.goals, parts.get("goals", ()), strict=True):
+            off = placed["poses"].at(t)[:3] - here
+            pull = goal.weight * _beyond(off, goal.radius)
+            made[own] += pull if goal.limit is None else limited(pull, goal.limit)
+        for path in species.paths:
+            for first in range(0, len(here), BLOCK):
+                rows = slice(
+                    own.start + first, own.start + min(first + BLOCK, len(here))
+                )
+                off = _target(path, x[rows]) - x[rows]
+                made[rows] += path.weight * _beyond(off, path.radius)
+    return made
+
+
+def _beyond(off: FloatArray, radius: float) -> FloatArray:
+    """Return what of ways ``(N, 3)`` is beyond a radius [m]."""
+    if not radius:
+        return off
+    far = np.linalg.norm(off, axis=1)[:, None]
+    return np.asarray(off * np.maximum(1 - radius / np.maximum(far, _TINY), 0.0))
+
+
+def _target(path: PathModel, x: FloatArray) -> FloatArray:
+    """Return where on a way those at points are to go ``(N, 3)`` [m]."""
+    points = np.array(path.points)
+    if path.closed:
+        points = np.concatenate([points, points[:1]])
+    ways = np.diff(points, axis=0)
+    lengths = np.linalg.norm(ways, axis=1)
+    shares = ((x[:, None] - points[:-1]) * ways).sum(axis=2)
+    shares = np.clip(shares / np.maximum(lengths**2, _TINY), 0.0, 1.0)
+    off = points[:-1] + shares[..., None] * ways - x[:, None]
+    nearest = np.argmin((off * off).sum(axis=2), axis=1)
+    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = marks[nearest] + shares[np.arange(len(x)), nearest] * lengths[nearest]
+    along = along + path.ahead
+    along = along % marks[-1] if path.closed else np.minimum(along, marks[-1])
+    return np.stack([np.interp(along, marks, each) for each in points.T], axis=1)
+
+
+def avoidance(
+    members: Members, colliders: Colliders, t: float, x: FloatArray, v: FloatArray
+) -> FloatArray:
+    """Return what keeps members clear of colliders ``(N, 3)`` [m/s²].
+
+    Near a surface they are pushed off; who goes towards it is also braked as much as
+    stops it there: by the square of its speed over twice the distance.
+    """
+    made = np.zeros_like(x)
+    reach = members.each([one.avoidance.distance for one in members.species])
+    push = members.each([one.avoidance.weight for one in members.species])
+    found = colliders.sample(x, t)
+    for distances, normals, speeds in zip(
+        found.distances, found.normals, found.velocities, strict=True
+    ):
+        gap = np.maximum(distances - members.radii, 0.0)
+        near = np.maximum(1 - gap / reach, 0.0)
+        rows = near > 0
+        if not rows.any():
+            continue
+        closing = ((v - speeds)[rows] * normals[rows]).sum(axis=1)
+        room = 2 * np.maximum(gap[rows], members.radii[rows])
+        brake = np.minimum(closing, 0.0) ** 2 / room
+        size = near[rows] * (push[rows] * near[rows] + brake)
+        made[rows] += size[:, None] * normals[rows]
+    return made
+
+
+def steered(members: Members, v: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Return accelerations that members are capable of ``(N, 3)`` [m/s²]."""
+    made = wanted
+    for species, own in zip(members.species, members.parted, strict=True):
+        if species.turning is not None:
+            made = _turned_less(made, v, own, float(np.radians(species.turning)))
+        if species.acceleration is not None:
+            made = made.copy()
+            made[own] = limited(made[own], species.acceleration)
+    return made
+
+
+def _turned_less(
+    made: FloatArray, v: FloatArray, own: slice, most: float
+) -> FloatArray:
+    """Return accelerations that turn velocities less than a rate [rad/s]."""
+    speeds = np.linalg.norm(v[own], axis=1)[:, None]
+    ways = v[own] / np.maximum(speeds, _TINY)
+    along = (made[own] * ways).sum(axis=1)[:, None] * ways
+    made = made.copy()
+    across = made[own] - along
+    sizes = np.linalg.norm(across, axis=1)[:, None]
+    # Who stands turns at once.
+    share = np.minimum(most * speeds / np.maximum(sizes, _TINY), 1.0)
+    made[own] = along + across * np.where(speeds > _TINY, share, 1.0)
+    return made
+
+
+def limited(values: FloatArray, most: float) -> FloatArray:
+    """Return vectors ``(N, 3)`` no longer than a length."""
+    sizes = np.linalg.norm(values, axis=1)[:, None]
+    return np.asarray(values * np.minimum(most / np.maximum(sizes, _TINY), 1.0))
+
+
+def kept_speeds(members: Members, v: FloatArray) -> FloatArray:
+    """Return velocities within the speeds of each species ``(N, 3)`` [m/s]."""
+    least = members.each([one.speed.least for one in members.species])
+    most = members.each([most_speed(one) for one in members.species])
+    speeds = np.linalg.norm(v, axis=1)
+    odd = (speeds > most) | ((speeds < least) & (speeds > _TINY))
+    if not odd.any():
+        return v
+    factors = np.clip(speeds, least, most) / np.maximum(speeds, _TINY)
+    return np.where(odd[:, None], v * factors[:, None], v)

@@ -1,0 +1,281 @@
+"""Flocks as scenes have them: who begins where, what they avoid, what is refused."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.simulated import Simulator
+
+from animtool.errors import AnimtoolError
+from animtool.frames import TransformsFrame
+from animtool.maths import so3
+from animtool.scene.systems.run import SystemRun
+from animtool.scene.systems.simulation import open_systems
+from animtool.systems.simulation import Reached, SimulationRun
+
+FRAMES = (np.arange(24) / 24).tolist()
+BIRD = {"name": "bird", "count": 30, "seed": 3}
+PLANE = (
+    '#usda 1.0\n(\n    metersPerUnit = 1\n)\ndef Mesh "bird" {\n'
+    "point3f[] points = [(0, 0, 1), (1, 0, 0), (-1, 0, 0)]\n"
+    "point3f[] points.timeSamples = {1: [(0, 0, 1), (1, 0, 0), (-1, 0, 0)], "
+    "5: [(0, 0, 1), (1, 1, 0), (-1, 1, 0)], 9: [(0, 0, 1), (1, 0, 0), (-1, 0, 0)]}\n"
+    "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n"
+)
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Simulator:
+    return Simulator(tmp_path)
+
+
+def flock(*species: dict[str, Any], **keys: Any) -> list[dict[str, Any]]:
+    return [{"flocks": {"name": "it", "species": list(species), **keys}}]
+
+
+def test_goals_draw_paths_lead_and_hawks_scatter(simulator: Simulator) -> None:
+    def last(**changes: Any) -> np.ndarray:
+        rows = simulator.simulate(flock({**BIRD, **changes}), FRAMES)["it"]
+        return np.asarray(rows[-1].points)
+
+    alone = last()
+    drawn = last(goals=[{"at": [50, 0, 0], "weight": 1, "limit": 5}])
+    # A constant pull of 5 m/s² against what keeps the speed.
+    assert 0.5 < (drawn - alone).mean(axis=0)[0] < 2.5
+    way = [[0, 0, 0], [0, 30, 0]]
+    led = last(paths=[{"points": way, "weight": 4}])
+    assert (led - alone).mean(axis=0)[1] > 1
+    hawk = {"name": "hawk", "count": 1, "place": {"point": None}}
+    fled = simulator.simulate(
+        flock({**BIRD, "flees": [{"species": "hawk", "weight": 9, "radius": 9}]}, hawk),
+        FRAMES,
+    )["it"]
+    spread = [
+        np.linalg.norm(rows - rows.mean(axis=0), axis=1).mean()
+        for rows in (alone, fled[-1].points[:30])
+    ]
+    assert spread[1] > 1.5 * spread[0]
+    assert fled[-1].primvars["species"].tolist() == [0] * 30 + [1]
+
+
+def test_a_hawk_reaches_who_is_slow(simulator: Simulator) -> None:
+    hawk = {
+        "name": "hawk", "count": 1, "at": [0, 0, -6], "speed": {"cruise": 6},
+        "place": {"point": None}, "chases": [{"species": "bird", "weight": 20,
+        "radius": 30}],
+    }  # fmt: skip
+    rows = simulator.simulate(flock({**BIRD, "count": 1}, hawk), np.arange(73) / 24)
+    gaps = [np.linalg.norm(row.points[0] - row.points[1]) for row in rows["it"]]
+    assert min(gaps) < 0.5
+
+
+@pytest.mark.parametrize("step", [0.005, 0.02, 0.04])
+@pytest.mark.parametrize("method", ["symplectic_euler", "rk4"])
+def test_nobody_is_in_an_obstacle_at_any_frame(
+    step: float, method: str, simulator: Simulator
+) -> None:
+    """A tower, a ball that is thrown at them, walls and a ground that rises."""
+    tower = np.array([0, 0, 6.0])
+    keys = {
+        "colliders": [
+            {"shape": {"capsule": {"radius": 1, "length": 9}}, "at": tower.tolist()},
+            {
+                "shape": {"sphere": {"radius": 1.5}},
+                "at": [0, 0, 14],
+                "moves": [[0, 0, 0, 0], [1, 0, 0, -12]],
+            },
+            {
+                "shape": {"plane": {}},
+                "at": [0, -4, 0],
+                "moves": [[0, 0, 0, 0], [2, 0, 3, 0]],
+            },
+        ],
+        "domain": {"size": [16, 16, 30]},
+        "step": step,
+        "method": method,
+    }  # fmt: skip
+    fast = {**BIRD, "count": 200, "speed": {"cruise": 12, "most": 20}, "radius": 0.1}
+    times = np.arange(48) / 24
+    for t, row in zip(
+        times, simulator.simulate(flock(fast, **keys), times)["it"], strict=True
+    ):
+        x = row.points
+        apart = x - tower
+        apart[:, 1] -= np.clip(apart[:, 1], -4.5, 4.5)
+        ball = np.array([0, 0, 14 - 12 * min(t, 1)])
+        gaps = [
+            np.linalg.norm(apart, axis=1) - 1,
+            np.linalg.norm(x - ball, axis=1) - 1.5,
+            x[:, 1] + 4 - 1.5 * t,
+            (np.array([8, 8, 15]) - np.abs(x)).min(axis=1),
+        ]
+        assert min(gap.min() for gap in gaps) > 0.1 - 1e-6
+        assert (np.linalg.norm(row.velocities, axis=1) < 20 + 1e-9 + 12).all()
+
+
+def test_who_begins_in_a_collider_is_moved_out(simulator: Simulator) -> None:
+    ball = {"name": "rock", "shape": {"sphere": {"radius": 1.5}}}
+    scene = simulator.scene(flock(BIRD, colliders=[ball]))
+    run = SystemRun(scene.systems, 0.0)
+    ((_, (row,)),) = run.rows([0], 0, 1)  # type: ignore[list-item,arg-type]
+    assert np.linalg.norm(row.points, axis=1).min() >= 1.6
+    (notice,) = run.notices
+    assert notice.code == "SIM124"
+    assert "member" in notice.message
+
+
+def test_a_domain_that_wraps_keeps_all_and_shows_no_seam(simulator: Simulator) -> None:
+    domain = {"at": [1, 2, 3], "size": [6, 5, 7], "wrap": True}
+    crowd = {**BIRD, "count": 80, "speed": {"cruise": 9}}
+    rows = simulator.simulate(flock(crowd, domain=domain), FRAMES)["it"]
+    size = np.array([6, 5, 7])
+    low = np.array([1, 2, 3]) - size / 2
+    crossed = 0
+    for before, after in pairwise(rows):
+        assert (after.points >= low).all()
+        assert (after.points <= low + size).all()
+        jumps = np.abs(after.points - before.points) > 2.5
+        crossed += int(jumps.sum())
+    assert crossed
+    # Put elsewhere by a part of its length, it flies alike.
+    moved = {**domain, "at": [1.7, 2, 3]}
+    others = simulator.simulate(flock(crowd, domain=moved), FRAMES)["it"]
+    off = others[6].points - rows[6].points
+    off -= size * np.round(off / size)
+    assert_allclose(off, 0, atol=1e-9)
+
+
+def test_limits_of_speed_and_turning_hold(simulator: Simulator) -> None:
+    slow = {
+        **BIRD, "speed": {"cruise": 4, "least": 3, "most": 5}, "turning": 90,
+        "goals": [{"at": [-40, 0, 0], "weight": 3}], "acceleration": 50,
+    }  # fmt: skip
+    rows = simulator.simulate(flock(slow, step=0.002), FRAMES)["it"]
+    speeds = np.array([np.linalg.norm(row.velocities, axis=1) for row in rows])
+    assert (speeds > 3 - 1e-9).all()
+    assert (speeds < 5 + 1e-9).all()
+    ways = np.array([row.velocities for row in rows]) / speeds[..., None]
+    turned = np.degrees(np.arccos(np.clip((ways[1:] * ways[:-1]).sum(axis=2), -1, 1)))
+    assert turned.max() * 24 < 90 * 1.01
+    assert turned.max() * 24 > 80
+
+
+def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
+    scene = simulator.scene(flock(BIRD, forces=[{"gravity": None}]))
+    (whole,) = open_systems(scene.systems, 1.0)
+    assert isinstance(whole, SimulationRun)
+    whole.at(0.4)
+    middle = whole.state
+    assert isinstance(middle, Reached)
+    end = whole.at(0.8)
+    again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, middle)
+    assert_array_equal(again.at(0.8).points, end.points)
+
+
+def test_members_that_show_a_mesh_head_along_their_way(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    (tmp_path / "bird.usda").write_text(PLANE, "utf-8")
+    shown = {
+        **BIRD, "shows": {"file": "bird.usda", "prim": "/bird", "samples": 8},
+        "beat": 3, "goals": [{"at": [20, 0, 0], "weight": 1}], "banking": 1,
+    }  # fmt: skip
+    steps = np.arange(48) / 96
+    rows = simulator.simulate(flock(shown, step=1 / 96), steps)["it"]
+    shows = set()
+    for before, row in pairwise(rows):
+        assert isinstance(row, TransformsFrame)
+        assert len(row.meshes) == 8
+        shows |= set(row.copied.tolist())
+        ways = row.velocities / np.linalg.norm(row.velocities, axis=1)[:, None]
+        assert_allclose(so3.rotate(row.rotations, [0.0, 0, 1]), ways, atol=1e-9)
+        # Spinning so for a step, each came to be as it is.
+        spun = so3.multiply(so3.exp(row.spins / 96), before.rotations)
+        assert so3.angle_between(spun, row.rotations).max() < 1e-7
+    assert shows == set(range(8))
+    # All turn to x: who leans into it has its up there too.
+    assert so3.rotate(rows[24].rotations, [0.0, 1, 0])[:, 0].mean() > 0.1
+    still = {**shown, "banking": 0}
+    level = simulator.simulate(flock(still, step=1 / 96), steps)["it"][24]
+    tilts = [
+        np.abs(so3.rotate(row.rotations, [1.0, 0, 0])[:, 1]).mean()
+        for row in (level, rows[24])
+    ]
+    assert tilts[0] < 0.3 * tilts[1]
+    heights = rows[0].meshes[2].points[1, 1], rows[0].meshes[4].points[1, 1]
+    assert_allclose(heights, (0.5, 1.0))
+
+
+TWO = {**BIRD, "name": "other"}
+FAULTS = {
+    "one place": (flock({**BIRD, "place": {"point": None}}), "SIM060", "one place"),
+    "no such species": (flock({**BIRD, "joins": ["brid"]}), "SIM060", "'brid'"),
+    "no such prey": (
+        flock({**BIRD, "chases": [{"species": "x", "weight": 1, "radius": 1}]}),
+        "SIM060", "'x'",
+    ),
+    "two of a name": (flock(BIRD, BIRD), "SIM060", "'bird'"),
+    "a cruise that is too fast": (
+        flock({**BIRD, "speed": {"cruise": 3, "most": 2}}), "SIM060", "cruise"
+    ),
+    "a domain that is too small": (
+        flock(BIRD, domain={"size": [3, 9, 9], "wrap": True}), "SIM060", "domain"
+    ),
+    "walls that touch": (
+        flock(BIRD, domain={"size": [0.1, 9, 9]}), "SIM060", "domain"
+    ),
+    "points and meshes": (
+        flock(BIRD, {**TWO, "shows": {"file": "bird.usda", "prim": "/bird"}}),
+        "SIM060", "mesh",
+    ),
+    "held by two": (
+        flock(
+            {**BIRD, "count": 1, "place": {"point": None}},
+            colliders=[
+                {"shape": {"plane": {"normal": [0, y, 0]}}, "at": [0, -y * 0.01, 0]}
+                for y in (1, -1)
+            ],
+        ),
+        "SIM060", "no way out",
+    ),
+    "no radius": (flock({**BIRD, "vision": {"radius": 0}}), "DOC0", "radius"),
+    "no number": (
+        flock({**BIRD, "attraction": {"weight": float("nan")}}), "DOC0", "weight"
+    ),
+    "no method": (flock(BIRD, method="rk5"), "SIM001", "rk5"),
+    "a method that cannot stop": (flock(BIRD, method="lsoda"), "SIM006", "lsoda"),
+    "no file": (
+        flock({**BIRD, "shows": {"file": "none.usda", "prim": "/a"}}), "", "none.usda"
+    ),
+    "a mesh of nothing": (
+        flock({**BIRD, "shows": {"file": "bird.usda"}}), "SIM053", "prim"
+    ),
+    "no such prim": (
+        flock({**BIRD, "shows": {"file": "bird.usda", "prim": "/brid"}}),
+        "SIM051", "/brid",
+    ),
+    "a crowd": (
+        flock({**BIRD, "count": 60_000, "place": {"sphere": {"radius": 0.01}}}),
+        "SIM107", "close",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_what_makes_no_sense_is_refused(
+    case: str, simulator: Simulator, tmp_path: Path
+) -> None:
+    (tmp_path / "bird.usda").write_text(PLANE, "utf-8")
+    systems, code, word = FAULTS[case]
+    with pytest.raises(AnimtoolError) as error:
+        simulator.simulate(systems, [0.0, 0.1])
+    fault = error.value.faults[0]
+    assert fault.code.startswith(code)
+    assert word in str(error.value)
+    assert fault.lines == (1,)
+    assert (fault.where or "").startswith("systems[0].flocks")
