@@ -25,6 +25,7 @@ from animtool.quantities import length_text, plain
 
 if TYPE_CHECKING:
     from animtool.report.compare import TakeDifference
+    from animtool.report.compare_points import PointsDifference
 
 _KINDS = ("world", "translation", "rotation", "scale")
 
@@ -84,13 +85,28 @@ Examples:
 def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
-    Weights of blend shapes are compared too. Exit code 1 where they differ by more
-    than the tolerances, or one has joints, moving shapes, frames or a rate that the
-    other has not.
+    Weights of blend shapes are compared too. Of USD files without a character the
+    points, curves, meshes and copies are compared, by their ids. Exit code 1 where they
+    differ by more than the tolerances, or one has joints, moving shapes, prims, frames
+    or a rate that the other has not.
     """
     from animtool.errors import ExitCode
     from animtool.report.compare import compare
+    from animtool.scene.sources import is_usd
 
+    if is_usd(first) and is_usd(second):
+        from animtool.report.compare_points import compare_points
+
+        points = compare_points(first, second)
+        if points is not None:
+            same = points.within(given["tol"], given["tol_degrees"])
+            if given["report_format"] == "json":
+                values = {"diff": "animtool/1", "same": same, **asdict(points)}
+                console.result_json(values)
+            else:
+                console.result(*_points_text(points, same=same))
+            code = ExitCode.OK if same else ExitCode.FINDINGS
+            click.get_current_context().exit(int(code))
     found = compare(first, second, *_options(first, second, given))
     same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
     if given["report_format"] == "json":
@@ -135,6 +151,25 @@ def _text(found: TakeDifference, *, same: bool) -> list[str]:
         line = f"  {'weight':<12}{plain(weight.value)}"
         if weight.value:
             line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
+        lines.append(line)
+    lines += [f"  {text}" for text in found.mismatches]
+    lines += [f"  note: {text}" for text in found.notes]
+    return [*lines, "same" if same else "different"]
+
+
+def _points_text(found: PointsDifference, *, same: bool) -> list[str]:
+    """Return what was compared of points, the largest differences, and the result."""
+    from animtool.errors import counted
+
+    prims, samples = counted(found.prims, "prim"), counted(found.samples, "sample")
+    lines = [f"{prims}, {samples} compared"]
+    sizes = length_text(found.points.value), f"{plain(found.orientations.value)} deg"
+    for kind, size in zip(("points", "orientations"), sizes, strict=True):
+        largest = getattr(found, kind)
+        line = f"  {kind:<14}{size}"
+        if largest.value:
+            line += f"  {largest.prim!r}, point {largest.point}"
+            line += f", time code {frame_label(largest.code)}"
         lines.append(line)
     lines += [f"  {text}" for text in found.mismatches]
     lines += [f"  note: {text}" for text in found.notes]

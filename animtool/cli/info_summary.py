@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Of a set with many prims, those that have a line each.
 MAX_PRIMS = 20
-_WORDS = {"": "over", "BasisCurves": "curves"}
+_WORDS = {"": "over", "BasisCurves": "curves", "PointInstancer": "copies"}
 
 
 def targets_text(found: TargetsDescription) -> list[str]:
@@ -158,7 +158,7 @@ def _prim_line(prim: PointPrim) -> str:
         span = f"time codes {span_label(prim.first, prim.last)}"
         moves = f"{counted(prim.samples, 'sample')}, {span}"
     parts.append(moves)
-    props = ("velocities", "widths", "ids", "normals")
+    props = ("velocities", "orientations", "widths", "ids", "normals")
     has = [name for name in props if getattr(prim, name)] + prim.primvars
     if has:
         parts.append(f"with {', '.join(has)}")

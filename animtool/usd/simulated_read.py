@@ -11,15 +11,19 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from animtool._types import FloatArray, IntArray
 from animtool.clock import time_fraction
 from animtool.errors import Fault, Severity, listed
+from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.units import unit_name
+from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (
     array_of,
     array_value,
     composition_notices,
+    decompose,
     find_skeletons,
     open_stage,
     up_axis,
@@ -42,7 +46,8 @@ class PointPrim:
     path: str  # of the prim
     type: str  # of the prim; empty of one that only goes over another layer's
     points: tuple[int, int]  # least and most points at a sample
-    # What they are joined to, `faces` or `curves`; empty where they are not.
+    # What they are joined to, `faces` or `curves`, or what stands at them: the
+    # `meshes` of a PointInstancer; empty where there is none.
     pieces: str
     piece_count: tuple[int, int]  # least and most of these
     samples: int  # of the points; 0 where they never move
@@ -55,6 +60,7 @@ class PointPrim:
     widths: bool  # likewise
     ids: bool  # likewise
     normals: bool  # likewise
+    orientations: bool  # likewise
     primvars: list[str]  # names of those that it has
     # Lowest and highest corner over all samples, in its own space, as it is stated;
     # None where none is.
@@ -105,9 +111,9 @@ def read_points(path: Path) -> PointStage | None:
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        if find_skeletons(stage) or any(map(_animates, _prims(stage))):
+        if _has_character(stage):
             return None
-        found = [_described(prim) for prim in _prims(stage) if _has_points(prim)]
+        found = [_described(prim) for prim in _point_prims(stage)]
         if not found:
             return None
         chunks = [one for prim in _prims(stage) for one in _chunks(prim)]
@@ -136,7 +142,7 @@ def displaced_points(path: Path) -> list[PointPrim]:
     """
     with usd_errors(path):
         stage = open_stage(path)
-        found = [_described(prim) for prim in _prims(stage) if _has_points(prim)]
+        found = [_described(prim) for prim in _point_prims(stage)]
         return [one for one in found if one.samples]
 
 
@@ -147,27 +153,56 @@ def _prims(stage: Any) -> Iterator[Any]:
     )
 
 
+def _has_character(stage: Any) -> bool:
+    return bool(find_skeletons(stage)) or any(map(_animates, _prims(stage)))
+
+
 def _animates(prim: Any) -> bool:
     return bool(prim.IsA(UsdSkel.Animation))
+
+
+def _point_prims(stage: Any) -> Iterator[Any]:
+    """Yield the prims of points, but those of which a PointInstancer shows copies."""
+    prims = [prim for prim in _prims(stage) if _has_points(prim)]
+    copied = {
+        path
+        for prim in prims
+        if prim.IsA(UsdGeom.PointInstancer)
+        for path in _meshes(prim)
+    }
+    for prim in prims:
+        if not any(path in copied for path in prim.GetPath().GetPrefixes()):
+            yield prim
+
+
+def _meshes(instancer: Any) -> list[Any]:
+    """Return the paths of what a PointInstancer shows copies of."""
+    prototypes = UsdGeom.PointInstancer(instancer).GetPrototypesRel()
+    return list(prototypes.GetForwardedTargets())
 
 
 def _has_points(prim: Any) -> bool:
     if prim.IsAbstract():
         return False
+    if prim.IsA(UsdGeom.PointInstancer):
+        return True
     points = prim.GetAttribute("points")
     bare = not prim.GetTypeName() and points and points.HasAuthoredValue()
     return bool(prim.IsA(UsdGeom.PointBased) or bare)
 
 
 def _described(prim: Any) -> PointPrim:
-    points = prim.GetAttribute("points")
+    copies = prim.IsA(UsdGeom.PointInstancer)
+    points = prim.GetAttribute("positions" if copies else "points")
     times = points.GetTimeSamples()
     counts = _lengths(points, _codes(times))
     kind = str(prim.GetTypeName())
-    pieces, name = _PIECES.get(kind, ("", ""))
+    pieces, name = ("meshes", "") if copies else _PIECES.get(kind, ("", ""))
     shape = prim.GetAttribute(name) if name else None
     # Those of many samples are packed: the ends tell as much as all.
     many = _lengths(shape, _codes([*times[:1], *times[1:][-1:]])) if shape else []
+    if copies:
+        many = [len(_meshes(prim))]
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
     return PointPrim(
         str(prim.GetPath()),
@@ -185,6 +220,7 @@ def _described(prim: Any) -> PointPrim:
         _has(prim, "widths"),
         _has(prim, "ids"),
         _has(prim, "normals"),
+        _has(prim, "orientations") or _has(prim, "orientationsf"),
         sorted(str(primvar.GetPrimvarName()) for primvar in primvars),
         _extent(
             prim, [code for code, n in zip(_codes(times), counts, strict=True) if n]
@@ -193,7 +229,8 @@ def _described(prim: Any) -> PointPrim:
 
 
 def _has(prim: Any, name: str) -> bool:
-    return bool(prim.GetAttribute(name).HasAuthoredValue())
+    attribute = prim.GetAttribute(name)
+    return bool(attribute and attribute.HasAuthoredValue())
 
 
 def _codes(times: Sequence[float]) -> list[Any]:
@@ -262,3 +299,87 @@ def _chunks(prim: Any) -> Iterator[ChunkSet]:
         yield ChunkSet(
             str(prim.GetPath()), name, [asset.path for asset in assets], missing
         )
+
+
+@dataclass(frozen=True, slots=True)
+class PointSample:
+    """What a prim of points has at a time code, in the world."""
+
+    points: FloatArray  # (N, 3) [m]
+    ids: IntArray | None  # (N,); None where there are none
+    orientations: FloatArray | None  # x, y, z, w (N, 4); likewise
+
+
+class PointSource:
+    """The prims of points of a stage that is open, to be looked at over time."""
+
+    def __init__(self, path: Path, stage: Any) -> None:
+        self._path, self._stage = path, stage
+        root = stage.GetDefaultPrim()
+        above = root.GetPath() if root else Sdf.Path.absoluteRootPath
+        # What is below the default prim is the same whatever that is called.
+        self._prims = {
+            str(prim.GetPath().MakeRelativePath(above)): prim
+            for prim in _point_prims(stage)
+        }
+        self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
+        self.unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        self.up = up_axis(stage)
+
+    @property
+    def names(self) -> list[str]:
+        """Paths of the prims, below the default prim."""
+        return list(self._prims)
+
+    def type(self, name: str) -> str:
+        """Return the type of a prim."""
+        return str(self._prims[name].GetTypeName())
+
+    def codes(self, name: str) -> list[float]:
+        """Return the time codes of a prim's samples; none where it never moves."""
+        return [float(code) for code in self._points(name).GetTimeSamples()]
+
+    def at(self, name: str, code: float | None) -> PointSample:
+        """Return what a prim has at a time code; None is the default.
+
+        Raises:
+            FormatError: Its arrays do not fit each other (USD269).
+        """
+        prim = self._prims[name]
+        time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
+        points = np.array(array_value(self._points(name), time), np.float64)
+        world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(time)
+        matrix = np.array(world, np.float64)
+        points = points.reshape(-1, 3) @ matrix[:3, :3] + matrix[3, :3]
+        ids, turns = None, None
+        if _has(prim, "ids"):
+            ids = np.array(array_value(prim.GetAttribute("ids"), time), np.int64)
+        kind = next(
+            (n for n in ("orientationsf", "orientations") if _has(prim, n)), None
+        )
+        if kind is not None:
+            value = array_value(prim.GetAttribute(kind), time)
+            own = np.array(value, np.float64).reshape(-1, 4)
+            turns = so3.multiply(decompose(matrix[None])[1][0], own)
+        for array in (ids, turns):
+            if array is not None and len(array) != len(points):
+                message = f"{len(array)} for {len(points)} points"
+                Spot(str(self._path), str(prim.GetPath())).fail("USD269", message)
+        return PointSample(points * self.unit, ids, turns)
+
+    def _points(self, name: str) -> Any:
+        prim = self._prims[name]
+        copies = prim.IsA(UsdGeom.PointInstancer)
+        return prim.GetAttribute("positions" if copies else "points")
+
+
+def open_points(path: Path) -> PointSource | None:
+    """Return a stage that has points and no character; None of others.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    with usd_errors(path), without_usd_warnings():
+        stage = open_stage(path)
+        source = None if _has_character(stage) else PointSource(path, stage)
+    return source if source and source.names else None

@@ -26,6 +26,7 @@ BODY = f"{RIG}/body"
 FACE = f"{RIG}/face"
 SMILE = f"{FACE}/smile"
 CACHE = "/pair/Cache"
+FLOCK = "/pair/Flock"
 CLIPS = "/pair/Clips"
 HINGE = "/pair/Physics/Joints/hinge"
 BALL = "/pair/Physics/Joints/ball"
@@ -55,6 +56,7 @@ def write_good(folder: Path) -> Path:
     layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
     _add_physics(layer)
     _add_cache(layer)
+    _add_copies(layer)
     _add_clips(layer, folder)
     _add_curve(layer)
     (folder / "picture.png").write_bytes(b"")
@@ -95,6 +97,39 @@ def _add_cache(layer: Sdf.Layer) -> None:
         ):
             value = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows))
             layer.SetTimeSample(f"{CACHE}.{name}", code, value)
+
+
+def _add_copies(layer: Sdf.Layer) -> None:
+    """Add three copies of the triangle that come, move and go."""
+    spec = _define(layer, FLOCK, "PointInstancer")
+    bird = _define(layer, f"{FLOCK}/Bird", "Mesh")
+    points = Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    _attribute(bird, "points", TYPES.Point3fArray, points)
+    extent = Vt.Vec3fArray([(0, 0, 0), (1, 1, 0)])
+    _attribute(bird, "extent", TYPES.Float3Array, extent)
+    _attribute(bird, "faceVertexCounts", TYPES.IntArray, Vt.IntArray([3]))
+    _attribute(bird, "faceVertexIndices", TYPES.IntArray, Vt.IntArray([0, 1, 2]))
+    relationship = Sdf.RelationshipSpec(spec, "prototypes")
+    relationship.targetPathList.explicitItems = [Sdf.Path(bird.path)]
+    for name, kind in (
+        ("protoIndices", TYPES.IntArray),
+        ("ids", TYPES.Int64Array),
+        ("positions", TYPES.Point3fArray),
+        ("orientationsf", TYPES.QuatfArray),
+        ("scales", TYPES.Float3Array),
+    ):
+        _attribute(spec, name, kind)
+    for code, count in ((1.0, 3), (2.0, 2), (3.0, 0)):
+        turns = Vt.QuatfArray([Gf.Quatf(0.6, 0, 0.8, 0)] * count)
+        ones = Vt.Vec3fArray.FromNumpy(np.ones((count, 3), np.float32))
+        for name, value in (
+            ("protoIndices", Vt.IntArray([0] * count)),
+            ("ids", Vt.Int64Array(range(count))),
+            ("positions", ones),
+            ("orientationsf", turns),
+            ("scales", ones),
+        ):
+            layer.SetTimeSample(f"{FLOCK}.{name}", code, value)
 
 
 def _add_clips(layer: Sdf.Layer, folder: Path) -> None:
@@ -722,6 +757,36 @@ BROKEN = [
     ),
     Case("USD266", "a velocity too few", rows(VELOCITIES, shorter, 2.0), VELOCITIES),
     Case(
+        "USD269",
+        "a position too few",
+        rows(f"{FLOCK}.positions", shorter, 2.0),
+        f"{FLOCK}.positions",
+    ),
+    Case(
+        "USD287",
+        "a number that no prototype has",
+        rows(f"{FLOCK}.protoIndices", cell(1, 1), 2.0),
+        f"{FLOCK}.protoIndices",
+    ),
+    Case(
+        "USD287",
+        "a prototype that is not there",
+        target(f"{FLOCK}.prototypes", "/no"),
+        f"{FLOCK}.prototypes",
+    ),
+    Case(
+        "USD288",
+        "a quaternion of length 2",
+        rows(f"{FLOCK}.orientationsf", lambda old: old * 2, 1.0),
+        f"{FLOCK}.orientationsf",
+    ),
+    Case(
+        "USD265",
+        "a scale that is infinite",
+        rows(f"{FLOCK}.scales", cell((1, 1), math.inf), 1.0),
+        f"{FLOCK}.scales",
+    ),
+    Case(
         "USD270",
         "no bodies",
         both(target(f"{HINGE}.physics:body0"), target(f"{HINGE}.physics:body1")),
@@ -1039,6 +1104,19 @@ NEAR = [
     ),
     Case("USD265", "points far away", rows(POINTS, cell((1, 1), 1e30), 3.0)),
     Case("USD266", "no velocities in a sample", rows(VELOCITIES, lambda v: v[:0], 2.0)),
+    Case(
+        "USD269", "no scales in a sample", rows(f"{FLOCK}.scales", lambda v: v[:0], 1.0)
+    ),
+    Case(
+        "USD287",
+        "a prototype that nothing shows",
+        both(target(f"{FLOCK}.prototypes", f"{FLOCK}/Bird", f"{FLOCK}/Bird")),
+    ),
+    Case(
+        "USD288",
+        "a quaternion rounded to half",
+        rows(f"{FLOCK}.orientationsf", lambda old: old * 1.001, 1.0),
+    ),
     Case("USD270", "a joint to the world", target(f"{HINGE}.physics:body0")),
     Case(
         "USD271",

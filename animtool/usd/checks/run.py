@@ -16,6 +16,7 @@ from animtool.usd.checks.animation import (
     check_bindings,
     check_known_joints,
 )
+from animtool.usd.checks.copies import check_copies
 from animtool.usd.checks.extents import check_extents
 from animtool.usd.checks.finite import (
     ALREADY,
@@ -122,6 +123,7 @@ TIMED: tuple[Check, ...] = (
     check_targets,
     check_shapes,
     check_points,
+    check_copies,
     check_extents,
     check_physics,
     check_splines,

@@ -1,0 +1,181 @@
+"""How far points, curves, meshes and copies of two stages are apart, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import counted, listed
+from animtool.maths import so3
+from animtool.units import unit_name, up_from_up
+
+if TYPE_CHECKING:
+    from animtool.usd.simulated_read import PointSample, PointSource
+
+
+@dataclass(frozen=True, slots=True)
+class PointDifference:
+    """The largest difference of one kind."""
+
+    value: float = 0.0  # how large [m] or [deg]
+    prim: str = ""  # of which prim, below the default prim
+    point: int = 0  # its id, or its number where there are none
+    code: float = 0.0  # time code in the first file
+
+
+@dataclass(frozen=True, slots=True)
+class PointsDifference:
+    """How the points of two stages differ, over the prims and samples that both have.
+
+    Points with ids are compared by these.
+    """
+
+    kind: Literal["points"]  # what is compared
+    points: PointDifference  # where points are [m]
+    orientations: PointDifference  # how copies are turned [deg]
+    prims: int  # prims compared
+    samples: int  # samples compared, of all prims
+    mismatches: list[str]  # what one has and the other has not, in words
+    # What differs and is no difference of the points, in words.
+    notes: list[str] = field(default_factory=list)
+
+    def within(self, meters: float, degrees: float) -> bool:
+        """Return whether the points agree to the tolerances."""
+        near = self.points.value <= meters and self.orientations.value <= degrees
+        return near and not self.mismatches
+
+
+def compare_points(first: Path, second: Path) -> PointsDifference | None:
+    """Compare stages of points by time from the first sample of each.
+
+    Prims are matched by their paths below the default prim. The second is turned to
+    the up axis of the first, and lengths are compared in metres. None of files that
+    hold no points, or a character.
+
+    Raises:
+        FormatError: A file cannot be read, or its arrays do not fit each other.
+    """
+    from animtool.usd.simulated_read import open_points
+
+    one = open_points(first)
+    two = None if one is None else open_points(second)
+    if one is None or two is None:
+        return None
+    mismatches = _lost(one, two)
+    both = [name for name in one.names if name in two.names]
+    largest = {"points": PointDifference(), "orientations": PointDifference()}
+    samples = 0
+    for name in both:
+        codes = one.codes(name), two.codes(name)
+        if one.type(name) != two.type(name):
+            mismatches.append(f"{name}: {one.type(name)} against {two.type(name)}")
+        if len(codes[0]) != len(codes[1]):
+            counts = f"{counted(len(codes[0]), 'sample')} against {len(codes[1])}"
+            mismatches.append(f"{name}: {counts}")
+        for code, a, b in _pairs(one, two, name, codes):
+            samples += 1
+            lost = _unlike(a, b)
+            if lost:
+                mismatches.append(f"{name} at time code {code:g}: {lost}")
+                break
+            for kind, (values, ids) in _apart(a, b).items():
+                worst = int(np.argmax(values)) if len(values) else 0
+                if len(values) and values[worst] > largest[kind].value:
+                    found = float(values[worst]), name, int(ids[worst]), code
+                    largest[kind] = PointDifference(*found)
+    if one.fps != two.fps:
+        mismatches.append(f"{one.fps} time codes a second against {two.fps}")
+    return PointsDifference(
+        "points",
+        largest["points"],
+        largest["orientations"],
+        len(both),
+        samples,
+        mismatches,
+        _notes(one, two),
+    )
+
+
+def _lost(one: PointSource, two: PointSource) -> list[str]:
+    found = []
+    for mine, theirs, other in ((one, two, "second"), (two, one, "first")):
+        lost = [name for name in mine.names if name not in theirs.names]
+        if lost:
+            are = "is" if len(lost) == 1 else "are"
+            prims = counted(len(lost), "prim")
+            found.append(f"{prims} {are} not in the {other}: {listed(lost)}")
+    return found
+
+
+def _pairs(
+    one: PointSource,
+    two: PointSource,
+    name: str,
+    codes: tuple[list[float], list[float]],
+) -> Iterator[tuple[float, PointSample, PointSample]]:
+    """Yield time codes of the first, with what both have then."""
+    mine, theirs = codes
+    if not mine or not theirs:
+        yield 0.0, one.at(name, None), _turned(one, two, two.at(name, None))
+        return
+    last = float((theirs[-1] - theirs[0]) / two.fps) + 1e-9
+    for code in mine:
+        passed = float((code - mine[0]) / one.fps)
+        if passed <= last:
+            other = two.at(name, theirs[0] + passed * float(two.fps))
+            yield code, one.at(name, code), _turned(one, two, other)
+
+
+def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSample:
+    """Return a sample of the second in the up axis of the first."""
+    from animtool.usd.simulated_read import PointSample
+
+    turn = up_from_up(one.up, two.up)
+    if turn is None:
+        return sample
+    turns = sample.orientations
+    return PointSample(
+        so3.rotate(np.array(turn), sample.points),
+        sample.ids,
+        None if turns is None else so3.multiply(np.array(turn), turns),
+    )
+
+
+def _unlike(a: PointSample, b: PointSample) -> str:
+    """Return in words why two samples have not the same points; empty where they do."""
+    if len(a.points) != len(b.points):
+        return f"{counted(len(a.points), 'point')} against {len(b.points)}"
+    if a.ids is not None and b.ids is not None:
+        alone = np.setdiff1d(a.ids, b.ids)
+        if len(alone):
+            return f"the second has no point with the id {int(alone[0])}"
+    return ""
+
+
+def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArray]]:
+    """Return by kind how far points are apart ``(N,)``, and their ids ``(N,)``."""
+    ids = np.arange(len(a.points)) if a.ids is None else a.ids
+    mine = theirs = np.arange(len(ids))
+    if a.ids is not None and b.ids is not None:
+        mine, theirs = np.argsort(a.ids), np.argsort(b.ids)
+    off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)
+    found = {"points": (off, ids[mine])}
+    if a.orientations is not None and b.orientations is not None:
+        angles = so3.angle_between(a.orientations[mine], b.orientations[theirs])
+        found["orientations"] = np.degrees(angles), ids[mine]
+    return found
+
+
+def _notes(one: PointSource, two: PointSource) -> list[str]:
+    notes = []
+    if one.up is not two.up:
+        notes.append(f"{one.up} up against {two.up} up; compared with {one.up} up")
+    if one.unit != two.unit:
+        units = unit_name(one.unit), unit_name(two.unit)
+        notes.append(f"lengths in {units[0]} against {units[1]}; compared in metres")
+    return notes

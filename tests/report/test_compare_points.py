@@ -1,0 +1,142 @@
+"""Differences of points that systems show: ids, orientations, spaces, what is lost."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pxr import Usd, Vt
+from support.cli import animtool
+
+from animtool.report.compare_points import compare_points
+
+BIRD = (
+    '#usda 1.0\n(\n    metersPerUnit = 1\n)\ndef Mesh "bird" {\n'
+    "point3f[] points = [(0, 0, 1), (1, 0, 0), (-1, 0, 0)]\n"
+    "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n"
+)
+SCENE = """\
+scene: animtool/1
+fps: 24
+range: [1, 9]
+systems:
+- flocks:
+    name: birds
+    species:
+    - name: bird
+      count: 12
+      shows: {file: bird.usda, prim: /bird}
+- rope: {name: cord, from: [0, 1, 0], to: [1, 1, 0], count: 5, mass: 1,
+    springs: {structural: {stiffness: 90}}}
+"""
+
+
+@pytest.fixture
+def baked(tmp_path: Path) -> Path:
+    (tmp_path / "bird.usda").write_text(BIRD, "utf-8")
+    (tmp_path / "shot.scene.yaml").write_text(SCENE, "utf-8")
+    return bake(tmp_path, "one")
+
+
+def bake(folder: Path, name: str, *flags: object) -> Path:
+    path = folder / f"{name}.usdc"
+    assert animtool("bake", folder / "shot.scene.yaml", "-o", path, *flags).code == 0
+    return path
+
+
+def edited(path: Path, name: str, **changes: Any) -> Path:
+    """Return a copy with attributes of the birds put through functions at frame 5."""
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath("/shot/birds")
+    for key, change in changes.items():
+        attribute = prim.GetAttribute(key)
+        attribute.Set(change(attribute.Get(5)), 5)
+    copy = path.with_name(f"{name}.usdc")
+    stage.GetRootLayer().Export(str(copy))
+    return copy
+
+
+def test_other_spaces_and_files_are_the_same(baked: Path) -> None:
+    for name, flags in (
+        ("chunked", ("--chunk", 4)),
+        ("other", ("--to-units", "cm", "--to-up", "Z")),
+    ):
+        found = compare_points(baked, bake(baked.parent, name, *flags))
+        assert found is not None
+        assert found.mismatches == []
+        assert (found.prims, found.samples) == (2, 18)
+        assert found.within(2e-6, 1e-4)
+        assert len(found.notes) == (2 if name == "other" else 0)
+
+
+def test_points_are_matched_by_their_ids(baked: Path) -> None:
+    turned = edited(
+        baked,
+        "turned",
+        ids=lambda ids: Vt.Int64Array(list(ids)[::-1]),
+        positions=lambda rows: Vt.Vec3fArray(list(rows)[::-1]),
+        orientationsf=lambda rows: Vt.QuatfArray(list(rows)[::-1]),
+    )
+    done = animtool("diff", baked, turned)
+    assert (done.code, done.stdout.splitlines()[-1]) == (0, "same")
+    moved = edited(
+        baked,
+        "moved",
+        positions=lambda rows: Vt.Vec3fArray(
+            [row + (type(row)(0, 0.5, 0) if i == 7 else 0 * row)
+             for i, row in enumerate(rows)]
+        ),
+    )  # fmt: skip
+    done = animtool("diff", baked, moved, "--format", "json")
+    found = json.loads(done.stdout)
+    assert (done.code, found["same"], found["kind"]) == (1, False, "points")
+    assert found["points"] == {
+        "value": pytest.approx(0.5), "prim": "birds", "point": 7, "code": 5.0
+    }  # fmt: skip
+    assert found["orientations"]["value"] == 0
+    assert "point 7, time code 5" in animtool("diff", baked, moved).stdout
+    assert animtool("diff", baked, moved, "--tol", "0.6").code == 0
+
+
+def test_orientations_differ_by_an_angle(baked: Path) -> None:
+    turned = edited(
+        baked,
+        "turned",
+        orientationsf=lambda rows: Vt.QuatfArray(
+            [type(row)(0, 1, 0, 0) * row if i == 3 else row
+             for i, row in enumerate(rows)]
+        ),
+    )  # fmt: skip
+    found = compare_points(baked, turned)
+    assert found is not None
+    assert found.points.value == 0
+    largest = found.orientations
+    assert (largest.value, largest.point) == (pytest.approx(180, abs=1e-3), 3)
+    assert not found.within(1, 179)
+
+
+def test_what_only_one_has_is_named(baked: Path, tmp_path: Path) -> None:
+    gone = edited(
+        baked,
+        "gone",
+        **dict.fromkeys(("ids", "positions", "orientationsf"), lambda rows: rows[:9]),
+    )
+    found = compare_points(baked, gone)
+    assert found is not None
+    assert found.mismatches == ["birds at time code 5: 12 points against 9"]
+    (tmp_path / "shot.scene.yaml").write_text(
+        SCENE.replace("name: cord", "name: wire").replace("fps: 24", "fps: 25"), "utf-8"
+    )
+    done = animtool("diff", baked, bake(tmp_path, "two"))
+    assert done.code == 1
+    assert "1 prim is not in the second: cord" in done.stdout
+    assert "1 prim is not in the first: wire" in done.stdout
+    assert "24 time codes a second against 25" in done.stdout
+
+
+def test_arrays_that_do_not_fit_are_refused(baked: Path) -> None:
+    short = edited(baked, "short", ids=lambda ids: ids[:5])
+    done = animtool("diff", baked, short)
+    assert (done.code, "USD269" in done.stderr) == (3, True)
