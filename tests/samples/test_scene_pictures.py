@@ -13,7 +13,7 @@ from support.printed import ROOT, Printed
 # The mean difference of a channel, of 255: fonts and the folds of cloth differ from
 # machine to machine. Frames that are three further differ by 5 and more.
 SAME = 3.0
-NAMES = ["flag", "drape", "sheets", "embers", "rope"]
+NAMES = ["flag", "drape", "sheets", "embers", "rope", "murmuration"]
 
 
 def script_of(name: str) -> dict[str, Any]:
