@@ -163,8 +163,12 @@ def _points_text(found: PointsDifference, *, same: bool) -> list[str]:
 
     prims, samples = counted(found.prims, "prim"), counted(found.samples, "sample")
     lines = [f"{prims}, {samples} compared"]
-    sizes = length_text(found.points.value), f"{plain(found.orientations.value)} deg"
-    for kind, size in zip(("points", "orientations"), sizes, strict=True):
+    sizes = {
+        "points": length_text(found.points.value),
+        "orientations": f"{plain(found.orientations.value)} deg",
+        "scales": plain(found.scales.value),
+    }
+    for kind, size in sizes.items():
         largest = getattr(found, kind)
         line = f"  {kind:<14}{size}"
         if largest.value:

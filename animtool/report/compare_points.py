@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +12,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import counted, listed
 from animtool.maths import so3
+from animtool.report.compare import SCALE_TOLERANCE
 from animtool.units import unit_name, up_from_up
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 class PointDifference:
     """The largest difference of one kind."""
 
-    value: float = 0.0  # how large [m] or [deg]
+    value: float = 0.0  # how large [m], [deg] or [1]
     prim: str = ""  # of which prim, below the default prim
     point: int = 0  # its id, or its number where there are none
     code: float = 0.0  # time code in the first file
@@ -38,6 +39,7 @@ class PointsDifference:
     kind: Literal["points"]  # what is compared
     points: PointDifference  # where points are [m]
     orientations: PointDifference  # how copies are turned [deg]
+    scales: PointDifference  # how large copies are, over their meshes [1]
     prims: int  # prims compared
     samples: int  # samples compared, of all prims
     mismatches: list[str]  # what one has and the other has not, in words
@@ -46,8 +48,12 @@ class PointsDifference:
 
     def within(self, meters: float, degrees: float) -> bool:
         """Return whether the points agree to the tolerances."""
-        near = self.points.value <= meters and self.orientations.value <= degrees
-        return near and not self.mismatches
+        return (
+            not self.mismatches
+            and self.points.value <= meters
+            and self.orientations.value <= degrees
+            and self.scales.value <= SCALE_TOLERANCE
+        )
 
 
 def compare_points(first: Path, second: Path) -> PointsDifference | None:
@@ -58,7 +64,8 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     hold no points, or a character.
 
     Raises:
-        FormatError: A file cannot be read, or its arrays do not fit each other.
+        FormatError: A file cannot be read, its arrays do not fit each other, or they
+            hold what is no number.
     """
     from animtool.usd.simulated_read import open_points
 
@@ -68,7 +75,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         return None
     mismatches = _lost(one, two)
     both = [name for name in one.names if name in two.names]
-    largest = {"points": PointDifference(), "orientations": PointDifference()}
+    largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     samples = 0
     for name in both:
         codes = one.codes(name), two.codes(name)
@@ -92,12 +99,11 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         mismatches.append(f"{one.fps} time codes a second against {two.fps}")
     return PointsDifference(
         "points",
-        largest["points"],
-        largest["orientations"],
-        len(both),
-        samples,
-        mismatches,
-        _notes(one, two),
+        **largest,
+        prims=len(both),
+        samples=samples,
+        mismatches=mismatches,
+        notes=_notes(one, two),
     )
 
 
@@ -133,16 +139,14 @@ def _pairs(
 
 def _turned(one: PointSource, two: PointSource, sample: PointSample) -> PointSample:
     """Return a sample of the second in the up axis of the first."""
-    from animtool.usd.simulated_read import PointSample
-
     turn = up_from_up(one.up, two.up)
     if turn is None:
         return sample
     turns = sample.orientations
-    return PointSample(
-        so3.rotate(np.array(turn), sample.points),
-        sample.ids,
-        None if turns is None else so3.multiply(np.array(turn), turns),
+    return replace(
+        sample,
+        points=so3.rotate(np.array(turn), sample.points),
+        orientations=None if turns is None else so3.multiply(np.array(turn), turns),
     )
 
 
@@ -154,20 +158,36 @@ def _unlike(a: PointSample, b: PointSample) -> str:
         alone = np.setdiff1d(a.ids, b.ids)
         if len(alone):
             return f"the second has no point with the id {int(alone[0])}"
+    if a.copied is not None and b.copied is not None:
+        ids, mine, theirs = _matched(a, b)
+        (other,) = np.nonzero(a.copied[mine] != b.copied[theirs])
+        if len(other):
+            i = int(other[0])
+            meshes = f"mesh {a.copied[mine][i]} against {b.copied[theirs][i]}"
+            return f"point {int(ids[i])} is a copy of {meshes}"
     return ""
+
+
+def _matched(a: PointSample, b: PointSample) -> tuple[IntArray, IntArray, IntArray]:
+    """Return ids ``(N,)``, and where each is in both samples ``(N,)``."""
+    ids = np.arange(len(a.points)) if a.ids is None else a.ids
+    mine = theirs = np.arange(len(ids))
+    if a.ids is not None and b.ids is not None:
+        mine, theirs = (np.argsort(each, kind="stable") for each in (a.ids, b.ids))
+    return ids[mine], mine, theirs
 
 
 def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArray]]:
     """Return by kind how far points are apart ``(N,)``, and their ids ``(N,)``."""
-    ids = np.arange(len(a.points)) if a.ids is None else a.ids
-    mine = theirs = np.arange(len(ids))
-    if a.ids is not None and b.ids is not None:
-        mine, theirs = np.argsort(a.ids), np.argsort(b.ids)
+    ids, mine, theirs = _matched(a, b)
     off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)
-    found = {"points": (off, ids[mine])}
+    found = {"points": (off, ids)}
     if a.orientations is not None and b.orientations is not None:
         angles = so3.angle_between(a.orientations[mine], b.orientations[theirs])
-        found["orientations"] = np.degrees(angles), ids[mine]
+        found["orientations"] = np.degrees(angles), ids
+    if a.scales is not None and b.scales is not None:
+        sizes = np.abs(a.scales[mine] - b.scales[theirs])
+        found["scales"] = sizes.max(axis=1, initial=0.0), ids
     return found
 
 

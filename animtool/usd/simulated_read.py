@@ -25,10 +25,15 @@ from animtool.usd.rig_prims import (
     composition_notices,
     decompose,
     find_skeletons,
+    integers,
+    numbers,
     open_stage,
     up_axis,
 )
 from animtool.usd.stderr import without_usd_warnings
+
+# Half floats are as far from a unit quaternion as this.
+UNIT_TOLERANCE = 5e-3
 
 # What points are joined to, and the attribute with an entry for each.
 _PIECES = {
@@ -169,6 +174,7 @@ def _point_prims(stage: Any) -> Iterator[Any]:
         for prim in prims
         if prim.IsA(UsdGeom.PointInstancer)
         for path in _meshes(prim)
+        if not prim.GetPath().HasPrefix(path)
     }
     for prim in prims:
         if not any(path in copied for path in prim.GetPath().GetPrefixes()):
@@ -307,7 +313,9 @@ class PointSample:
 
     points: FloatArray  # (N, 3) [m]
     ids: IntArray | None  # (N,); None where there are none
-    orientations: FloatArray | None  # x, y, z, w (N, 4); likewise
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None but of copies
+    scales: FloatArray | None = None  # as they are stated (N, 3) [1]; likewise
+    copied: IntArray | None = None  # which mesh each is a copy of (N,); likewise
 
 
 class PointSource:
@@ -342,30 +350,52 @@ class PointSource:
     def at(self, name: str, code: float | None) -> PointSample:
         """Return what a prim has at a time code; None is the default.
 
+        Copies without orientations or scales are as if these changed nothing.
+
         Raises:
-            FormatError: Its arrays do not fit each other (USD269).
+            FormatError: Its arrays do not fit each other (USD269), or hold what is no
+                number (USD265) or no rotation (USD288).
         """
         prim = self._prims[name]
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        points = np.array(array_value(self._points(name), time), np.float64)
+        spot = Spot.of(self._path, prim)
         world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(time)
         matrix = np.array(world, np.float64)
-        points = points.reshape(-1, 3) @ matrix[:3, :3] + matrix[3, :3]
-        ids, turns = None, None
-        if _has(prim, "ids"):
-            ids = np.array(array_value(prim.GetAttribute("ids"), time), np.int64)
-        kind = next(
-            (n for n in ("orientationsf", "orientations") if _has(prim, n)), None
-        )
-        if kind is not None:
-            value = array_value(prim.GetAttribute(kind), time)
-            own = np.array(value, np.float64).reshape(-1, 4)
-            turns = so3.multiply(decompose(matrix[None])[1][0], own)
-        for array in (ids, turns):
-            if array is not None and len(array) != len(points):
-                message = f"{len(array)} for {len(points)} points"
-                Spot(str(self._path), str(prim.GetPath())).fail("USD269", message)
-        return PointSample(points * self.unit, ids, turns)
+        own = numbers(self._points(name), 3, time)
+        if not (np.isfinite(own).all() and np.isfinite(matrix).all()):
+            spot.fail("USD265", "points are not finite")
+        points = (own @ matrix[:3, :3] + matrix[3, :3]) * self.unit
+        count = len(points)
+
+        def each(*names: str, width: int = 0) -> Any:
+            """Return rows of an attribute, whole numbers without a width, or None."""
+            attr = next((prim.GetAttribute(n) for n in names if _has(prim, n)), None)
+            if attr is None:
+                return None
+            rows = numbers(attr, width, time) if width else integers(attr, time)
+            if not len(rows) == len(array_value(attr, time)) in {0, count}:
+                spot.at(attr).fail("USD269", f"{len(rows)} for {count} points")
+            return rows if len(rows) else None
+
+        ids = each("ids")
+        if not prim.IsA(UsdGeom.PointInstancer):
+            return PointSample(points, ids)
+        turns = each("orientationsf", "orientations", width=4)
+        if turns is None:
+            turns = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        sizes = np.linalg.norm(turns, axis=1, keepdims=True)
+        if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
+            spot.fail("USD288", "a quaternion is not of length 1")
+        turns = so3.multiply(decompose(matrix[None])[1][0], turns / sizes)
+        scales = each("scales", width=3)
+        if scales is None:
+            scales = np.ones((count, 3))
+        if not np.isfinite(scales).all():
+            spot.fail("USD265", "scales are not finite")
+        copied = each("protoIndices")
+        if copied is None:
+            copied = np.full(count, -1)
+        return PointSample(points, ids, turns, scales, copied)
 
     def _points(self, name: str) -> Any:
         prim = self._prims[name]

@@ -31,6 +31,11 @@ systems:
 - rope: {name: cord, from: [0, 1, 0], to: [1, 1, 0], count: 5, mass: 1,
     springs: {structural: {stiffness: 90}}}
 """
+# What baked copies have an entry each of.
+ARRAYS = (
+    *("ids", "positions", "velocities", "orientationsf"),
+    *("angularVelocities", "scales", "protoIndices"),
+)
 
 
 @pytest.fixture
@@ -117,11 +122,124 @@ def test_orientations_differ_by_an_angle(baked: Path) -> None:
     assert not found.within(1, 179)
 
 
+def test_scales_differ_by_their_numbers(baked: Path) -> None:
+    for more, same in ((5e-4, True), (0.25, False)):
+        larger = edited(
+            baked,
+            "larger",
+            scales=lambda rows, more=more: Vt.Vec3fArray(
+                [row + type(row)(0, 0, more if i == 4 else 0)
+                 for i, row in enumerate(rows)]
+            ),
+        )  # fmt: skip
+        found = compare_points(baked, larger)
+        assert found is not None
+        assert (found.scales.value, found.scales.point) == (
+            pytest.approx(more, 1e-3),
+            4,
+        )
+        assert found.points.value == found.orientations.value == 0
+        assert found.within(0, 0) is same
+
+
+def test_copies_of_other_meshes_differ(baked: Path) -> None:
+    other = edited(
+        baked,
+        "other",
+        protoIndices=lambda rows: Vt.IntArray([1 if i == 2 else 0 for i in range(12)]),  # noqa: ARG005
+    )
+    found = compare_points(baked, other)
+    assert found is not None
+    assert found.mismatches == [
+        "birds at time code 5: point 2 is a copy of mesh 0 against 1"
+    ]
+
+
+COPIES = """#usda 1.0
+(
+    defaultPrim = "shot"
+)
+def Xform "shot" {
+    def PointInstancer "birds" {
+        rel prototypes = [%(prototypes)s]
+        int[] protoIndices = [0, 0]
+        point3f[] positions = [(0, 0, 0), (1, 0, 0)]
+        %(more)s
+        def Mesh "bird" {
+            point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 1, 2]
+        }
+    }
+}
+"""
+
+
+def copies(
+    folder: Path, name: str, more: str = "", shown: str = "</shot/birds/bird>"
+) -> Path:
+    path = folder / f"{name}.usda"
+    path.write_text(COPIES % {"prototypes": shown, "more": more}, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("more", "code"),
+    [
+        ('string[] ids = ["a", "b"]', "USD269"),
+        ("float[] ids = [nan, 1e30]", "USD269"),
+        ('string[] orientations = ["a", "b"]', "USD269"),
+        ("float3[] orientationsf = [(1, 0, 0), (0, 0, 0)]", "USD269"),
+        ("quath[] orientations = [(0, 0, 0, 0), (1, 0, 0, 0)]", "USD288"),
+        ("quath[] orientations = [(nan, 0, 0, 0), (1, 0, 0, 0)]", "USD288"),
+        ('string[] scales = ["x", "y"]', "USD269"),
+        ("float3[] scales = [(1, 1, 1)]", "USD269"),
+        ("float3[] scales = [(1, nan, 1), (1, 1, 1)]", "USD265"),
+        ("double3 xformOp:translate = (nan, 0, 0)\n"
+         'uniform token[] xformOpOrder = ["xformOp:translate"]', "USD265"),
+    ],
+)  # fmt: skip
+def test_copies_that_are_no_numbers_are_refused(
+    tmp_path: Path, more: str, code: str
+) -> None:
+    done = animtool("diff", copies(tmp_path, "good"), copies(tmp_path, "bad", more))
+    assert (done.code, code in done.stderr, "internal" in done.stderr) == (
+        3, True, False,
+    )  # fmt: skip
+
+
+def test_what_copies_leave_out_changes_nothing(tmp_path: Path) -> None:
+    stated = (
+        "quatf[] orientationsf = [(1, 0, 0, 0), (-1, 0, 0, 0)]\n"
+        "float3[] scales = [(1, 1, 1), (1, 1, 1)]"
+    )
+    found = compare_points(copies(tmp_path, "a"), copies(tmp_path, "b", stated))
+    assert found is not None
+    assert (found.samples, found.within(0, 0)) == (1, True)
+
+
+def test_large_ids_are_told_apart(tmp_path: Path) -> None:
+    ids = [f"int64[] ids = [{2**60}, {2**60 + last}]" for last in (1, 2)]
+    one, two = (copies(tmp_path, f"{i}", text) for i, text in enumerate(ids))
+    found = compare_points(one, two)
+    assert found is not None
+    assert found.mismatches == [
+        f"birds at time code 0: the second has no point with the id {2**60 + 1}"
+    ]
+
+
+@pytest.mark.parametrize("around", ["</shot/birds>", "</shot>"])
+def test_copies_of_what_holds_them_are_copies(tmp_path: Path, around: str) -> None:
+    path = copies(tmp_path, "self", shown=around)
+    assert "USD287" in animtool("validate", path).stdout
+    assert "copies" in animtool("info", path).stdout
+
+
 def test_what_only_one_has_is_named(baked: Path, tmp_path: Path) -> None:
     gone = edited(
         baked,
         "gone",
-        **dict.fromkeys(("ids", "positions", "orientationsf"), lambda rows: rows[:9]),
+        **dict.fromkeys(ARRAYS, lambda rows: rows[:9]),
     )
     found = compare_points(baked, gone)
     assert found is not None

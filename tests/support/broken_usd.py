@@ -775,6 +775,12 @@ BROKEN = [
         f"{FLOCK}.prototypes",
     ),
     Case(
+        "USD287",
+        "copies of what holds them",
+        target(f"{FLOCK}.prototypes", "/pair"),
+        f"{FLOCK}.prototypes",
+    ),
+    Case(
         "USD288",
         "a quaternion of length 2",
         rows(f"{FLOCK}.orientationsf", lambda old: old * 2, 1.0),

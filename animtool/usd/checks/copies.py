@@ -11,6 +11,7 @@ from pxr import UsdGeom
 from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
+from animtool.usd.simulated_read import UNIT_TOLERANCE
 
 # Arrays with an entry a copy.
 _EACH = (
@@ -22,8 +23,6 @@ _EACH = (
     "angularVelocities",
     "ids",
 )
-# Half floats are as far from a unit quaternion as this.
-UNIT_TOLERANCE = 5e-3
 
 
 def check_copies(subject: Subject) -> Iterator[Fault]:
@@ -48,9 +47,14 @@ def _prototypes(subject: Subject, instancer: Any, indices: Sampled) -> Iterator[
     gone = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
     if gone and not subject.alone:
         yield finding("USD287", relationship.GetPath(), f"there is no prim {gone[0]}")
+    own = instancer.GetPath()
+    around = [target for target in targets if own.HasPrefix(target)]
+    if around:
+        message = f"{around[0]} holds the copies of itself"
+        yield finding("USD287", relationship.GetPath(), message)
     ends = [
-        (int(values.min()), int(values.max())) if len(values) else (0, -1)
-        for values in (np.array(array) for array in indices.arrays)
+        (int(np.min(array)), int(np.max(array))) if count > 0 else (0, -1)
+        for array, count in zip(indices.arrays, indices.counts, strict=True)
     ]
     low, high = np.array(ends, np.int64).reshape(-1, 2).T
     bad = (low < 0) | (high >= len(targets))
