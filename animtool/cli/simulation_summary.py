@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from animtool.errors import listed
@@ -91,17 +92,26 @@ def _cells(row: TrialRow, span: float) -> list[str]:
 
 def _optional(rows: list[TrialRow]) -> dict[str, list[str]]:
     """Return columns that only some simulations have."""
-    apart = [None if row.error is None else row.error.apart for row in rows]
+    errors = [row.error for row in rows]
+    apart = [None if error is None else error.apart for error in errors]
     columns = {
-        "lone %": apart if any(apart) else [None] * len(rows),
-        "energy %": [row.energy_drift for row in rows],
-        "stretch %": [row.stretch for row in rows],
+        "rms deg": [
+            None if error is None or error.angle is None else math.degrees(error.angle)
+            for error in errors
+        ],
+        "lone %": _percent(apart if any(apart) else []),
+        "energy %": _percent([row.energy_drift for row in rows]),
+        "stretch %": _percent([row.stretch for row in rows]),
     }
     return {
-        head: ["" if value is None else plain(100 * value) for value in values]
+        head: ["" if value is None else plain(value) for value in values]
         for head, values in columns.items()
         if any(value is not None for value in values)
     }
+
+
+def _percent(values: Sequence[float | None]) -> list[float | None]:
+    return [None if value is None else 100 * value for value in values]
 
 
 def _marks(row: TrialRow) -> str:
@@ -165,7 +175,7 @@ def _keys(setting: Setting) -> list[tuple[str, str]]:
 
 
 def simulation_table_json(table: SimulationTable) -> dict[str, object]:
-    """Return a table as plain values; lengths in metres, times in seconds."""
+    """Return a table as plain values: lengths in metres, angles in radians."""
     return {
         "simulation_table": "animtool/1",
         "source": str(table.source),
@@ -223,9 +233,10 @@ def _finite(value: float | None) -> float | None:
 
 
 def _distances_json(error: Distances) -> dict[str, float]:
-    return {
+    values = {
         "largest": error.largest,
         "rms": error.rms,
         "median": error.median,
         "apart": error.apart,
     }
+    return values if error.angle is None else {**values, "angle": error.angle}

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, cast, get_args, get_origin
 
+import numpy as np
+
 from animtool._types import FloatArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, ToleranceError, counted
-from animtool.frames import PointsFrame, TransformsFrame
+from animtool.frames import Frame, PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
@@ -223,6 +225,17 @@ def _run(member: SceneSystem, opening: Opening, spec: SystemSpec) -> SimulationR
     return SimulationRun(member.name, simulation, begin, spec.step)
 
 
+def _shot(frame: Frame) -> Shot:
+    """Return what a table compares of a frame."""
+    if isinstance(frame, TransformsFrame):
+        arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
+        sizes = np.abs(frame.scales).max(initial=0.0)
+        reach = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
+        return Shot(frame.points, frame.ids, frame.rotations, reach)
+    ids = frame.ids if isinstance(frame, PointsFrame) else None
+    return Shot(frame.points, ids)
+
+
 def spec_trial(
     members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
 ) -> SpecTrial:
@@ -265,12 +278,7 @@ class SpecTrial:
         try:
             for t in self._times.tolist():
                 frame = run.at(t)
-                ids = (
-                    frame.ids
-                    if isinstance(frame, PointsFrame | TransformsFrame)
-                    else None
-                )
-                shots.append(Shot(frame.points, ids))
+                shots.append(_shot(frame))
                 energies.append(run.diagnostics.energy)
         except ToleranceError as error:
             status, reason = Status.UNSTABLE, error.faults[0].message

@@ -22,6 +22,7 @@ from animtool.sim.trials.trial import (
     distances,
     extent_of,
     order_seen,
+    reach_of,
     recommended_of,
 )
 
@@ -116,7 +117,8 @@ def measure(
     rows = [replace(row, chosen=row.setting == trial.chosen) for row in rows]
     extent = 0.0 if truth is None else extent_of(truth.shots)
     if reference is not None and not reference.sensitive:
-        rows = _marked(rows, reference, extent)
+        reach = 0.0 if truth is None else reach_of(truth.shots)
+        rows = _marked(rows, reference, extent, reach)
     return TrialTable(
         trial.name,
         trial.kind,
@@ -171,12 +173,13 @@ def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | N
 def _judged(setting: Setting, outcomes: list[Outcome]) -> Reference:
     """Return how near the finest of motions is, each in half the steps of the last."""
     gaps = [distances(fine.shots, rough.shots) for rough, fine in pairwise(outcomes)]
-    last, extent = gaps[-1], extent_of(outcomes[-1].shots)
-    tells = last.rms > ROUNDING * extent
-    order = order_seen(gaps[-2].rms, last.rms) if tells else None
-    sensitive = order is not None and order < LEAST_ORDER and last.rms > UNSEEN * extent
+    reach = reach_of(outcomes[-1].shots)
+    coarse, fine = (gap.with_reach(reach) for gap in gaps[-2:])
+    extent = extent_of(outcomes[-1].shots) + reach
+    order = order_seen(coarse, fine) if fine > ROUNDING * extent else None
+    sensitive = order is not None and order < LEAST_ORDER and fine > UNSEEN * extent
     share = 1.0 if order is None else max(2**order - 1, 1.0)
-    return Reference(setting, last.scaled(1 / share), order, sensitive)
+    return Reference(setting, gaps[-1].scaled(1 / share), order, sensitive)
 
 
 def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
@@ -247,13 +250,16 @@ def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
 
 
 def _marked(
-    rows: list[TrialRow], reference: Reference, extent: float
+    rows: list[TrialRow], reference: Reference, extent: float, reach: float
 ) -> list[TrialRow]:
     """Return rows with the best marked, and the one to take."""
     # What is nearer to the reference than that is to the truth is as good.
-    least = max(reference.error.rms, ROUNDING * extent)
+    extent += reach
+    least = max(reference.error.with_reach(reach), ROUNDING * extent)
     costs = [
-        None if row.error is None else Cost(row.seconds, max(row.error.rms, least))
+        None
+        if row.error is None
+        else Cost(row.seconds, max(row.error.with_reach(reach), least))
         for row in rows
     ]
     best = best_of(costs)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
@@ -55,16 +56,13 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """Points at a time.
+    """Points at a time."""
 
-    Attributes:
-        points: ``(N, 3)`` [m].
-        ids: Which point is which, ascending ``(N,)``; None where they are always the
-            same.
-    """
-
-    points: FloatArray
+    points: FloatArray  # (N, 3) [m]
+    # Which point is which, ascending (N,); None where they are always the same.
     ids: IntArray | None = None
+    orientations: FloatArray | None = None  # x, y, z, w (N, 4); None of mere points
+    reach: float = 0.0  # how far what is placed reaches from its point, at most [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,11 +143,22 @@ class Distances:
     rms: float  # root of the mean of squares [m]
     median: float  # half of them are nearer [m]
     apart: float = 0.0  # share of the points that only one of the two has [1]
+    # Root of the mean of squares of the angles between their orientations [rad]; None
+    # where they have none.
+    angle: float | None = None
+
+    def with_reach(self, reach: float) -> float:
+        """Return the distance (rms) of what reaches so far from the points [m]."""
+        return self.rms + (0.0 if self.angle is None else self.angle * reach)
 
     def scaled(self, factor: float) -> Distances:
         """Return them times a factor."""
         return Distances(
-            self.largest * factor, self.rms * factor, self.median * factor, self.apart
+            self.largest * factor,
+            self.rms * factor,
+            self.median * factor,
+            self.apart,
+            None if self.angle is None else self.angle * factor,
         )
 
 
@@ -163,8 +172,10 @@ def distances(truth: Sequence[Shot], found: Sequence[Shot]) -> Distances:
     4.0
     """
     parts, lone, count = [np.zeros(0)], 0, 0
+    angles: list[FloatArray] = []
     for one, other in zip(truth, found, strict=True):
         a, b = one.points, other.points
+        turned, turns = one.orientations, other.orientations
         if one.ids is not None and other.ids is not None:
             _, i, j = np.intersect1d(
                 one.ids, other.ids, assume_unique=True, return_indices=True
@@ -172,16 +183,26 @@ def distances(truth: Sequence[Shot], found: Sequence[Shot]) -> Distances:
             lone += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
             a, b = a[i], b[j]
+            turned = None if turned is None else turned[i]
+            turns = None if turns is None else turns[j]
         else:
             count += len(a)
         parts.append(np.linalg.norm(b - a, axis=1))
+        if turned is not None and turns is not None:
+            angles.append(so3.angle_between(turned, turns))
     every: FloatArray = np.concatenate(parts)
+    angle = _rms(np.concatenate(angles)) if angles else None
     if not len(every):
-        return Distances(0.0, 0.0, 0.0, lone / max(count, 1))
+        return Distances(0.0, 0.0, 0.0, lone / max(count, 1), angle)
+    largest, median = float(every.max()), float(np.median(every))
+    return Distances(largest, _rms(every), median, lone / count, angle)
+
+
+def _rms(values: FloatArray) -> float:
+    """Return the root of the mean of squares of values ``(N,)``, 0 of none."""
     # Squares of what has blown up are beyond any number.
     with np.errstate(over="ignore"):
-        rms = math.sqrt(float(np.mean(every**2)))
-    return Distances(float(every.max()), rms, float(np.median(every)), lone / count)
+        return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
 def extent_of(shots: Sequence[Shot]) -> float:
@@ -192,6 +213,11 @@ def extent_of(shots: Sequence[Shot]) -> float:
     low = np.min([points.min(axis=0) for points in every], axis=0)
     high = np.max([points.max(axis=0) for points in every], axis=0)
     return float(np.linalg.norm(high - low))
+
+
+def reach_of(shots: Sequence[Shot]) -> float:
+    """Return how far what is placed reaches from its point, at any time [m]."""
+    return max((shot.reach for shot in shots), default=0.0)
 
 
 def order_seen(coarse: float, fine: float) -> float | None:

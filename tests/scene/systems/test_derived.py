@@ -11,10 +11,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.swing import Spec
 
+from animtool.cli.simulation_summary import simulation_table_text
 from animtool.documents.document import Document, read_document
 from animtool.errors import FormatError, OptionError, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
+from animtool.scene.simulation_table import SimulationTable
 from animtool.scene.systems.derived import SpecSetup, read_spec
 from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.scene.systems.simulation import open_systems, system_trials
@@ -188,6 +190,23 @@ def test_what_blows_up_is_stopped(tmp_path: Path) -> None:
         pytest.raises(ToleranceError, match=r"SIM102.*it blew up.*point 0"),
     ):
         run(tmp_path, speed=1e18).at(1.0)
+
+
+def test_copies_that_turn_in_place_are_measured_by_angles(tmp_path: Path) -> None:
+    ((_, trial),) = system_trials([system(tmp_path, copies=True)], TIMES)
+    table = measure(trial)
+    assert table.reference is not None
+    assert table.reference.order == pytest.approx(2, abs=0.1)
+    rows = [row for row in table.rows if row.setting.method == "midpoint"]
+    errors = [row.error for row in rows if row.error is not None]
+    angles = [error.angle for error in errors if error.angle is not None]
+    assert len(angles) == 4
+    assert {error.largest for error in errors} == {0.0}
+    assert_allclose(angles[:-1], 4 * np.array(angles[1:]), rtol=0.1)
+    # One step for all is fast, and yet no more exact.
+    assert not any(row.recommended for row in rows if row.setting["step"] > 0.01)
+    text = simulation_table_text(SimulationTable(tmp_path, [table]))
+    assert any("rms deg" in line for line in text)
 
 
 @pytest.mark.parametrize("speed", [2.0, 1e18])

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from animtool.maths import so3
 from animtool.sim.trials.trial import Shot, distances, extent_of, order_seen
 
 POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
@@ -53,6 +54,19 @@ def test_nobody_in_common_is_all_apart() -> None:
     assert distances([a], [b]).apart == 1
     none = Shot(np.zeros((0, 3)), np.zeros(0, np.int64))
     assert distances([none], [none]).apart == 0
+
+
+def test_orientations_differ_by_angles_told_by_ids() -> None:
+    ids, points = np.array([3, 5, 8]), np.zeros((3, 3))
+    turns = so3.exp(np.array([[0, 0, 0.1], [0, 0.2, 0], [0.3, 0, 0]]))
+    one = Shot(points, ids, turns)
+    assert distances([one], [Shot(points, ids, -turns)]).angle == 0
+    other = Shot(points[:2], ids[1:], so3.exp(np.array([[0, 0.5, 0], [0.7, 0, 0]])))
+    found = distances([one], [other])
+    assert found.angle == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
+    assert found.scaled(2).angle == pytest.approx(2 * math.sqrt(0.125))
+    assert found.with_reach(2) == pytest.approx(2 * math.sqrt(0.125))
+    assert distances([Shot(points)], [Shot(points)]).angle is None
 
 
 def test_what_is_no_number_has_no_distance() -> None:
