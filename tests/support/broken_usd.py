@@ -117,6 +117,7 @@ def _add_copies(layer: Sdf.Layer) -> None:
         ("positions", TYPES.Point3fArray),
         ("orientationsf", TYPES.QuatfArray),
         ("scales", TYPES.Float3Array),
+        ("extent", TYPES.Float3Array),
     ):
         _attribute(spec, name, kind)
     for code, count in ((1.0, 3), (2.0, 2), (3.0, 0)):
@@ -128,6 +129,7 @@ def _add_copies(layer: Sdf.Layer) -> None:
             ("positions", ones),
             ("orientationsf", turns),
             ("scales", ones),
+            ("extent", Vt.Vec3fArray([(0.72, 1, 0.04), (1, 2, 1)])),
         ):
             layer.SetTimeSample(f"{FLOCK}.{name}", code, value)
 
@@ -756,6 +758,12 @@ BROKEN = [
         VELOCITIES,
     ),
     Case("USD266", "a velocity too few", rows(VELOCITIES, shorter, 2.0), VELOCITIES),
+    Case(
+        "USD251",
+        "an extent that copies leave",
+        rows(f"{FLOCK}.extent", lambda old: old * 0.9, 2.0),
+        f"{FLOCK}.extent",
+    ),
     Case(
         "USD269",
         "a position too few",

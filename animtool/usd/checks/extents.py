@@ -26,6 +26,8 @@ TOLERANCE = 1e-3
 # Where nothing but USD itself can tell.
 MAX_ASKED = 50
 BLOCK = 2048
+# What the extent of copies follows, and their prototypes.
+_PLACING = ("positions", "protoIndices", "orientations", "orientationsf", "scales")
 
 
 def check_extents(subject: Subject) -> Iterator[Fault]:
@@ -81,7 +83,29 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
         # Points that move are checked as they are read, and a mesh's extent with them.
         apart = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
         return [attr] if attr.HasAuthoredValue() and not apart else None
+    if prim.IsA(UsdGeom.PointInstancer):
+        return _copied_sources(subject, UsdGeom.PointInstancer(prim))
     return None
+
+
+def _copied_sources(subject: Subject, instancer: Any) -> list[Any] | None:
+    """Return what the extent of copies follows.
+
+    None of copies of copies: USD would go on for ever where these hold themselves.
+    """
+    copied = [
+        subject.stage.GetPrimAtPath(path)
+        for path in instancer.GetPrototypesRel().GetForwardedTargets()
+    ]
+    if not all(copied) or any(
+        below.IsA(UsdGeom.PointInstancer)
+        for prim in copied
+        for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+    ):
+        return None
+    attrs = [instancer.GetPrim().GetAttribute(name) for name in _PLACING]
+    sources = [attr for attr in attrs if attr and attr.HasAuthoredValue()]
+    return sources if instancer.GetPositionsAttr() in sources else None
 
 
 def _joints_below(root: Any) -> bool:
