@@ -86,9 +86,10 @@ class Scene:
 
     @property
     def kept(self) -> list[Path]:
-        """Every file that its passes write beside its outputs."""
+        """Every file that its passes and systems write beside its outputs."""
         folder = self.path.resolve().parent
         named = [getattr(entry.options, "writes", ()) for entry in self.passes]
+        named += [getattr(system.setup, "writes", ()) for system in self.systems]
         return [folder / name for names in named for name in names]
 
     def writing(self, output: SceneOutput) -> Scene:

@@ -238,3 +238,21 @@ class SystemSpec(FileModel):
         examples=[0.005],
     )
     preroll: Preroll = 0.0
+    save: Name | None = Field(
+        default=None,
+        description="File (`.npz`) for its state at `save_at`, which like an output is "
+        "replaced with `--overwrite` alone.",
+        examples=["birds.npz"],
+    )
+    save_at: Frame | None = Field(
+        default=None,
+        description="Time code of the state that is saved. Not given: the last that is "
+        "written.",
+        examples=[48],
+    )
+    resume: Name | None = Field(
+        default=None,
+        description="Such a file to go on from: frames from there on are those of the "
+        "whole run, bit for bit, and none before is asked for.",
+        examples=["birds.npz"],
+    )

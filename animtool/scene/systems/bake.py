@@ -71,11 +71,13 @@ class SystemPrims:
             self._begin(draft)
         files: list[Path] = []
         written: list[CachedMesh] = []
+        folder = self.scene.path.resolve().parent
         if plan.options.chunk is not None:
             assert plan.output is not None
             names, size = system_files(plan.output), plan.options.chunk
             files, written = chunk_simulated(job, rows, draft.layer, names, size)
             refuse_warnings(run.notices, strict=plan.options.strict)
+            run.save_states(folder)
             # A layer always has its own.
             once_named(lambda: names.remove_others(files))
         else:
@@ -83,6 +85,7 @@ class SystemPrims:
             def grow(growing: Growing) -> None:
                 written.extend(grow_simulated(job, rows, growing))
                 refuse_warnings(run.notices, strict=plan.options.strict)
+                run.save_states(folder)
 
             draft.save = lambda layer, path: save_grown(layer, path, grow)
         return lambda: self._report(draft, run, files, written)

@@ -20,6 +20,7 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
 from animtool.scene.systems.prototypes import Prototype
+from animtool.scene.systems.saved import Clocked, read_state
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
@@ -131,6 +132,12 @@ class SpecSetup:
     # What keys are read as that are neither plain nor what it runs into, by key.
     parts: Mapping[str, Any] = field(default_factory=dict)
     joined: tuple[tuple[str, Location], ...] = ()
+    resume: Path | None = None  # file of a state to go on from
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Files that are written along with the output."""
+        return () if self.spec.save is None else (self.spec.save,)
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
@@ -140,7 +147,7 @@ class SpecSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that are read along with the scene."""
-        return self.around.files
+        return (*self.around.files, *([self.resume] if self.resume else []))
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -199,18 +206,32 @@ def read_spec(
     surfaces = reader.surfaces(*entries("systems"))
     meshes = reader.meshes(*entries("meshes"))
     parts = reader.parts(at, spec, _AROUND)
+    resume = None
+    if spec.resume is not None:
+        resume = reader.input((*at, "resume"), spec.resume)
+    if spec.save is not None:
+        reader.output((*at, "save"), spec.save)
     if not reader.sound:
         return None
     followed = tuple(reader.files)
     around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
-    return SpecSetup(spec, around, parts)
+    return SpecSetup(spec, around, parts, resume=resume)
 
 
 def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[SimulationRun]:
     """Return a system at its beginning; characters are read now."""
     (member,) = members
     setup = cast(SpecSetup, member.setup)
-    return [_run(member, opening, setup.spec)]
+    run = _run(member, opening, setup.spec)
+    if setup.resume is not None:
+        run.state = read_state(setup.resume, clocked(member), run.state)
+    return [run]
+
+
+def clocked(member: SceneSystem) -> Clocked:
+    """Return which steps lead to states of a system."""
+    setup = cast(SpecSetup, member.setup)
+    return Clocked(member.kind, -setup.preroll, setup.spec.step)
 
 
 def _run(member: SceneSystem, opening: Opening, spec: SystemSpec) -> SimulationRun:

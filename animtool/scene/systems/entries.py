@@ -15,7 +15,11 @@ from animtool.documents.arrays import load_array
 from animtool.documents.check import FileModel, wrong_values
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
-from animtool.documents.references import referred_input, split_reference
+from animtool.documents.references import (
+    referred,
+    referred_input,
+    split_reference,
+)
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.options import OF_ENTRY, range_faults
@@ -340,6 +344,11 @@ class EntryReader:
         path = referred_input(self.document, at, name, self.roots)
         self.sound &= path is not None
         return path
+
+    def output(self, at: Location, name: str) -> None:
+        """Note what keeps a file from being written."""
+        found = referred(self.document, at, name, self.roots, written=True)
+        self.sound &= found is not None
 
 
 def _moved(model: PlacedModel, own: Poses) -> Poses:

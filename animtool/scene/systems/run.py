@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 from animtool._types import BoolArray
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, Severity
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.prims import MeshReport
@@ -22,6 +24,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
+from animtool.systems.simulation import ON_STEP, Reached, SimulationRun
 from animtool.usd.point_based import CachedMesh
 
 
@@ -82,6 +85,14 @@ class SystemRun:
         self._own = own
         self._phases: Phases | None = None
         self._frames: Progress = None
+        # Of systems whose states are to be saved the time codes, and what was kept.
+        self._saving: dict[int, float | None] = {
+            i: system.setup.spec.save_at  # type: ignore[attr-defined]
+            for i, system in enumerate(systems)
+            if getattr(system.setup, "writes", ())
+        }
+        self._kept: dict[int, tuple[float, Reached[Any]]] = {}
+        self._vain: list[Fault] = []
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
@@ -102,11 +113,16 @@ class SystemRun:
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far, each at the place of its system."""
-        return named_alike([self.systems[i] for i in self.written]) + [
-            system.place.put(notice)
-            for system, opened in zip(self.systems, self._open, strict=True)
-            for notice in opened.notices
-        ]
+        alike = named_alike([self.systems[i] for i in self.written])
+        return (
+            alike
+            + self._vain
+            + [
+                system.place.put(notice)
+                for system, opened in zip(self.systems, self._open, strict=True)
+                for notice in opened.notices
+            ]
+        )
 
     @property
     def simulated(self) -> list[dict[str, object]]:
@@ -118,13 +134,48 @@ class SystemRun:
     ) -> Iterator[tuple[float, list[Any]]]:
         """Yield every time code with what each system that is written is then."""
         times = [float((code - first) / fps) for code in codes]
+        self._check_resumed(codes, times, fps)
         self._foresee(times)
         show = None if self._phases is None else self._phases.last()
         self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             yield float(code), [self._row(i, t) for i in self.written]
+            self._keep(code)
             if show is not None:
                 show((k + 1) / len(codes))
+        self._note_kept()
+
+    def _check_resumed(
+        self, codes: Sequence[Fraction], times: Sequence[float], fps: Fraction
+    ) -> None:
+        """Refuse frames before the state that a system goes on from (SIM035)."""
+        faults = []
+        for system, opened in zip(self.systems, self._open, strict=True):
+            if not isinstance(opened, SimulationRun) or not opened.state.steps:
+                continue
+            reached = opened.time(opened.state.steps)
+            if times[0] < reached - ON_STEP * opened.step_length:
+                frame = float(codes[0]) + (reached - times[0]) * float(fps)
+                message = f"its state is of frame {frame:g}, and frame "
+                message += f"{float(codes[0]):g} is asked for"
+                hint = f"--range {math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
+                faults.append(system.place.fault("SIM035", message, hint))
+        if faults:
+            raise FormatError(faults)
+
+    def _note_kept(self) -> None:
+        """Note states that were to be saved of frames that there are not (SIM185)."""
+        for i, at in self._saving.items():
+            code = self._kept[i][0] if i in self._kept else None
+            if at is not None and code != at:
+                saved = "nothing" if code is None else f"the state of frame {code:g}"
+                message = (
+                    f"save_at is {at:g}, and there is no such frame: {saved} is saved"
+                )
+                place = self.systems[i].place
+                hint = "name one of the frames that are written"
+                fault = place.fault("SIM185", message, hint, Severity.WARNING)
+                self._vain.append(fault)
 
     def _foresee(self, times: Sequence[float]) -> None:
         """Let surfaces that may tear know where they will."""
@@ -142,6 +193,26 @@ class SystemRun:
         for i, opened in tearing.items():
             opened.part(torn[i])
         self.seconds[min(tearing)] += time.perf_counter() - began
+
+    def _keep(self, code: Fraction) -> None:
+        """Keep the states that are to be saved at a time code."""
+        for i, at in self._saving.items():
+            if at is None or code <= at:
+                self._kept[i] = float(code), self._open[i].state  # type: ignore[attr-defined]
+
+    def save_states(self, folder: Path) -> None:
+        """Write the states that systems are to save, into the folder of their scene.
+
+        Raises:
+            OutputError: One cannot be written.
+        """
+        from animtool.scene.systems.derived import clocked
+        from animtool.scene.systems.saved import write_state
+
+        for i, (_, state) in self._kept.items():
+            system = self.systems[i]
+            for name in system.setup.writes:  # type: ignore[attr-defined]
+                write_state(folder / name, clocked(system), state)
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()

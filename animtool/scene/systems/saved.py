@@ -1,0 +1,134 @@
+"""States of systems in npz files, to go on from: any state of arrays and numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.documents.arrays import Archives
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.output import replacing
+from animtool.placing import output_error
+from animtool.systems.simulation import Reached
+
+FORMAT = "animtool-system/1"
+# Whole numbers up to here are the same as floats.
+MAX_STEPS = 2**53
+_Arrays = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Clocked:
+    """Which steps lead to a state: a file of other steps is no state of a system."""
+
+    kind: str  # of `SYSTEM_KINDS`
+    begin: float  # time of the first step [s]
+    step: float  # its length [s]
+
+
+def write_state(path: Path, clocked: Clocked, reached: Reached[Any]) -> None:
+    """Write a state in place of what a file held.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    head = [clocked.begin, clocked.step, float(reached.steps)]
+    arrays: _Arrays = {
+        "format": np.array(FORMAT),
+        "kind": np.array(clocked.kind),
+        "clock": np.array(head),
+    }
+    arrays |= {f"state/{name}": rows for name, rows in _arrays(reached.state).items()}
+    try:
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def read_state(path: Path, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
+    """Return the state of a file, made like the one that a system begins with.
+
+    Raises:
+        FormatError: It cannot be read, or is none of states (SIM035).
+        OptionError: It is of another system: of another kind or size, or other steps
+            (SIM035).
+    """
+    try:
+        with Archives() as archives:
+            return _read(archives, path, clocked, start)
+    except ValueError as error:
+        raise FormatError(Fault("SIM035", f"{error}", str(path))) from error
+
+
+def _read(
+    archives: Archives, path: Path, clocked: Clocked, start: Reached[Any]
+) -> Reached[Any]:
+    def other(message: str, hint: str | None = None) -> OptionError:
+        return OptionError(Fault("SIM035", message, str(path), (), hint))
+
+    known = archives.has(path, "format")
+    if not known or archives.text(path, "format") != FORMAT:
+        message = "is no file of a state that a system saved"
+        raise FormatError(Fault("SIM035", message, str(path)))
+    kind = archives.text(path, "kind")
+    if kind != clocked.kind:
+        raise other(f"it has the state of {kind}, not of {clocked.kind}")
+    clock = archives.load(path, "clock")
+    if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
+        raise other("its clock is no begin, step and count of steps")
+    begin, step, steps = clock.tolist()
+    if not (math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)):
+        message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
+        message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
+        raise other(message, "keep the step and the pre-roll that it was saved with")
+    like = _arrays(start.state)
+    found: _Arrays = {}
+    for name, rows in like.items():
+        values = archives.stored(path, f"state/{name}")
+        if values.shape != rows.shape or values.dtype.kind != rows.dtype.kind:
+            message = f"{name} is {values.dtype} of shape {values.shape}, and in the "
+            raise other(f"{message}scene {rows.dtype} of shape {rows.shape}")
+        if rows.dtype.kind == "f" and not np.isfinite(values).all():
+            raise other(f"{name} holds a value that is not finite")
+        found[name] = values.astype(rows.dtype)
+    return Reached(int(steps), _restored(start.state, found))
+
+
+def _arrays(state: Any, above: str = "") -> _Arrays:
+    """Return the arrays and numbers of a state by name; what is None has none."""
+    if state is None:
+        return {}
+    if not (isinstance(state, Mapping) or is_dataclass(state)):
+        return {above: np.asarray(state)}
+    found: _Arrays = {}
+    for name, part in _parts(state).items():
+        found |= _arrays(part, f"{above}.{name}" if above else name)
+    return found
+
+
+def _parts(state: Any) -> dict[str, Any]:
+    """Return what a record or a mapping holds, by name."""
+    if isinstance(state, Mapping):
+        return dict(state)
+    return {entry.name: getattr(state, entry.name) for entry in fields(state)}
+
+
+def _restored(like: Any, arrays: _Arrays, above: str = "") -> Any:
+    """Return a state like one, of other arrays."""
+    if like is None:
+        return None
+    if isinstance(like, Mapping) or is_dataclass(like):
+        parts = {
+            name: _restored(part, arrays, f"{above}.{name}" if above else name)
+            for name, part in _parts(like).items()
+        }
+        return replace(like, **parts) if is_dataclass(like) else parts  # type: ignore[type-var]
+    array = arrays[above]
+    return array if isinstance(like, np.ndarray) else type(like)(array.item())

@@ -1,0 +1,141 @@
+"""States of systems in files: gone on from bit for bit, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from pxr import Usd, UsdGeom
+from support.cli import animtool
+
+SCENE = """\
+scene: animtool/1
+fps: 24
+range: [1, 12]
+systems:
+- flocks:
+    name: fish
+    preroll: 0.1
+    species: [{name: fish, count: 9, spread: 90}]
+    KEYS
+"""
+BIRD = (
+    '#usda 1.0\ndef Mesh "bird" {\n'
+    "point3f[] points = [(0, 0, 1), (1, 0, 0), (0, 1, 0)]\n"
+    "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n"
+)
+
+
+def bake(folder: Path, name: str, keys: str, *flags: Any, show: bool = False) -> Any:
+    text = SCENE.replace("KEYS", keys)
+    if show:
+        (folder / "bird.usda").write_text(BIRD, "utf-8")
+        text = text.replace(
+            "90}", "90, beat: 3, shows: {file: bird.usda, prim: /bird}}"
+        )
+    path = folder / f"{name}.scene.yaml"
+    path.write_text(text, "utf-8")
+    return animtool("bake", path, "-o", folder / f"{name}.usdc", *flags)
+
+
+def rows(path: Path, names: tuple[str, ...]) -> list[list[np.ndarray]]:
+    stage = Usd.Stage.Open(str(path))
+    (prim,) = [
+        one for one in stage.Traverse()
+        if one.IsA(UsdGeom.Points) or one.IsA(UsdGeom.PointInstancer)
+    ]  # fmt: skip
+    return [
+        [np.array(prim.GetAttribute(name).Get(code)) for name in names]
+        for code in range(7, 13)
+    ]
+
+
+@pytest.mark.parametrize("show", [False, True])
+def test_gone_on_from_a_file_it_is_the_same(tmp_path: Path, show: bool) -> None:
+    names = ("points", "velocities")
+    if show:
+        names = ("positions", "velocities", "orientationsf", "angularVelocities")
+    assert bake(tmp_path, "whole", "save: state.npz", show=show).code == 0
+    done = bake(tmp_path, "first", "save: half.npz\n    save_at: 7", show=show)
+    assert done.code == 0
+    flags = ("--range", "7-12")
+    assert bake(tmp_path, "rest", "resume: half.npz", *flags, show=show).code == 0
+    for one, other in zip(
+        rows(tmp_path / "whole.usdc", names),
+        rows(tmp_path / "rest.usdc", names),
+        strict=True,
+    ):
+        for a, b in zip(one, other, strict=True):
+            assert_array_equal(a, b)
+    # Of a whole run the last frame is saved, and its files are the same each time.
+    again = bake(tmp_path, "whole", "save: state.npz", "--overwrite", show=show)
+    assert again.code == 0
+    flags = ("--range", "12-12")
+    assert bake(tmp_path, "end", "resume: state.npz", *flags, show=show).code == 0
+
+
+def test_what_is_there_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "state.npz").write_bytes(b"mine")
+    done = bake(tmp_path, "one", "save: state.npz")
+    assert (done.code, "OUT001" in done.stderr) == (2, True)
+    assert (tmp_path / "state.npz").read_bytes() == b"mine"
+    assert not (tmp_path / "one.usdc").exists()
+    both = bake(tmp_path, "two", "save: state.npz\n    resume: state.npz")
+    assert (both.code, "OUT003" in both.stderr) == (2, True)
+
+
+def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
+    assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
+    done = bake(tmp_path, "two", "resume: half.npz")
+    assert done.code == 3
+    assert "SIM035 systems[0].flocks: its state is of frame 7, and frame 1 is" in (
+        done.stderr
+    )
+    assert "--range 7-12" in done.stderr
+
+
+def test_a_frame_that_is_not_written_is_said(tmp_path: Path) -> None:
+    done = bake(tmp_path, "one", "save: late.npz\n    save_at: 40")
+    assert (done.code, "SIM185" in done.stderr) == (0, True)
+    assert "the state of frame 12 is saved" in done.stderr
+    flags = ("--range", "5-12")
+    done = bake(tmp_path, "two", "save: early.npz\n    save_at: 2", *flags)
+    assert "nothing is saved" in done.stderr
+    assert not (tmp_path / "early.npz").exists()
+
+
+def other(path: Path, **changes: Any) -> None:
+    with np.load(path) as found:
+        arrays = dict(found) | changes
+    np.savez(path, **{name: rows for name, rows in arrays.items() if rows is not None})
+
+
+CHANGES = {
+    "no state": ({"format": None}, "no file of a state"),
+    "another kind": ({"kind": np.array("rope")}, "the state of rope"),
+    "another step": ({"clock": np.array([-0.1, 0.02, 9])}, "steps of 0.02 s"),
+    "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "begin at 0 s"),
+    "half a step": ({"clock": np.array([-0.1, 0.01, 9.5])}, "clock"),
+    "no clock": ({"clock": np.zeros(2)}, "clock"),
+    "others": ({"state/motion": np.zeros((2, 8, 3))}, "shape (2, 8, 3)"),
+    "NaN": ({"state/motion": np.full((2, 9, 3), np.nan)}, "not finite"),
+    "numbers of another type": (
+        {"state/motion": np.zeros((2, 9, 3), np.int64)}, "int64"
+    ),
+    "nothing": ({"state/motion": None}, "motion"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CHANGES)
+def test_a_state_of_another_system_is_refused(tmp_path: Path, case: str) -> None:
+    changes, word = CHANGES[case]
+    assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
+    other(tmp_path / "half.npz", **changes)
+    done = bake(tmp_path, "two", "resume: half.npz", "--range", "7-12")
+    assert done.code in {2, 3}
+    assert "SIM035" in done.stderr
+    assert word in done.stderr
+    assert not (tmp_path / "two.usdc").exists()
