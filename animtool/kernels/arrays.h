@@ -9,6 +9,8 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include "memory.h"
+
 namespace animtool {
 
 namespace nb = nanobind;
@@ -27,19 +29,19 @@ using Out = nb::ndarray<nb::numpy, T, nb::ndim<N>, nb::c_contig>;
 template <typename T>
 class Buffer {
  public:
-  explicit Buffer(std::size_t size) : data_(new T[size ? size : 1]) {}
+  explicit Buffer(std::size_t size) : data_(block<T>(size)) {}
 
   T* get() { return data_.get(); }
 
   template <std::size_t N>
   Out<T, N> release(const std::size_t (&shape)[N]) {
     T* data = data_.release();
-    nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+    nb::capsule owner(data, [](void* p) noexcept { Freed()(p); });
     return Out<T, N>(data, N, shape, owner);
   }
 
  private:
-  std::unique_ptr<T[]> data_;
+  Block<T> data_;
 };
 
 }  // namespace animtool

@@ -45,13 +45,15 @@ Vec shove(const Rule& rule, const Vec& off, double squared) {
 }
 
 // What those do that do the same by each other: each pair is looked at once.
-double together(const Rule& rule, const Neighbours& grid, const std::vector<Vec>& velocities,
-                double most, double* out, std::int32_t* counts) {
+double together(const Rule& rule, const Neighbours& grid, const Vec* velocities, double most,
+                double* out, std::int32_t* counts) {
   struct Sums {
     Vec pull, away;
   };
-  std::vector<Sums> sums(grid.size());
-  std::vector<std::int32_t> seen(grid.size());
+  const Block<Sums> sums = block<Sums>(grid.size());
+  std::fill_n(sums.get(), grid.size(), Sums());
+  const Block<std::int32_t> seen = block<std::int32_t>(grid.size());
+  std::fill_n(seen.get(), grid.size(), 0);
   const double *x = grid.x(), *y = grid.y(), *z = grid.z();
   const double looked = grid.visit_places<true>(
       most, [&](std::size_t i, const double* at, const std::int32_t* hit, const std::int32_t* end) {
@@ -86,7 +88,7 @@ double together(const Rule& rule, const Neighbours& grid, const std::vector<Vec>
 // What one does by those that it sees, out of those that are near.
 class Seer {
  public:
-  Seer(const Rule& rule, const Neighbours& grid, const std::vector<Vec>& velocities)
+  Seer(const Rule& rule, const Neighbours& grid, const Vec* velocities)
       : rule_(rule), grid_(grid), velocities_(velocities) {}
 
   std::size_t add(std::size_t self, const Vec& here, const Vec& velocity,
@@ -141,7 +143,7 @@ class Seer {
 
   const Rule& rule_;
   const Neighbours& grid_;
-  const std::vector<Vec>& velocities_;
+  const Vec* velocities_;
   std::vector<Seen> seen_;
 };
 
@@ -195,19 +197,19 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
     std::fill_n(counts.get(), size, 0);
     const Neighbours grid(points.data(), others ? others->data() : nullptr,
                           others ? others->shape(0) : count, radius, period.data(), periods);
-    std::vector<Vec> sorted(grid.size());
+    const Block<Vec> sorted = block<Vec>(grid.size());
     for (std::size_t i = 0; i < grid.size(); ++i)
       sorted[i] = vec(velocities.data() + 3 * static_cast<std::size_t>(grid.index()[i]));
     const bool open = periods[0] == 0 && periods[1] == 0 && periods[2] == 0;
     const bool all = open && !members && !others;
-    Seer seer(rule, grid, sorted);
+    Seer seer(rule, grid, sorted.get());
     const auto add = [&](std::size_t number, std::size_t which, const Vec& at, const Vec& velocity,
                          const std::int32_t* hit, const std::int32_t* end) {
       const std::size_t seen = seer.add(which, at, velocity, hit, end, result.get() + 3 * number);
       counts.get()[number] = static_cast<std::int32_t>(seen);
     };
     if (all && rule.mutual())
-      looked = together(rule, grid, sorted, most, result.get(), counts.get());
+      looked = together(rule, grid, sorted.get(), most, result.get(), counts.get());
     else if (all)
       looked = grid.visit_places<false>(most, [&](std::size_t i, const double* at,
                                                   const std::int32_t* hit,

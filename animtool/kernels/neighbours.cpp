@@ -67,7 +67,7 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   cells_ = cells_of(sorted.keys.get(), total);
   sorted.keys.reset();
   const std::size_t stride = total + NEAR_SPARE;
-  places_.reset(new double[3 * stride]);
+  places_ = block<double>(3 * stride);
   for (std::size_t i = 0; i < total; ++i) {
     const double* from = at(static_cast<std::size_t>(sorted.places[i]));
     for (std::size_t k = 0; k < 3; ++k) places_[k * stride + i] = from[k];

@@ -8,8 +8,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <memory>
 #include <vector>
+
+#include "memory.h"
 
 namespace animtool {
 
@@ -62,10 +63,10 @@ class Neighbours {
   };
   struct Sorted {
     explicit Sorted(std::size_t room)
-        : keys(new std::uint64_t[room + 1]), places(new std::int32_t[room + 1]) {}
+        : keys(block<std::uint64_t>(room)), places(block<std::int32_t>(room)) {}
 
-    std::unique_ptr<std::uint64_t[]> keys;
-    std::unique_ptr<std::int32_t[]> places;
+    Block<std::uint64_t> keys;
+    Block<std::int32_t> places;
     std::size_t count = 0;
   };
   template <class Function>
@@ -92,7 +93,7 @@ class Neighbours {
   double last_[3] = {0, 0, 0};  // cells of each axis, less one
   std::uint64_t row_ = 0, layer_ = 0;
   std::vector<Cell> cells_;  // those that are not empty, and one behind all
-  std::unique_ptr<double[]> places_;  // of all along x, then y, then z
+  Block<double> places_;  // of all along x, then y, then z
   NearPlaces near_places_{};
   NearFunction near_;
   std::vector<std::int32_t> index_;

@@ -1,0 +1,43 @@
+// Memory for many numbers, not filled with any.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <type_traits>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+namespace animtool {
+
+struct Freed {
+  void operator()(void* memory) const noexcept { std::free(memory); }
+};
+template <typename T>
+using Block = std::unique_ptr<T[], Freed>;
+
+// Of large blocks pages are large too, where the system has such: touching a small page for
+// the first time takes as long as working on what is in it.
+template <typename T>
+Block<T> block(std::size_t count) {
+  static_assert(std::is_trivially_copyable_v<T>);
+  const std::size_t bytes = std::max<std::size_t>(count, 1) * sizeof(T);
+  void* memory = nullptr;
+#if defined(__linux__)
+  constexpr std::size_t PAGE = std::size_t{1} << 21;
+  if (bytes >= 8 * PAGE) {
+    const std::size_t whole = (bytes + PAGE - 1) / PAGE * PAGE;
+    memory = std::aligned_alloc(PAGE, whole);
+    if (memory) madvise(memory, whole, MADV_HUGEPAGE);
+  }
+#endif
+  if (!memory) memory = std::malloc(bytes);
+  if (!memory) throw std::bad_alloc();
+  return Block<T>(static_cast<T*>(memory));
+}
+
+}  // namespace animtool
