@@ -29,11 +29,8 @@ Block<T> block(std::size_t count) {
   void* memory = nullptr;
 #if defined(__linux__)
   constexpr std::size_t PAGE = std::size_t{1} << 21;
-  if (bytes >= 8 * PAGE) {
-    const std::size_t whole = (bytes + PAGE - 1) / PAGE * PAGE;
-    memory = std::aligned_alloc(PAGE, whole);
-    if (memory) madvise(memory, whole, MADV_HUGEPAGE);
-  }
+  if (bytes >= 2 * PAGE && !posix_memalign(&memory, PAGE, bytes))
+    madvise(memory, bytes / PAGE * PAGE, MADV_HUGEPAGE);
 #endif
   if (!memory) memory = std::malloc(bytes);
   if (!memory) throw std::bad_alloc();

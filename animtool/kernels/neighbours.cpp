@@ -144,7 +144,10 @@ Neighbours::Sorted Neighbours::seekers(const double* points, const std::int32_t*
 
 std::vector<Neighbours::Cell> Neighbours::cells_of(const std::uint64_t* keys,
                                                    std::size_t count) {
+  std::size_t different = 1;
+  for (std::size_t i = 0; i < count; ++i) different += !i || keys[i] != keys[i - 1];
   std::vector<Cell> cells;
+  cells.reserve(different);
   for (std::size_t i = 0; i < count; ++i)
     if (cells.empty() || keys[i] != cells.back().key) cells.push_back({keys[i], i});
   // No key of a cell is as large.
