@@ -44,7 +44,9 @@ def write_state(path: Path, clocked: Clocked, reached: Reached[Any]) -> None:
         "kind": np.array(clocked.kind),
         "clock": np.array(head),
     }
-    arrays |= {f"state/{name}": rows for name, rows in _arrays(reached.state).items()}
+    state = _arrays(reached.state)
+    arrays["state"] = np.array(_names(state))
+    arrays |= {f"state/{name}": rows for name, rows in state.items()}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -89,6 +91,9 @@ def _read(
         message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
         raise other(message, "keep the step and the pre-roll that it was saved with")
     like = _arrays(start.state)
+    held = archives.text(path, "state")
+    if held != _names(like):
+        raise other(f"its state has {held}, and the scene's {_names(like)}")
     found: _Arrays = {}
     for name, rows in like.items():
         values = archives.stored(path, f"state/{name}")
@@ -101,12 +106,19 @@ def _read(
     return Reached(int(steps), _restored(start.state, found))
 
 
+def _names(arrays: _Arrays) -> str:
+    return ", ".join(sorted(arrays)) or "nothing"
+
+
 def _arrays(state: Any, above: str = "") -> _Arrays:
     """Return the arrays and numbers of a state by name; what is None has none."""
     if state is None:
         return {}
     if not (isinstance(state, Mapping) or is_dataclass(state)):
-        return {above: np.asarray(state)}
+        array = np.asarray(state)
+        if array.dtype.kind not in "iufb":
+            raise TypeError(f"{above} of a state is no array of numbers: {state!r}")
+        return {above: array}
     found: _Arrays = {}
     for name, part in _parts(state).items():
         found |= _arrays(part, f"{above}.{name}" if above else name)

@@ -126,6 +126,7 @@ CHANGES = {
         {"state/motion": np.zeros((2, 9, 3), np.int64)}, "int64"
     ),
     "nothing": ({"state/motion": None}, "motion"),
+    "more": ({"state": np.array("heading.spins, motion")}, "heading.spins"),
 }  # fmt: skip
 
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from support.nasty import write_nasty_clip
 from support.simulated import Simulator
 
+from animtool import Rig
 from animtool.errors import AnimtoolError
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
@@ -279,3 +281,80 @@ def test_what_makes_no_sense_is_refused(
     assert word in str(error.value)
     assert fault.lines == (1,)
     assert (fault.where or "").startswith("systems[0].flocks")
+
+
+def test_velocities_align_as_those_of_cucker_and_smale(simulator: Simulator) -> None:
+    """Where all see all, each goes to the mean exponentially (Cucker, Smale, 2007)."""
+    alike = {
+        **BIRD, "spread": 90, "vision": {"radius": 100}, "attraction": {"weight": 0},
+        "repulsion": {"weight": 0}, "alignment": {"weight": 1.5},
+        "speed": {"weight": 0, "most": 50},
+    }  # fmt: skip
+    rows = simulator.simulate(flock(alike, method="rk4", step=1 / 96), FRAMES)["it"]
+    velocities = np.array([row.velocities for row in rows])
+    middle = velocities.mean(axis=1, keepdims=True)
+    assert_allclose(middle, np.broadcast_to(middle[0], middle.shape), atol=1e-12)
+    # The mean of the others is farther from one than that of all.
+    decay = np.exp(-1.5 * 30 / 29 * np.array(FRAMES))[:, None, None]
+    assert_allclose(velocities - middle, decay * (velocities - middle)[0], atol=1e-9)
+
+
+def test_two_keep_the_distance_at_which_pull_and_push_are_equal(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "two.npz", points=[[0.0, 0, 0], [0.9, 0, 0]])
+    np.savez(tmp_path / "still.npz", velocities=np.zeros((2, 3)))
+    two = {
+        "name": "fish", "points": "two.npz", "velocities": "still.npz#velocities",
+        "vision": {"radius": 5}, "attraction": {"weight": 2}, "speed": {"weight": 0},
+        "alignment": {"weight": 3}, "repulsion": {"weight": 0.5, "softening": 0.3},
+    }  # fmt: skip
+    rows = simulator.simulate(flock(two), np.arange(0, 481, 480) / 24)["it"]
+    gap = np.linalg.norm(rows[-1].points[1] - rows[-1].points[0])
+    assert gap == pytest.approx(np.sqrt(0.5 / 2 - 0.3**2), abs=1e-6)
+
+
+def test_random_directions_become_one_in_a_domain_without_walls(
+    simulator: Simulator,
+) -> None:
+    """Without noise all order, as those of Vicsek do (1995), and keep their spacing."""
+    crowd = {
+        **BIRD, "count": 150, "spread": 180, "place": {"box": {"size": [7.9] * 3}},
+        "attraction": {"weight": 0}, "repulsion": {"weight": 0.6, "radius": 1.5},
+    }  # fmt: skip
+    keys = {"domain": {"size": [8, 8, 8], "wrap": True}, "step": 1 / 48}
+    rows = simulator.simulate(flock(crowd, **keys), [0.0, 10.0, 20.0])["it"]
+    orders, gaps = [], []
+    for row in rows:
+        ways = row.velocities / np.linalg.norm(row.velocities, axis=1)[:, None]
+        orders.append(np.linalg.norm(ways.mean(axis=0)))
+        off = row.points[:, None] - row.points
+        off -= 8 * np.round(off / 8)
+        gaps.append(np.sort(np.linalg.norm(off, axis=2), axis=1)[:, 1])
+    assert orders[0] < 0.2
+    assert orders[1] < orders[2]
+    assert orders[2] > 0.99
+    # They keep apart; of random places many are nearer than this.
+    least = 0.55 * (8**3 / 150) ** (1 / 3)
+    assert (gaps[0] < least).mean() > 0.25
+    assert gaps[2].min() > least
+
+
+def test_meshes_of_a_clip_are_shown_at_phases_of_its_cycle(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    clip = write_nasty_clip(tmp_path)
+    mesh = Rig.load(tmp_path / "nasty.rig.yaml").meshes[0].name
+    shown = {
+        **BIRD,
+        "shows": {"file": clip.name, "mesh": mesh, "samples": 5},
+        "beat": 2,
+    }
+    rows = simulator.simulate(flock(shown), FRAMES)["it"]
+    meshes = rows[0].meshes
+    assert len(meshes) == 5
+    assert any(not np.array_equal(one.points, meshes[0].points) for one in meshes)
+    missing = {**shown, "shows": {"file": clip.name, "mesh": "none"}}
+    with pytest.raises(AnimtoolError) as error:
+        simulator.simulate(flock(missing), [0.0])
+    assert error.value.faults[0].code == "SIM053"
