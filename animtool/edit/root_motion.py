@@ -10,7 +10,6 @@ import numpy as np
 from animtool.edit.combine import continuous
 from animtool.edit.travel import (
     above,
-    ancestors,
     place_of,
     rest_rotation,
     traveller,
@@ -77,7 +76,7 @@ def extract_root(
         take = inserted(take, root, hip)
         hip += 1
     joint = take.rig.index(root)
-    if joint not in ancestors(take.rig, hip):
+    if joint not in take.rig.upwards(hip)[1:]:
         name = take.rig.names[hip]
         raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
     place = _root_path(take, joint, hip, axes.lower(), yaw)

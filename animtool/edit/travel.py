@@ -24,35 +24,20 @@ class Place:
     linear: FloatArray  # linear part with scales ``(F, 3, 3)``; column c is its axis c
 
 
-def ancestors(rig: Rig, joint: int) -> list[int]:
-    """Return the joints above one, the root first.
-
-    >>> from animtool.rig.skeleton import Joint
-    >>> ancestors(Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", 1))), 2)
-    [0, 1]
-    """
-    found: list[int] = []
-    parent = rig.joints[joint].parent
-    while parent >= 0:
-        found.append(parent)
-        parent = rig.joints[parent].parent
-    return found[::-1]
-
-
 def above(rig: Rig, motion: Motion, joint: int) -> Place:
     """Return the frame that a joint's own transform is in: its parent, or the world."""
-    return _followed(motion, ancestors(rig, joint))
+    return _followed(motion, rig.upwards(joint)[:0:-1])
 
 
 def place_of(rig: Rig, motion: Motion, joint: int) -> Place:
     """Return where a joint is in every frame."""
-    return _followed(motion, [*ancestors(rig, joint), joint])
+    return _followed(motion, rig.upwards(joint)[::-1])
 
 
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     """Return the rotation of a joint in the world at rest ``(4,)``."""
     whole = so3.IDENTITY
-    for one in [*ancestors(rig, joint), joint]:
+    for one in rig.upwards(joint)[::-1]:
         whole = so3.multiply(whole, rig.joints[one].rotation)
     return whole
 

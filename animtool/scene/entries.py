@@ -19,7 +19,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 
 if TYPE_CHECKING:
-    from animtool.scene.systems.kinds import SystemSetup
+    from animtool.scene.systems.setups import SystemSetup
 
 
 @dataclass(frozen=True, slots=True)

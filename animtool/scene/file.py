@@ -38,11 +38,12 @@ from animtool.scene.retime import Preroll
 from animtool.scene.scene import Scene
 from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
-from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
 from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
+from animtool.scene.systems.setups import SystemReader
 from animtool.scene.tracks import TrackNames
 from animtool.shot import FrameRange, Shot
+from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.units import LengthUnit, UpAxis
 
 

@@ -24,7 +24,7 @@ from animtool.scene.springs.shaped_bodies import (
     volume_body,
 )
 from animtool.scene.systems.entries import EntryReader
-from animtool.scene.systems.kinds import SystemFacts
+from animtool.scene.systems.setups import SystemFacts
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.springs import SelfContact, Solver, SpringOptions
 from animtool.systems.springs.checks import check_keeping_apart, check_options

@@ -18,9 +18,9 @@ from animtool.frames import Frame, PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemFacts
 from animtool.scene.systems.prototypes import Prototype
 from animtool.scene.systems.saved import Clocked, read_state
+from animtool.scene.systems.setups import SystemFacts
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
@@ -33,6 +33,7 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSpec,
 )
+from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.simulation import Simulation, SimulationRun
 
 Reader: TypeAlias = Callable[[Location, Any], Any]

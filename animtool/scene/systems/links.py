@@ -10,7 +10,7 @@ from animtool.documents.names import nearest
 from animtool.errors import listed
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.kinds import SYSTEM_KINDS
+from animtool.systems.kinds import SYSTEM_KINDS
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:

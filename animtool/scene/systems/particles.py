@@ -14,7 +14,7 @@ from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.frames import PointsFrame
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.kinds import SystemFacts
+from animtool.scene.systems.setups import SystemFacts
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.options import IntegrateOptions

@@ -8,7 +8,7 @@ from pydantic import Field, create_model
 
 from animtool.documents.check import FileModel
 from animtool.plugins import load_object
-from animtool.scene.systems.kinds import SYSTEM_KINDS
+from animtool.systems.kinds import SYSTEM_KINDS
 
 
 class _SystemModel(FileModel):

@@ -20,8 +20,8 @@ from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.kinds import SYSTEM_KINDS
 from animtool.scene.systems.links import in_order, needed
+from animtool.systems.kinds import SYSTEM_KINDS
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Trial

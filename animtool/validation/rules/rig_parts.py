@@ -234,12 +234,8 @@ def open_bend(rig: RigSubject) -> Iterator[Fault]:
 
 def _joints(rig: RigSubject, chain: IkChain) -> list[int]:
     """Return the joints of a chain, from root to tip."""
-    root, place = rig.rig.index(chain.root), rig.rig.index(chain.tip)
-    found = [place]
-    while place != root:
-        place = rig.rig.joints[place].parent
-        found.append(place)
-    return found[::-1]
+    upwards = rig.rig.upwards(rig.rig.index(chain.tip))
+    return upwards[upwards.index(rig.rig.index(chain.root)) :: -1]
 
 
 def _bends(rig: RigSubject, i: int, tip: int) -> bool:

@@ -18,11 +18,11 @@ from animtool.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.simulation_table import SimulationTable
 from animtool.scene.systems.derived import SpecSetup, read_spec
-from animtool.scene.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.scene.systems.simulation import open_systems, system_trials
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting
+from animtool.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.systems.particles import Disc, Point
 from animtool.systems.particles.forces.air import Wind
 from animtool.systems.particles.forces.pulls import Gravity
