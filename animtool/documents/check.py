@@ -19,7 +19,7 @@ from animtool.documents.mend import (
     stand_in,
 )
 from animtool.documents.names import nearest
-from animtool.documents.versions import STEPS, new_key, newest, version_of
+from animtool.documents.versions import KINDS, STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar
 
@@ -114,7 +114,8 @@ class _Faults:
         for step in around:
             node = node[step]
         left = node.pop(key)
-        renamed = new_key(location)
+        kind = next((name for name in KINDS if name in self.value), "")
+        renamed = new_key(kind, location)
         if renamed in names and renamed not in node:
             node[renamed] = left
             self.document.spellings[*around, renamed] = str(key)

@@ -107,8 +107,10 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
 def _with_new_keys(plan: Migration) -> Migration:
     """Return a file with the new names of its keys; all else stays as it is."""
     value = document_of(plan.before, plan.path).value
-    edits = [Rename(location, name) for location, name in renamed_keys(value)]
-    if plan.kind != "scene" or not edits:
+    edits = [
+        Rename(location, name) for location, name in renamed_keys(plan.kind, value)
+    ]
+    if not edits:
         return plan
     try:
         return replace(plan, after=edited(plan.before, plan.path, edits))

@@ -21,11 +21,13 @@ STEPS: dict[str, dict[int, Step]] = {
     "scene": {},
     "targets": {},
 }
-# Keys that have a new name in the same version, by their location: None is any entry of
-# a list. The old one is still read.
-RENAMED: dict[tuple[str | None, ...], str] = {
-    ("beside",): "props",
-    ("systems", None, "particles", "most"): "max_particles",
+# Keys that have a new name in the same version, by kind and location: None is any entry
+# of a list. The old one is still read.
+RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
+    "scene": {
+        ("beside",): "props",
+        ("systems", None, "particles", "most"): "max_particles",
+    },
 }
 # What the first line of a file may name: a batch names a scene too, others their rig.
 KINDS = ("batch", "clip", "scene", "targets", "rig")
@@ -49,24 +51,27 @@ def newest(steps: Steps) -> int:
     return max(steps, default=0) + 1
 
 
-def new_key(location: Location) -> str | None:
-    """Return the new name of a key at a location; None where it has none.
+def new_key(kind: str, location: Location) -> str | None:
+    """Return the new name of a key of a kind of file; None where it has none.
 
-    >>> new_key(("systems", 2, "particles", "most"))
+    >>> new_key("scene", ("systems", 2, "particles", "most"))
     'max_particles'
     """
-    return RENAMED.get(tuple(s if isinstance(s, str) else None for s in location))
+    steps = tuple(step if isinstance(step, str) else None for step in location)
+    return RENAMED.get(kind, {}).get(steps)
 
 
-def renamed_keys(value: Any, around: Location = ()) -> Iterator[tuple[Location, str]]:
+def renamed_keys(
+    kind: str, value: Any, around: Location = ()
+) -> Iterator[tuple[Location, str]]:
     """Yield the locations of keys that have a new name, and that."""
     pairs = enumerate(value) if isinstance(value, list) else ()
     for step, inner in value.items() if isinstance(value, dict) else pairs:
         location = (*around, step)
-        name = new_key(location)
+        name = new_key(kind, location)
         if name is not None and name not in value:
             yield location, name
-        yield from renamed_keys(inner, location)
+        yield from renamed_keys(kind, inner, location)
 
 
 def version_of(

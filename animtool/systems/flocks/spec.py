@@ -156,7 +156,7 @@ class SpeciesModel(PlacedModel):
     """Members of one kind: where they begin, and what they do."""
 
     name: Name = Field(description="Its name.", examples=["starling"])
-    count: Annotated[Whole, Ge(0), Le(10**7)] = Field(
+    count: Annotated[Whole, Ge(0), Le(2 * 10**6)] = Field(
         default=100, description="How many.", examples=[500]
     )
     place: PlaceEntry = Field(
