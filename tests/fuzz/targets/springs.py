@@ -1,4 +1,4 @@
-"""Scenes of ropes, strands, cloth, volumes and particles, with extreme numbers."""
+"""Scenes of springs, particles and flocks, with extreme numbers."""
 
 from __future__ import annotations
 
@@ -91,7 +91,43 @@ _SYSTEMS: dict[str, dict[str, Any]] = {
         "step": 0.01,
         "most": 1000,
     },
+    "flocks": {
+        "name": "fish",
+        "species": [
+            {
+                "name": "fish",
+                "count": 9,
+                "place": {"box": {"size": [1.0, 0.5, 1.0]}},
+                "direction": [0.0, 0.0, 1.0],
+                "spread": 40.0,
+                "seed": 3,
+                "radius": 0.05,
+                "mass": 0.1,
+                "vision": {"radius": 1.0, "angle": 270.0, "nearest": 3},
+                "attraction": {"weight": 1.0, "radius": 0.8},
+                "repulsion": {"weight": 0.2, "softening": 0.1},
+                "speed": {"cruise": 2.0, "weight": 0.2, "least": 1.0, "most": 3.0},
+                "turning": 200.0,
+                "acceleration": 20.0,
+                "avoidance": {"distance": 0.5, "weight": 10.0},
+                "goals": [{"at": [0.0, 1.0, 0.0], "weight": 1.0, "radius": 0.5}],
+                "paths": [
+                    {
+                        "points": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]],
+                        "closed": True,
+                        "ahead": 0.5,
+                    }
+                ],
+            }
+        ],
+        "forces": [{"wind": {"velocity": [1.0, 0.0, 0.0], "drag": 0.01}}],
+        "domain": {"at": [0.0, 0.0, 0.0], "size": [6.0, 6.0, 6.0], "wrap": True},
+        "preroll": 0.02,
+        "step": 0.01,
+    },
 }
+# Kinds that have keys of their own alone.
+_APART = {"particles", "flocks"}
 _COMMON: dict[str, Any] = {
     "gravity": [0.0, -9.81, 0.0],
     "drag": 0.5,
@@ -138,7 +174,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
 
 def _entry(rng: np.random.Generator, kind: str) -> dict[str, Any]:
     entry = dict(_SYSTEMS[kind])
-    if kind != "particles":
+    if kind not in _APART:
         entry |= _COMMON
         for name, values in _RARE.items():
             if rng.random() < 0.2:

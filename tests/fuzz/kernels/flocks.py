@@ -1,0 +1,48 @@
+"""Members of a flock, and those whom they see."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fuzz.kernels import Maker
+
+Rng = np.random.Generator
+
+
+def _flock(rng: Rng) -> dict[str, Any]:
+    count = int(rng.integers(0, 40))
+    radius = float(rng.choice([0.3, 1.0, 5.0]))
+    period = np.zeros((2, 3))
+    period[0] = rng.normal(size=3)
+    period[1] = rng.choice([0.0, 2.0, 7.0], 3) * radius
+
+    def some() -> Any:
+        if rng.integers(2):
+            return None
+        size = int(rng.integers(0, count + 1))
+        return rng.integers(0, max(count, 1), size, dtype=np.int32)
+
+    def pull() -> Any:
+        return np.array([rng.normal(), rng.uniform(0, 2 * radius)])
+
+    return {
+        "points": rng.normal(scale=10.0 ** rng.integers(-1, 4), size=(count, 3)),
+        "velocities": rng.normal(size=(count, 3)),
+        "members": some(),
+        "others": some(),
+        "radius": radius,
+        "cosine": float(rng.choice([-1.0, -0.5, 1.0])),
+        "nearest": int(rng.integers(0, 4)),
+        "attraction": pull(),
+        "alignment": pull(),
+        "repulsion": pull(),
+        "softening": 0.1,
+        "period": period,
+        "most": float(rng.choice([1e9, 10.0])),
+    }
+
+
+CALLS: dict[str, Maker] = {"flock_accelerations": _flock}
+UNBOUNDED: frozenset[str] = frozenset()
