@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from annotated_types import Ge, Gt, Le
-from pydantic import Field
 
 from animtool.batch.cuts import SHOT_NAMES
 from animtool.batch.recipe import INPUT_NAMES, unknown_names
@@ -29,7 +28,7 @@ from animtool.batch.variants import (
 from animtool.config import project_roots
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame
+from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
 from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
 from animtool.rates import parse_rate
@@ -42,16 +41,13 @@ from animtool.units import LengthUnit, UpAxis
 class LimitsModel(FileModel):
     """What an item may take."""
 
-    seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = Field(
-        default=None,
-        description="How long an item may take. Not given: as long as it needs.",
-        examples=[60],
+    seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
+        "How long an item may take. Not given: as long as it needs.", 60, default=None
     )
-    memory: str | None = Field(
+    memory: str | None = key(
+        "How much memory the process that makes it may have, all told. Not given: any.",
+        "2GB",
         default=None,
-        description="How much memory the process that makes it may have, all told. "
-        "Not given: any.",
-        examples=["2GB"],
     )
 
 
@@ -64,45 +60,36 @@ class LimitsModel(FileModel):
 class OptionsModel(FileModel):
     """How to bake the inputs, where no scene says it."""
 
-    rig: str | None = Field(
+    rig: str | None = key(
+        "Of clips: their rig. Not given: the one that each names.",
+        "hero.rig.yaml",
         default=None,
-        description="Of clips: their rig. Not given: the one that each names.",
-        examples=["hero.rig.yaml"],
     )
-    units: Literal["m", "cm", "mm", "in"] | None = Field(
-        default=None,
-        description="Of BVH files: the unit of their lengths. Not given: cm.",
-        examples=["cm"],
+    units: Literal["m", "cm", "mm", "in"] | None = key(
+        "Of BVH files: the unit of their lengths. Not given: cm.", "cm", default=None
     )
-    up: Literal["Y", "Z"] | None = Field(
-        default=None,
-        description="Of BVH files: their up axis. Not given: Y.",
-        examples=["Z"],
+    up: Literal["Y", "Z"] | None = key(
+        "Of BVH files: their up axis. Not given: Y.", "Z", default=None
     )
-    source_fps: Real | str | None = Field(
-        default=None,
-        description="Of BVH files: their true frame rate. Not given: what the frame "
+    source_fps: Real | str | None = key(
+        "Of BVH files: their true frame rate. Not given: what the frame "
         "time of each stands for.",
-        examples=[120],
+        120,
+        default=None,
     )
-    clamp: bool = Field(
+    clamp: bool = key(
+        "Of clips: bring controls into their ranges and joints into their limits.",
+        True,
         default=False,
-        description="Of clips: bring controls into their ranges and joints into their "
-        "limits.",
-        examples=[True],
     )
 
 
 class RangeModel(FileModel):
     """Values from one number to another."""
 
-    start: Real = Field(description="The first value.", examples=[0])
-    stop: Real = Field(
-        description="The last value, where the steps lead to it.", examples=[1]
-    )
-    step: Real = Field(
-        default=1, description="From each value to the next.", examples=[0.25]
-    )
+    start: Real = key("The first value.", 0)
+    stop: Real = key("The last value, where the steps lead to it.", 1)
+    step: Real = key("From each value to the next.", 0.25, default=1)
 
 
 Value = str | Real | bool
@@ -112,79 +99,72 @@ Column = str | list[Value] | RangeModel
 class BatchModel(FileModel):
     """A batch file."""
 
-    batch: Literal["animtool/1"] = Field(
-        description="What the file is, and the version of its format.",
-        examples=["animtool/1"],
+    batch: Literal["animtool/1"] = key(
+        "What the file is, and the version of its format.", "animtool/1"
     )
-    inputs: list[Name] = Field(
-        default=[],
-        description="Files, folders, and globs in which `**` is any folders. Must be "
+    inputs: list[Name] = key(
+        "Files, folders, and globs in which `**` is any folders. Must be "
         "given, but with a `cut`, or `variants` of a `scene` that has no `${input}`.",
-        examples=[["takes/**/*.bvh"]],
-    )
-    exclude: list[str] = Field(
+        ["takes/**/*.bvh"],
         default=[],
-        description="What of it is left out, written likewise.",
-        examples=[["takes/old/*.bvh"]],
     )
-    scene: str | None = Field(
-        default=None,
-        description="A scene file that says what is done to each input, `${input}` in "
+    exclude: list[str] = key(
+        "What of it is left out, written likewise.", ["takes/old/*.bvh"], default=[]
+    )
+    scene: str | None = key(
+        "A scene file that says what is done to each input, `${input}` in "
         "it. Not given: each is baked as it is.",
-        examples=["clean.scene.yaml"],
-    )
-    cut: str | None = Field(
+        "clean.scene.yaml",
         default=None,
-        description="A timeline that OpenTimelineIO reads: each of its clips is an "
+    )
+    cut: str | None = key(
+        "A timeline that OpenTimelineIO reads: each of its clips is an "
         "item, and `inputs` are where media is looked for that it does not lead to. A "
         "timeline among `inputs` is the same.",
-        examples=["edit.otio"],
-    )
-    handles: Annotated[WholeFrame, Ge(0)] | None = Field(
+        "edit.otio",
         default=None,
-        description="Shot frames before and after each cut of the timeline. Not "
+    )
+    handles: Annotated[WholeFrame, Ge(0)] | None = key(
+        "Shot frames before and after each cut of the timeline. Not "
         "given: as its `metadata.animtool` says, else 0.",
-        examples=[8],
+        8,
+        default=None,
     )
-    variables: dict[str, str] = Field(
-        default={},
-        description="What `${name}` stands for in the scene; `--set` of the command "
+    variables: dict[str, str] = key(
+        "What `${name}` stands for in the scene; `--set` of the command "
         "line comes first.",
-        examples=[{"shot": "sh010"}],
-    )
-    variants: str | list[dict[str, Value]] | dict[str, Column] = Field(
+        {"shot": "sh010"},
         default={},
-        description="A table of values for `${name}` in the scene and `{name}` in the "
+    )
+    variants: str | list[dict[str, Value]] | dict[str, Column] = key(
+        "A table of values for `${name}` in the scene and `{name}` in the "
         "output: an item for each row. Names with values each make every combination; "
         "a list has the rows themselves; a text names a CSV file.",
-        examples=[{"stiffness": [50, 100, 200], "seed": "1..4"}],
+        {"stiffness": [50, 100, 200], "seed": "1..4"},
+        default={},
     )
-    options: OptionsModel | None = Field(
-        default=None,
-        description="How to bake, where there is no `scene`.",
-        examples=[{"reduce": "0.5mm"}],
+    options: OptionsModel | None = key(
+        "How to bake, where there is no `scene`.", {"reduce": "0.5mm"}, default=None
     )
-    output: str | None = Field(
-        default=None,
-        description="The file to write of each input, with names between braces; "
+    output: str | None = key(
+        "The file to write of each input, with names between braces; "
         "`out/` stands for `out/{parent}/{stem}.usdc`. Not given: as the "
         "scene says, else beside the input, as .usdc.",
-        examples=["out/{parent}/{stem}.usdc"],
+        "out/{parent}/{stem}.usdc",
+        default=None,
     )
-    limits: LimitsModel = Field(
-        default=LimitsModel(),
-        description="What each may take.",
-        examples=[{"seconds": 60, "memory": "2GB"}],
+    limits: LimitsModel = key(
+        "What each may take.", {"seconds": 60, "memory": "2GB"}, default=LimitsModel()
     )
-    jobs: Annotated[Whole, Ge(1), Le(1024)] | Literal["auto"] = Field(
+    jobs: Annotated[Whole, Ge(1), Le(1024)] | Literal["auto"] = key(
+        "How many processes make them; `auto` is one for each processor.",
+        4,
         default="auto",
-        description="How many processes make them; `auto` is one for each processor.",
-        examples=[4],
     )
-    ignore: list[IgnoreModel] = Field(
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "DOC015", "why": "it is made before the batch runs"}],
         default=[],
-        description="Findings of `animtool validate` that are known and stay.",
-        examples=[[{"code": "DOC015", "why": "it is made before the batch runs"}]],
     )
 
 

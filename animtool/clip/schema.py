@@ -11,7 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
 
 Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
 Interp = Literal[
@@ -33,35 +33,29 @@ Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 class ClipUnitsModel(FileModel):
     """Units of the numbers in a clip; those of its rig where left out."""
 
-    length: Literal["m", "cm", "mm", "in"] | None = Field(
+    length: Literal["m", "cm", "mm", "in"] | None = key(
+        "Of `translation`, `slide` and `local_translation`. Not given: the rig's.",
+        "cm",
         default=None,
-        description="Of `translation`, `slide` and `local_translation`. Not given: the "
-        "rig's.",
-        examples=["cm"],
     )
-    angle: Literal["deg", "rad"] | None = Field(
-        default=None,
-        description="Of `angle` and of Euler angles. Not given: the rig's.",
-        examples=["deg"],
+    angle: Literal["deg", "rad"] | None = key(
+        "Of `angle` and of Euler angles. Not given: the rig's.", "deg", default=None
     )
 
 
 class KeyModel(FileModel):
     """A key: time [frames], value, and how the curve leaves and meets it."""
 
-    t: Real = Field(
-        description="Frame at the file's `fps`, fractions allowed; keys ascend.",
-        examples=[12.5],
-    )
-    v: Real | list[Real] = Field(
-        description="The value: one number, three, or a quaternion [w, x, y, z], as "
+    t: Real = key("Frame at the file's `fps`, fractions allowed; keys ascend.", 12.5)
+    v: Real | list[Real] = key(
+        "The value: one number, three, or a quaternion [w, x, y, z], as "
         "the target has them.",
-        examples=[80.0],
+        80.0,
     )
-    interp: Interp | None = Field(
+    interp: Interp | None = key(
+        "How it runs to the next key. Not given: as the channel says.",
+        "step",
         default=None,
-        description="How it runs to the next key. Not given: as the channel says.",
-        examples=["step"],
     )
     in_: Tangent | Handle | None = Field(
         default=None,
@@ -70,67 +64,56 @@ class KeyModel(FileModel):
         "key, dt ≤ 0 frames. Not given: the channel's `tangents`.",
         examples=[[-2.0, 5.0]],
     )
-    out: Tangent | Handle | None = Field(
-        default=None,
-        description="How it leaves the key: likewise, dt ≥ 0.",
-        examples=["flat"],
+    out: Tangent | Handle | None = key(
+        "How it leaves the key: likewise, dt ≥ 0.", "flat", default=None
     )
-    tcb: Vector | None = Field(
+    tcb: Vector | None = key(
+        "Tension, continuity and bias, for `interp: tcb`. Not given: 0 each.",
+        [0.5, 0.0, 0.0],
         default=None,
-        description="Tension, continuity and bias, for `interp: tcb`. Not given: 0 "
-        "each.",
-        examples=[[0.5, 0.0, 0.0]],
     )
 
 
 class _TargetModel(FileModel):
-    target: Name = Field(
-        description="What moves: control/NAME, shape/NAME or joint/NAME.PART. Each "
-        "once.",
-        examples=["joint/elbow_l.angle"],
+    target: Name = key(
+        "What moves: control/NAME, shape/NAME or joint/NAME.PART. Each once.",
+        "joint/elbow_l.angle",
     )
 
 
 class JoinModel(FileModel):
     """How keys are joined up."""
 
-    interp: Interp | None = Field(
+    interp: Interp | None = key(
+        "How keys run to the next. Not given: `bezier`, and `spline` for quaternions.",
+        "linear",
         default=None,
-        description="How keys run to the next. Not given: `bezier`, and `spline` for "
-        "quaternions.",
-        examples=["linear"],
     )
-    tangents: Tangent = Field(
-        default="auto_clamped",
-        description="The rule for keys without handles.",
-        examples=["flat"],
+    tangents: Tangent = key(
+        "The rule for keys without handles.", "flat", default="auto_clamped"
     )
-    parametrization: Literal["uniform", "centripetal", "chordal"] = Field(
+    parametrization: Literal["uniform", "centripetal", "chordal"] = key(
+        "Which Catmull-Rom curve, for `interp: catmull_rom`.",
+        "centripetal",
         default="uniform",
-        description="Which Catmull-Rom curve, for `interp: catmull_rom`.",
-        examples=["centripetal"],
     )
-    euler: Order | None = Field(
-        default=None,
-        description="Makes a rotation of three angles; ZXY is Rz · Rx · Ry, and `v` is "
+    euler: Order | None = key(
+        "Makes a rotation of three angles; ZXY is Rz · Rx · Ry, and `v` is "
         "in that order: [z, x, y]. Not given: quaternions.",
-        examples=["ZXY"],
+        "ZXY",
+        default=None,
     )
-    pre: Extrapolated = Field(
-        default="hold", description="What is before the first key.", examples=["cycle"]
-    )
-    post: Extrapolated = Field(
-        default="hold",
-        description="What is behind the last key.",
-        examples=["cycle_offset"],
+    pre: Extrapolated = key("What is before the first key.", "cycle", default="hold")
+    post: Extrapolated = key(
+        "What is behind the last key.", "cycle_offset", default="hold"
     )
 
 
 class CurveModel(JoinModel):
     """Keys, and how they are joined up."""
 
-    keys: Annotated[list[KeyModel], Len(1)] = Field(
-        description="At least one.", examples=[[{"t": 1.0, "v": 0.0}]]
+    keys: Annotated[list[KeyModel], Len(1)] = key(
+        "At least one.", [{"t": 1.0, "v": 0.0}]
     )
 
 
@@ -141,42 +124,36 @@ class ChannelModel(CurveModel, _TargetModel):
 class ClipModel(FileModel):
     """A clip file."""
 
-    clip: Literal["animtool/1"] = Field(
-        description="What the file is, and the version of its format.",
-        examples=["animtool/1"],
+    clip: Literal["animtool/1"] = key(
+        "What the file is, and the version of its format.", "animtool/1"
     )
-    name: str | None = Field(
-        default=None,
-        description="What the clip is called. Not given: as the file.",
-        examples=["wave"],
+    name: str | None = key(
+        "What the clip is called. Not given: as the file.", "wave", default=None
     )
-    rig: str | None = Field(
-        default=None,
-        description="The rig: a rig file, USD file or BVH. Not given: `--rig` or the "
+    rig: str | None = key(
+        "The rig: a rig file, USD file or BVH. Not given: `--rig` or the "
         "scene names it.",
-        examples=["hero.rig.yaml"],
-    )
-    units: ClipUnitsModel = Field(
-        default=ClipUnitsModel(),
-        description="Units of the numbers in the file.",
-        examples=[{"angle": "deg"}],
-    )
-    fps: Real | str = Field(
-        description="Frames a second: a number, or a fraction as text.",
-        examples=["24000/1001"],
-    )
-    range: Pair | None = Field(
+        "hero.rig.yaml",
         default=None,
-        description="First and last frame. Not given: of the first and last key.",
-        examples=[[1.0, 48.0]],
     )
-    channels: list[ChannelModel] = Field(
-        default=[],
-        description="What moves. None, with a range, holds the rig at rest.",
-        examples=[[{"target": "control/grip", "keys": [{"t": 1.0, "v": 0.0}]}]],
+    units: ClipUnitsModel = key(
+        "Units of the numbers in the file.", {"angle": "deg"}, default=ClipUnitsModel()
     )
-    ignore: list[IgnoreModel] = Field(
+    fps: Real | str = key(
+        "Frames a second: a number, or a fraction as text.", "24000/1001"
+    )
+    range: Pair | None = key(
+        "First and last frame. Not given: of the first and last key.",
+        [1.0, 48.0],
+        default=None,
+    )
+    channels: list[ChannelModel] = key(
+        "What moves. None, with a range, holds the rig at rest.",
+        [{"target": "control/grip", "keys": [{"t": 1.0, "v": 0.0}]}],
         default=[],
-        description="Findings of `animtool validate` that are known and stay.",
-        examples=[[{"code": "CLIP201", "why": "it is meant"}]],
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "CLIP201", "why": "it is meant"}],
+        default=[],
     )

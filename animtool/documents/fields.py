@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Len
 from pydantic import Field, create_model
+from pydantic_core import PydanticUndefined
 
 from animtool.documents.check import FileModel
 from animtool.options import Key, Range
@@ -33,6 +34,14 @@ Pair = Annotated[list[Real], Len(2, 2)]
 Vector = Annotated[list[Real], Len(3, 3)]
 # w, x, y, z.
 Quaternion = Annotated[list[Real], Len(4, 4)]
+
+
+def key(text: str, example: Any, default: Any = PydanticUndefined) -> Any:
+    """Return the field of a key: what it is, an example, and its value if not given.
+
+    Without a default it must be given.
+    """
+    return Field(default=default, description=text, examples=[example])
 
 
 def check_numbers(value: Any) -> Any:

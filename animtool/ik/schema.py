@@ -20,6 +20,7 @@ from animtool.documents.fields import (
     Real,
     Vector,
     Whole,
+    key,
 )
 from animtool.ik.goals import KINDS, TargetValue
 
@@ -29,67 +30,60 @@ Weight = Annotated[Real, Field(ge=0)]
 class TargetUnitsModel(FileModel):
     """Units of the numbers in a targets file; those of its rig where left out."""
 
-    length: Literal["m", "cm", "mm", "in"] | None = Field(
+    length: Literal["m", "cm", "mm", "in"] | None = key(
+        "Of points and offsets, those in arrays included. Not given: the rig's.",
+        "cm",
         default=None,
-        description="Of points and offsets, those in arrays included. Not given: the "
-        "rig's.",
-        examples=["cm"],
     )
-    angle: Literal["deg", "rad"] | None = Field(
-        default=None,
-        description="Of Euler angles. Not given: the rig's.",
-        examples=["deg"],
+    angle: Literal["deg", "rad"] | None = key(
+        "Of Euler angles. Not given: the rig's.", "deg", default=None
     )
 
 
 class ValueModel(JoinModel):
     """A value that moves: keys, or a prim of a USD stage."""
 
-    keys: Annotated[list[KeyModel], Len(1)] | None = Field(
-        default=None,
-        description="Keys as those of a clip: three numbers of a point, [w, x, y, z] "
+    keys: Annotated[list[KeyModel], Len(1)] | None = key(
+        "Keys as those of a clip: three numbers of a point, [w, x, y, z] "
         "of an orientation, or its Euler angles.",
-        examples=[[{"t": 1.0, "v": [0.0, 1.0, 0.0]}]],
-    )
-    prim: Name | None = Field(
+        [{"t": 1.0, "v": [0.0, 1.0, 0.0]}],
         default=None,
-        description="A prim whose transform in the world is followed. Its `file` is "
-        "named with it.",
-        examples=["/World/prop"],
     )
-    file: Name | None = Field(
-        default=None, description="The USD file of `prim`.", examples=["shot.usda"]
-    )
-    space: Name | None = Field(
+    prim: Name | None = key(
+        "A prim whose transform in the world is followed. Its `file` is named with it.",
+        "/World/prop",
         default=None,
-        description="Of `prim`: another prim of the stage, in whose frame the rig "
+    )
+    file: Name | None = key("The USD file of `prim`.", "shot.usda", default=None)
+    space: Name | None = key(
+        "Of `prim`: another prim of the stage, in whose frame the rig "
         "stands. Not given: the world.",
-        examples=["/World/hero"],
-    )
-    offset: Vector | None = Field(
+        "/World/hero",
         default=None,
-        description="Of a point that follows a `prim`: where it is in the prim's "
+    )
+    offset: Vector | None = key(
+        "Of a point that follows a `prim`: where it is in the prim's "
         "frame, in the file's length, whatever scale the prim has. Not given: its "
         "origin.",
-        examples=[[0.0, 0.1, 0.0]],
-    )
-    rotate: Quaternion | None = Field(
+        [0.0, 0.1, 0.0],
         default=None,
-        description="Of an orientation that follows a `prim`: the rotation "
+    )
+    rotate: Quaternion | None = key(
+        "Of an orientation that follows a `prim`: the rotation "
         "[w, x, y, z] from the prim's frame. Not given: none.",
-        examples=[[0.7071, 0.7071, 0.0, 0.0]],
+        [0.7071, 0.7071, 0.0, 0.0],
+        default=None,
     )
 
 
 class AimModel(FileModel):
     """An axis that points at something."""
 
-    axis: Vector = Field(
-        description="Direction in the joint's frame; of any length.",
-        examples=[[0.0, 0.0, 1.0]],
+    axis: Vector = key(
+        "Direction in the joint's frame; of any length.", [0.0, 0.0, 1.0]
     )
-    at: Vector | str | ValueModel = Field(
-        description="The point, as a `position` has it.", examples=[[0.0, 1.5, 4.0]]
+    at: Vector | str | ValueModel = key(
+        "The point, as a `position` has it.", [0.0, 1.5, 4.0]
     )
 
 
@@ -103,10 +97,10 @@ def _with_kinds(base: type[FileModel], *, weights: bool) -> type[FileModel]:
         target = AimModel if kind.axis else _VALUES[kind.value] | str | ValueModel
         fields[kind.name] = (
             (Weight | CurveModel if weights else target) | None,
-            Field(
+            key(
+                kind.weight_description if weights else kind.description,
+                kind.weight_example if weights else kind.example,
                 default=None,
-                description=kind.weight_description if weights else kind.description,
-                examples=[kind.weight_example if weights else kind.example],
             ),
         )
     return create_model(base.__name__, __base__=base, **fields)
@@ -123,20 +117,19 @@ class WeightsModel(_Weights):
 
 
 class _Effector(FileModel):
-    effector: Name = Field(
-        description="A chain of the rig's `ik`, whose tip is meant, or a joint.",
-        examples=["arm_l"],
+    effector: Name = key(
+        "A chain of the rig's `ik`, whose tip is meant, or a joint.", "arm_l"
     )
-    root: Name | None = Field(
-        default=None,
-        description="The topmost joint that may move for this goal. Not given: the "
+    root: Name | None = key(
+        "The topmost joint that may move for this goal. Not given: the "
         "chain's; of a joint any above it.",
-        examples=["shoulder_l"],
+        "shoulder_l",
+        default=None,
     )
-    offset: Vector = Field(
+    offset: Vector = key(
+        "The point that reaches, in the joint's frame.",
+        [0.08, 0.0, 0.0],
         default=[0.0, 0.0, 0.0],
-        description="The point that reaches, in the joint's frame.",
-        examples=[[0.08, 0.0, 0.0]],
     )
 
 
@@ -149,80 +142,76 @@ else:
 class GoalModel(_Asked):
     """What one effector is to reach."""
 
-    weight: Weight | WeightsModel = Field(
-        default=1.0,
-        description="How much it counts where not all can be reached: one number, or "
+    weight: Weight | WeightsModel = key(
+        "How much it counts where not all can be reached: one number, or "
         "one for each part.",
-        examples=[{"position": 10.0}],
+        {"position": 10.0},
+        default=1.0,
     )
-    priority: Annotated[Whole, Field(ge=0)] = Field(
-        default=0,
-        description="0 is hard; goals of higher numbers give way to those of lower.",
-        examples=[1],
+    priority: Annotated[Whole, Field(ge=0)] = key(
+        "0 is hard; goals of higher numbers give way to those of lower.", 1, default=0
     )
-    soft: Annotated[Real, Field(ge=0, lt=1)] = Field(
-        default=0.0,
-        description="Share of the limb's reach over which its extension eases out, so "
+    soft: Annotated[Real, Field(ge=0, lt=1)] = key(
+        "Share of the limb's reach over which its extension eases out, so "
         "that it does not snap straight. It wants a `root` that no goal moves.",
-        examples=[0.05],
+        0.05,
+        default=0.0,
     )
-    stretch: Weight | None = Field(
-        default=None,
-        description="Share of their length that the limb's bones may grow by to reach "
+    stretch: Weight | None = key(
+        "Share of their length that the limb's bones may grow by to reach "
         "what is too far. Not given: the chain's.",
-        examples=[0.1],
+        0.1,
+        default=None,
     )
-    hold: list[Pair] = Field(
-        default=[],
-        description="First and last frame of spans in which it stays in the world "
+    hold: list[Pair] = key(
+        "First and last frame of spans in which it stays in the world "
         "where it is at the first.",
-        examples=[[[12.0, 30.0], [48.0, 60.0]]],
-    )
-    during: list[Pair] = Field(
+        [[12.0, 30.0], [48.0, 60.0]],
         default=[],
-        description="First and last frame of spans in which it is asked for; outside "
-        "of these and their `ease` it is as free as without the goal. Not given: all.",
-        examples=[[[20.0, 80.0]]],
     )
-    ease: Annotated[Real, Field(ge=0)] = Field(
-        default=4.0,
-        description="Frames before and behind a span of `hold` or `during` in which it "
+    during: list[Pair] = key(
+        "First and last frame of spans in which it is asked for; outside "
+        "of these and their `ease` it is as free as without the goal. Not given: all.",
+        [[20.0, 80.0]],
+        default=[],
+    )
+    ease: Annotated[Real, Field(ge=0)] = key(
+        "Frames before and behind a span of `hold` or `during` in which it "
         "comes to its place and leaves it, without a jump in speed; less where spans "
         "are near.",
-        examples=[6.0],
+        6.0,
+        default=4.0,
     )
 
 
 class TargetsModel(FileModel):
     """A targets file."""
 
-    targets: Literal["animtool/1"] = Field(
-        description="What the file is, and the version of its format.",
-        examples=["animtool/1"],
+    targets: Literal["animtool/1"] = key(
+        "What the file is, and the version of its format.", "animtool/1"
     )
-    units: TargetUnitsModel = Field(
+    units: TargetUnitsModel = key(
+        "Units of the numbers in the file.",
+        {"length": "cm"},
         default=TargetUnitsModel(),
-        description="Units of the numbers in the file.",
-        examples=[{"length": "cm"}],
     )
-    fps: Real | str | None = Field(
-        default=None,
-        description="Frames a second that times count: a number, or a fraction as "
+    fps: Real | str | None = key(
+        "Frames a second that times count: a number, or a fraction as "
         "text. Not given: the start clip's; 24 without one.",
-        examples=["24000/1001"],
-    )
-    range: Pair | None = Field(
+        "24000/1001",
         default=None,
-        description="First and last frame; arrays have a row for each. Not given: of "
+    )
+    range: Pair | None = key(
+        "First and last frame; arrays have a row for each. Not given: of "
         "the start clip, or of the keys, spans and arrays, which begin at 1.",
-        examples=[[1.0, 48.0]],
+        [1.0, 48.0],
+        default=None,
     )
-    goals: Annotated[list[GoalModel], Len(1, 1000)] = Field(
-        description="At least one.",
-        examples=[[{"effector": "leg_l", "hold": [[1.0, 12.0]]}]],
+    goals: Annotated[list[GoalModel], Len(1, 1000)] = key(
+        "At least one.", [{"effector": "leg_l", "hold": [[1.0, 12.0]]}]
     )
-    ignore: list[IgnoreModel] = Field(
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "TGT101", "why": "it is meant"}],
         default=[],
-        description="Findings of `animtool validate` that are known and stay.",
-        examples=[[{"code": "TGT101", "why": "it is meant"}]],
     )

@@ -11,240 +11,215 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
 from animtool.rig.joint_schema import JointModel, MeshModel, PoseModel, ShapeModel
 
 
 class AttachModel(FileModel):
     """What a simulation moves."""
 
-    name: Name = Field(description="Unique among the attachments.", examples=["cape"])
-    kind: Name = Field(
-        description="`spring_chain` of joints; `cloth` of a mesh; `strands` of points "
+    name: Name = key("Unique among the attachments.", "cape")
+    kind: Name = key(
+        "`spring_chain` of joints; `cloth` of a mesh; `strands` of points "
         "that a joint carries. Another is taken as it is, with `joints`.",
-        examples=["cloth"],
+        "cloth",
     )
-    joints: Annotated[list[Name], Len(1)] | None = Field(
+    joints: Annotated[list[Name], Len(1)] | None = key(
+        "Of a spring_chain: what swings, from the root on.",
+        ["tail_1", "tail_2"],
         default=None,
-        description="Of a spring_chain: what swings, from the root on.",
-        examples=[["tail_1", "tail_2"]],
     )
-    mesh: Name | None = Field(
-        default=None, description="Of cloth: what hangs.", examples=["cape"]
-    )
-    pins: str | None = Field(
-        default=None,
-        description="Of cloth: array (N,), whole numbers, the points that stay with "
+    mesh: Name | None = key("Of cloth: what hangs.", "cape", default=None)
+    pins: str | None = key(
+        "Of cloth: array (N,), whole numbers, the points that stay with "
         "the skin. Not given: none.",
-        examples=["cape.npz#pins"],
-    )
-    joint: Name | None = Field(
+        "cape.npz#pins",
         default=None,
-        description="Of strands: what carries their roots.",
-        examples=["head"],
     )
-    points: str | None = Field(
-        default=None,
-        description="Of strands: array (S, K, 3) in the world at bind, each strand "
+    joint: Name | None = key(
+        "Of strands: what carries their roots.", "head", default=None
+    )
+    points: str | None = key(
+        "Of strands: array (S, K, 3) in the world at bind, each strand "
         "from root to tip, in the file's length.",
-        examples=["hair.npz#points"],
+        "hair.npz#points",
+        default=None,
     )
 
 
 class CapsuleModel(FileModel):
     """A cylinder with round ends, in the frame of its joint."""
 
-    radius: Annotated[Real, Field(gt=0)] = Field(
-        description="Of the cylinder and its round ends.", examples=[0.08]
+    radius: Annotated[Real, Field(gt=0)] = key(
+        "Of the cylinder and its round ends.", 0.08
     )
-    length: Annotated[Real, Field(ge=0)] = Field(
-        default=0.0,
-        description="Between the centres of the round ends; 0 makes a ball.",
-        examples=[0.3],
+    length: Annotated[Real, Field(ge=0)] = key(
+        "Between the centres of the round ends; 0 makes a ball.", 0.3, default=0.0
     )
-    axis: Vector = Field(
+    axis: Vector = key(
+        "Direction of the cylinder in the joint's frame; of any length.",
+        [1.0, 0.0, 0.0],
         default=[0.0, 1.0, 0.0],
-        description="Direction of the cylinder in the joint's frame; of any length.",
-        examples=[[1.0, 0.0, 0.0]],
     )
-    offset: Vector = Field(
+    offset: Vector = key(
+        "Centre of the cylinder, from the joint's origin, in its frame.",
+        [0.0, 0.15, 0.0],
         default=[0.0, 0.0, 0.0],
-        description="Centre of the cylinder, from the joint's origin, in its frame.",
-        examples=[[0.0, 0.15, 0.0]],
     )
 
 
 class ColliderModel(FileModel):
     """What a simulation may not pass through."""
 
-    joint: Name = Field(description="The joint that carries it.", examples=["head"])
-    capsule: CapsuleModel = Field(
-        description="Its form.", examples=[{"radius": 0.08, "length": 0.3}]
-    )
+    joint: Name = key("The joint that carries it.", "head")
+    capsule: CapsuleModel = key("Its form.", {"radius": 0.08, "length": 0.3})
 
 
 class DriveModel(FileModel):
     """What a control adds to a shape, a joint's coordinate or another control."""
 
-    shape: Name | None = Field(
-        default=None,
-        description="The shape whose weight it adds to.",
-        examples=["smile"],
+    shape: Name | None = key(
+        "The shape whose weight it adds to.", "smile", default=None
     )
-    joint: Name | None = Field(
+    joint: Name | None = key(
+        "The joint and its part that it adds to, JOINT.PART.",
+        "elbow_l.angle",
         default=None,
-        description="The joint and its part that it adds to, JOINT.PART.",
-        examples=["elbow_l.angle"],
     )
-    control: Name | None = Field(
-        default=None, description="The control that it adds to.", examples=["wrinkle"]
-    )
-    expr: str | None = Field(
+    control: Name | None = key("The control that it adds to.", "wrinkle", default=None)
+    expr: str | None = key(
+        "How much: arithmetic over the values of controls.",
+        "clamp(grip * 2, 0, 1)",
         default=None,
-        description="How much: arithmetic over the values of controls.",
-        examples=["clamp(grip * 2, 0, 1)"],
     )
-    curve: Annotated[list[Pair], Len(1)] | None = Field(
-        default=None,
-        description="How much: points [value of this control, what is added], "
+    curve: Annotated[list[Pair], Len(1)] | None = key(
+        "How much: points [value of this control, what is added], "
         "ascending, joined by straight lines, held at both ends.",
-        examples=[[[0.0, 0.0], [1.0, 80.0]]],
+        [[0.0, 0.0], [1.0, 80.0]],
+        default=None,
     )
 
 
 class ControlModel(FileModel):
     """What an animator holds."""
 
-    name: Name = Field(
-        description="Letters, digits and underscores, as expressions read it; no word "
+    name: Name = key(
+        "Letters, digits and underscores, as expressions read it; no word "
         "of Python, no function of expressions, not `pi`.",
-        examples=["grip"],
+        "grip",
     )
-    range: Pair | None = Field(
-        default=None,
-        description="Least and largest value that is meant; others are reported, and "
+    range: Pair | None = key(
+        "Least and largest value that is meant; others are reported, and "
         "with `--clamp` brought inside. Not given: any.",
-        examples=[[0.0, 1.0]],
+        [0.0, 1.0],
+        default=None,
     )
-    default: Real = Field(
-        default=0.0, description="Its value where no key sets it.", examples=[0.25]
-    )
-    drives: list[DriveModel] = Field(
+    default: Real = key("Its value where no key sets it.", 0.25, default=0.0)
+    drives: list[DriveModel] = key(
+        "What it adds to, and how much.",
+        [{"joint": "elbow_l.angle", "expr": "grip * 80"}],
         default=[],
-        description="What it adds to, and how much.",
-        examples=[[{"joint": "elbow_l.angle", "expr": "grip * 80"}]],
     )
 
 
 class UnitsModel(FileModel):
     """Units of the numbers in a file."""
 
-    length: Literal["m", "cm", "mm", "in"] = Field(
-        default="m",
-        description="Of all lengths, points and deltas of arrays included.",
-        examples=["cm"],
+    length: Literal["m", "cm", "mm", "in"] = key(
+        "Of all lengths, points and deltas of arrays included.", "cm", default="m"
     )
-    angle: Literal["deg", "rad"] = Field(
+    angle: Literal["deg", "rad"] = key(
+        "Of limits, mimics, and what drives add to angles and turns.",
+        "rad",
         default="deg",
-        description="Of limits, mimics, and what drives add to angles and turns.",
-        examples=["rad"],
     )
 
 
 class IkModel(FileModel):
     """A chain that reaches for a goal."""
 
-    name: Name = Field(description="Unique among the chains.", examples=["arm_l"])
-    root: Name = Field(description="Its first joint.", examples=["shoulder_l"])
-    tip: Name = Field(
-        description="Its last joint, which is below the root.", examples=["wrist_l"]
-    )
-    goal: Literal["position", "orientation", "pose"] = Field(
+    name: Name = key("Unique among the chains.", "arm_l")
+    root: Name = key("Its first joint.", "shoulder_l")
+    tip: Name = key("Its last joint, which is below the root.", "wrist_l")
+    goal: Literal["position", "orientation", "pose"] = key(
+        "What the tip reaches for: a place, a rotation, or both.",
+        "position",
         default="pose",
-        description="What the tip reaches for: a place, a rotation, or both.",
-        examples=["position"],
     )
-    pole_dir: Vector | None = Field(
-        default=None,
-        description="Where the middle of the chain points, in the frame of the root's "
+    pole_dir: Vector | None = key(
+        "Where the middle of the chain points, in the frame of the root's "
         "parent; of any length. Not given: open.",
-        examples=[[0.0, 0.0, -1.0]],
+        [0.0, 0.0, -1.0],
+        default=None,
     )
-    stretch: Annotated[Real, Field(ge=0)] = Field(
-        default=0.0,
-        description="Share of its length that it may grow by; 0.1 is a tenth.",
-        examples=[0.1],
+    stretch: Annotated[Real, Field(ge=0)] = key(
+        "Share of its length that it may grow by; 0.1 is a tenth.", 0.1, default=0.0
     )
 
 
 class RigModel(FileModel):
     """A rig file."""
 
-    rig: Literal["animtool/1"] = Field(
-        description="What the file is, and the version of its format.",
-        examples=["animtool/1"],
+    rig: Literal["animtool/1"] = key(
+        "What the file is, and the version of its format.", "animtool/1"
     )
-    name: Name = Field(description="What the character is called.", examples=["hero"])
-    units: UnitsModel = Field(
+    name: Name = key("What the character is called.", "hero")
+    units: UnitsModel = key(
+        "Units of the numbers in the file.",
+        {"length": "cm", "angle": "deg"},
         default=UnitsModel(),
-        description="Units of the numbers in the file.",
-        examples=[{"length": "cm", "angle": "deg"}],
     )
-    up: Literal["Y", "Z"] = Field(
-        default="Y", description="The axis that points up.", examples=["Z"]
-    )
+    up: Literal["Y", "Z"] = key("The axis that points up.", "Z", default="Y")
     source: str | None = Field(
         default=None,
         alias="from",
         description="A rig file, USD file or BVH that this file adds to.",
         examples=["hero.usda"],
     )
-    joints: list[JointModel] = Field(
-        default=[],
-        description="In any order; at least one, here or in `from`, but for a face of "
+    joints: list[JointModel] = key(
+        "In any order; at least one, here or in `from`, but for a face of "
         "shapes alone.",
-        examples=[[{"name": "root", "type": "free"}]],
+        [{"name": "root", "type": "free"}],
+        default=[],
     )
-    bind: dict[str, PoseModel] = Field(
-        default={},
-        description="By joint: the pose in which skins and strands were made, where it "
+    bind: dict[str, PoseModel] = key(
+        "By joint: the pose in which skins and strands were made, where it "
         "is not the rest pose.",
-        examples=[{"hips": {"translate": [0.0, 0.9, 0.0]}}],
+        {"hips": {"translate": [0.0, 0.9, 0.0]}},
+        default={},
     )
-    meshes: list[MeshModel] = Field(
+    meshes: list[MeshModel] = key(
+        "Surfaces.",
+        [{"name": "body", "points": "body.npz", "faces": "body.npz"}],
         default=[],
-        description="Surfaces.",
-        examples=[
-            [{"name": "body", "points": "body.npz", "faces": "body.npz"}],
-        ],
     )
-    shapes: list[ShapeModel] = Field(
+    shapes: list[ShapeModel] = key(
+        "Blend shapes.",
+        [{"name": "smile", "mesh": "head", "deltas": "head.npz#smile"}],
         default=[],
-        description="Blend shapes.",
-        examples=[[{"name": "smile", "mesh": "head", "deltas": "head.npz#smile"}]],
     )
-    controls: list[ControlModel] = Field(
+    controls: list[ControlModel] = key(
+        "Values that an animator holds, and what they move.",
+        [{"name": "grip", "range": [0.0, 1.0]}],
         default=[],
-        description="Values that an animator holds, and what they move.",
-        examples=[[{"name": "grip", "range": [0.0, 1.0]}]],
     )
-    ik: list[IkModel] = Field(
+    ik: list[IkModel] = key(
+        "Chains that reach for goals.",
+        [{"name": "arm_l", "root": "shoulder_l", "tip": "wrist_l"}],
         default=[],
-        description="Chains that reach for goals.",
-        examples=[[{"name": "arm_l", "root": "shoulder_l", "tip": "wrist_l"}]],
     )
-    attach: list[AttachModel] = Field(
+    attach: list[AttachModel] = key(
+        "What simulations move.",
+        [{"name": "tail", "kind": "spring_chain", "joints": ["tail_1"]}],
         default=[],
-        description="What simulations move.",
-        examples=[[{"name": "tail", "kind": "spring_chain", "joints": ["tail_1"]}]],
     )
-    colliders: list[ColliderModel] = Field(
+    colliders: list[ColliderModel] = key(
+        "What simulations may not pass through.",
+        [{"joint": "head", "capsule": {"radius": 0.08}}],
         default=[],
-        description="What simulations may not pass through.",
-        examples=[[{"joint": "head", "capsule": {"radius": 0.08}}]],
     )
-    ignore: list[IgnoreModel] = Field(
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "RIG201", "why": "it is meant"}],
         default=[],
-        description="Findings of `animtool validate` that are known and stay.",
-        examples=[[{"code": "RIG201", "why": "it is meant"}]],
     )

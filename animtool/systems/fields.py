@@ -18,6 +18,7 @@ from animtool.documents.fields import (
     Vector,
     Whole,
     check_numbers,
+    key,
 )
 
 # One name of a table, and its options.
@@ -48,28 +49,17 @@ UsdFile = Annotated[Name, Field(description="The USD file.")]
 PrimPath = Annotated[Name, Field(description="Path of the prim.")]
 CharacterFile = Annotated[
     Name | None,
-    Field(
-        description="A clip or a scene; its first frame comes at 0 s.",
-        examples=["walk.clip.yaml"],
-    ),
+    key("A clip or a scene; its first frame comes at 0 s.", "walk.clip.yaml"),
 ]
 OwnCharacter = Annotated[
     bool,
-    Field(
-        description="In place of a file: the character of this scene, behind its "
-        "passes.",
-        examples=[True],
-    ),
+    key("In place of a file: the character of this scene, behind its passes.", True),
 ]
-Margin = Annotated[
-    Real, Field(description="Distance that they keep [m].", examples=[0.01])
-]
+Margin = Annotated[Real, key("Distance that they keep [m].", 0.01)]
 Preroll = Annotated[
     Real,
     Ge(0),
-    Field(
-        description="Seconds before the first frame that it begins in.", examples=[2]
-    ),
+    key("Seconds before the first frame that it begins in.", 2),
 ]
 
 
@@ -78,81 +68,70 @@ class FollowedPrimModel(FileModel):
 
     file: UsdFile = Field(examples=["props.usda"])
     prim: PrimPath = Field(examples=["/Set/hook"])
-    frame: Frame | None = Field(
+    frame: Frame | None = key(
+        "Time code of its file that comes at 0 s. Not given: the first.",
+        101,
         default=None,
-        description="Time code of its file that comes at 0 s. Not given: the first.",
-        examples=[101],
     )
 
 
 class PlacedModel(FileModel):
     """What stands somewhere, or moves."""
 
-    at: Vector = Field(
-        default=[0.0, 0.0, 0.0],
-        description="Where it is [m].",
-        examples=[[0, 1.5, 0]],
-    )
-    rotate: Quaternion = Field(
+    at: Vector = key("Where it is [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
+    rotate: Quaternion = key(
+        "How it is turned: a quaternion w, x, y, z.",
+        [0.7071, 0, 0.7071, 0],
         default=[1.0, 0.0, 0.0, 0.0],
-        description="How it is turned: a quaternion w, x, y, z.",
-        examples=[[0.7071, 0, 0.7071, 0]],
     )
-    moves: list[TimedVector] = Field(
-        default=[],
-        description="Where it is over time, from `at`: rows of seconds from the first "
+    moves: list[TimedVector] = key(
+        "Where it is over time, from `at`: rows of seconds from the first "
         "frame on and three coordinates [m]. Not given: it stays.",
-        examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
-    )
-    turns: list[Annotated[list[Real], Len(5, 5)]] = Field(
+        [[0, 0, 0, 0], [2, 4, 0, 0]],
         default=[],
-        description="How it is turned over time, after `rotate`: rows of seconds from "
+    )
+    turns: list[Annotated[list[Real], Len(5, 5)]] = key(
+        "How it is turned over time, after `rotate`: rows of seconds from "
         "the first frame on and a quaternion w, x, y, z; it turns the short way from "
         "row to row. Not given: it does not turn.",
-        examples=[[[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]]],
+        [[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]],
+        default=[],
     )
-    prim: FollowedPrimModel | None = Field(
-        default=None,
-        description="A prim that it goes and turns with, in place of `moves` and "
+    prim: FollowedPrimModel | None = key(
+        "A prim that it goes and turns with, in place of `moves` and "
         "`turns`; `at` and `rotate` are in the frame of the prim then.",
-        examples=[{"file": "props.usda", "prim": "/Set/mill"}],
+        {"file": "props.usda", "prim": "/Set/mill"},
+        default=None,
     )
 
 
 class _MaterialModel(FileModel):
-    restitution: Real = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
+    restitution: Real = key(
+        "Share of the speed into the surface that comes back, 0 to 1.", 0.4, default=0.0
     )
-    friction: Real = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
+    friction: Real = key("Coulomb's coefficient.", 0.3, default=0.0)
 
 
 class SystemColliderModel(PlacedModel, _MaterialModel):
     """What particles run into, or where they are removed."""
 
-    name: str = Field(default="", description="For messages.", examples=["step_1"])
-    shape: ShapeEntry = Field(
-        description="`plane`, `sphere`, `capsule`, `box` or `mesh`.",
-        examples=[{"box": {"size": [2, 0.2, 1]}}],
+    name: str = key("For messages.", "step_1", default="")
+    shape: ShapeEntry = key(
+        "`plane`, `sphere`, `capsule`, `box` or `mesh`.", {"box": {"size": [2, 0.2, 1]}}
     )
-    container: bool = Field(
+    container: bool = key(
+        "Particles are to stay inside; of `kill`, those outside go.",
+        True,
         default=False,
-        description="Particles are to stay inside; of `kill`, those outside go.",
-        examples=[True],
     )
     margin: Margin = 0.0
-    depenetration: Real = Field(
-        default=1.0,
-        description="How fast those that begin inside are moved out [m/s].",
-        examples=[0.5],
+    depenetration: Real = key(
+        "How fast those that begin inside are moved out [m/s].", 0.5, default=1.0
     )
-    speed_limit: Real = Field(
+    speed_limit: Real = key(
+        "What moves faster was put elsewhere, and hits nothing [m/s].",
+        500,
         default=200.0,
-        description="What moves faster was put elsewhere, and hits nothing [m/s].",
-        examples=[500],
     )
 
 
@@ -162,37 +141,29 @@ class CharacterModel(_MaterialModel):
     file: CharacterFile = None
     source: OwnCharacter = False
     margin: Margin = 0.0
-    mesh: Name | None = Field(
-        default=None,
-        description="A mesh of its rig in motion, in place of the capsules; `margin` "
+    mesh: Name | None = key(
+        "A mesh of its rig in motion, in place of the capsules; `margin` "
         "is half its thickness.",
-        examples=["body"],
+        "body",
+        default=None,
     )
-    closed: bool = Field(
-        default=False,
-        description="The mesh is the skin of a body: met from outside alone.",
-        examples=[True],
+    closed: bool = key(
+        "The mesh is the skin of a body: met from outside alone.", True, default=False
     )
 
 
 class SystemSurfaceModel(_MaterialModel):
     """Cloth or a volume of the same scene that particles run into."""
 
-    system: Name = Field(
-        description="Its name; it does not feel them.", examples=["flag"]
-    )
+    system: Name = key("Its name; it does not feel them.", "flag")
 
 
 class MovingMeshModel(FollowedPrimModel, _MaterialModel):
     """A mesh of a USD file that particles run into, as it moves and changes shape."""
 
-    radius: Real = Field(
-        default=0.005, description="Half its thickness [m].", examples=[0.01]
-    )
-    closed: bool = Field(
-        default=False,
-        description="It is the skin of a body: met from outside alone.",
-        examples=[True],
+    radius: Real = key("Half its thickness [m].", 0.01, default=0.005)
+    closed: bool = key(
+        "It is the skin of a body: met from outside alone.", True, default=False
     )
 
 
@@ -203,21 +174,18 @@ class PrototypeModel(FileModel):
     cycle: `animtool.frames.MeshFrame`, about the origin of its file, y up [m].
     """
 
-    file: Name = Field(
-        description="A USD file, or a clip or a scene whose rig has the mesh.",
-        examples=["bird.usda"],
+    file: Name = key(
+        "A USD file, or a clip or a scene whose rig has the mesh.", "bird.usda"
     )
-    prim: PrimPath | None = Field(
-        default=None, description="Path of the mesh in a USD file.", examples=["/bird"]
+    prim: PrimPath | None = key(
+        "Path of the mesh in a USD file.", "/bird", default=None
     )
-    mesh: Name | None = Field(
-        default=None, description="Name of the mesh of a rig.", examples=["body"]
-    )
-    samples: Annotated[Whole, Ge(1), Le(240)] = Field(
-        default=12,
-        description="Phases of its cycle that are shown; its last frame comes at the "
+    mesh: Name | None = key("Name of the mesh of a rig.", "body", default=None)
+    samples: Annotated[Whole, Ge(1), Le(240)] = key(
+        "Phases of its cycle that are shown; its last frame comes at the "
         "place of its first. What does not move has one.",
-        examples=[24],
+        24,
+        default=12,
     )
 
 
@@ -232,27 +200,24 @@ class SystemSpec(FileModel):
     methods: ClassVar[Sequence[str]] = ()
 
     name: PrimName = Field(examples=["chain"])
-    step: Annotated[Real, Gt(0)] = Field(
-        default=0.01,
-        description="Step of the simulation [s], whatever the frame rate is.",
-        examples=[0.005],
+    step: Annotated[Real, Gt(0)] = key(
+        "Step of the simulation [s], whatever the frame rate is.", 0.005, default=0.01
     )
     preroll: Preroll = 0.0
-    save: Name | None = Field(
-        default=None,
-        description="File (`.npz`) for its state at `save_at`, which like an output is "
+    save: Name | None = key(
+        "File (`.npz`) for its state at `save_at`, which like an output is "
         "replaced with `--overwrite` alone.",
-        examples=["birds.npz"],
-    )
-    save_at: Frame | None = Field(
+        "birds.npz",
         default=None,
-        description="Time code of the state that is saved. Not given: the last that is "
-        "written.",
-        examples=[48],
     )
-    resume: Name | None = Field(
+    save_at: Frame | None = key(
+        "Time code of the state that is saved. Not given: the last that is written.",
+        48,
         default=None,
-        description="Such a file to go on from: frames from there on are those of the "
+    )
+    resume: Name | None = key(
+        "Such a file to go on from: frames from there on are those of the "
         "whole run, bit for bit, and none before is asked for.",
-        examples=["birds.npz"],
+        "birds.npz",
+        default=None,
     )

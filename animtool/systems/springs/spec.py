@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole, with_fields
+from animtool.documents.fields import Name, Real, Vector, Whole, key, with_fields
 from animtool.options import above, or_more
 from animtool.systems.fields import (
     CharacterModel,
@@ -35,55 +35,50 @@ from animtool.systems.springs.spec_parts import (
 class SpringsModel(FileModel):
     """What ropes, strands, cloth and volumes have in common."""
 
-    mass: Real = Field(description="Mass of the whole [kg].", examples=[0.5])
-    pins: list[PinModel] = Field(
+    mass: Real = key("Mass of the whole [kg].", 0.5)
+    pins: list[PinModel] = key(
+        "What holds it, and joins it to other systems.",
+        [{"particles": ["start"]}],
         default=[],
-        description="What holds it, and joins it to other systems.",
-        examples=[[{"particles": ["start"]}]],
     )
-    gravity: Vector = Field(
+    gravity: Vector = key(
+        "Acceleration of all particles [m/s²].",
+        [0, -1.62, 0],
         default=[0.0, -9.81, 0.0],
-        description="Acceleration of all particles [m/s²].",
-        examples=[[0, -1.62, 0]],
     )
-    drag: Annotated[Real, or_more(0, "SIM050")] = Field(
-        default=0.0,
-        description="What slows all motion, over mass and speed [1/s].",
-        examples=[0.5],
+    drag: Annotated[Real, or_more(0, "SIM050")] = key(
+        "What slows all motion, over mass and speed [1/s].", 0.5, default=0.0
     )
-    radius: Annotated[Real, or_more(0, "SIM050")] = Field(
-        default=0.005,
-        description="Half its thickness: what it keeps from colliders, and of curves "
+    radius: Annotated[Real, or_more(0, "SIM050")] = key(
+        "Half its thickness: what it keeps from colliders, and of curves "
         "half their width [m].",
-        examples=[0.01],
+        0.01,
+        default=0.005,
     )
-    colliders: list[SystemColliderModel] = Field(
+    colliders: list[SystemColliderModel] = key(
+        "What it runs into.", [{"shape": {"plane": None}, "friction": 0.4}], default=[]
+    )
+    characters: list[CharacterModel] = key(
+        "Characters in motion that it runs into; none is written.",
+        [{"file": "walk.clip.yaml", "friction": 0.3}],
         default=[],
-        description="What it runs into.",
-        examples=[[{"shape": {"plane": None}, "friction": 0.4}]],
     )
-    characters: list[CharacterModel] = Field(
+    meshes: list[MovingMeshModel] = key(
+        "Meshes of USD files that it runs into, whose points may move.",
+        [{"file": "beast.usdc", "prim": "/beast/body", "closed": True}],
         default=[],
-        description="Characters in motion that it runs into; none is written.",
-        examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
     )
-    meshes: list[MovingMeshModel] = Field(
-        default=[],
-        description="Meshes of USD files that it runs into, whose points may move.",
-        examples=[[{"file": "beast.usdc", "prim": "/beast/body", "closed": True}]],
-    )
-    speed_limit: Annotated[Real, above(0, "SIM050")] = Field(
-        default=200.0,
-        description="Pins that go faster were put elsewhere, and take along what hangs "
+    speed_limit: Annotated[Real, above(0, "SIM050")] = key(
+        "Pins that go faster were put elsewhere, and take along what hangs "
         "on them [m/s].",
-        examples=[500],
+        500,
+        default=200.0,
     )
     preroll: Preroll = 0.0
-    settle: bool = Field(
+    settle: bool = key(
+        "Whether it begins where it comes to rest, without the air and colliders.",
+        True,
         default=False,
-        description="Whether it begins where it comes to rest, without the air and "
-        "colliders.",
-        examples=[True],
     )
 
 
@@ -97,20 +92,15 @@ class RopeModel(SpringsModel):
     end: Vector = Field(
         alias="to", description="Where it ends [m].", examples=[[1.5, 2, 0]]
     )
-    count: Whole = Field(description="Number of particles.", examples=[31])
-    tip_mass: Real | None = Field(
-        default=None,
-        description="Mass of the last particle [kg]. Not given: as the others.",
-        examples=[2],
+    count: Whole = key("Number of particles.", 31)
+    tip_mass: Real | None = key(
+        "Mass of the last particle [kg]. Not given: as the others.", 2, default=None
     )
-    springs: LineSpringsModel = Field(
-        description="Its springs.",
-        examples=[{"structural": {"stiffness": 1e4, "ratio": 0.1}}],
+    springs: LineSpringsModel = key(
+        "Its springs.", {"structural": {"stiffness": 1e4, "ratio": 0.1}}
     )
-    wind: WindModel | None = Field(
-        default=None,
-        description="The air; `drag` takes it along.",
-        examples=[{"velocity": [4, 0, 0]}],
+    wind: WindModel | None = key(
+        "The air; `drag` takes it along.", {"velocity": [4, 0, 0]}, default=None
     )
 
 
@@ -118,19 +108,15 @@ class StrandsModel(SpringsModel):
     """Many strands, written as curves. Lengths are in metres."""
 
     name: PrimName = Field(default="strands", examples=["fringe"])
-    points: Name = Field(
-        description="Array in an npz file, (strands, particles of each, 3) [m], roots "
-        "first.",
-        examples=["hair.npz#points"],
+    points: Name = key(
+        "Array in an npz file, (strands, particles of each, 3) [m], roots first.",
+        "hair.npz#points",
     )
-    springs: LineSpringsModel = Field(
-        description="Their springs.",
-        examples=[{"structural": {"stiffness": 100}, "bend": {"stiffness": 1}}],
+    springs: LineSpringsModel = key(
+        "Their springs.", {"structural": {"stiffness": 100}, "bend": {"stiffness": 1}}
     )
-    wind: WindModel | None = Field(
-        default=None,
-        description="The air; `drag` takes them along.",
-        examples=[{"velocity": [4, 0, 0]}],
+    wind: WindModel | None = key(
+        "The air; `drag` takes them along.", {"velocity": [4, 0, 0]}, default=None
     )
 
 
@@ -145,32 +131,27 @@ class ClothModel(SpringsModel):
     """A sheet of cloth, written as a mesh. Lengths are in metres."""
 
     name: PrimName = Field(default="cloth", examples=["flag"])
-    corner: Vector = Field(
+    corner: Vector = key(
+        "Where its first corner is, bottom left [m].",
+        [0, 2, 0],
         default=[0.0, 0.0, 0.0],
-        description="Where its first corner is, bottom left [m].",
-        examples=[[0, 2, 0]],
     )
-    across: Vector = Field(
-        default=[1.0, 0.0, 0.0],
-        description="From there along the whole width [m].",
-        examples=[[1.5, 0, 0]],
+    across: Vector = key(
+        "From there along the whole width [m].", [1.5, 0, 0], default=[1.0, 0.0, 0.0]
     )
-    up: Vector = Field(
-        default=[0.0, 1.0, 0.0],
-        description="From there along the whole height [m].",
-        examples=[[0, 0, -1]],
+    up: Vector = key(
+        "From there along the whole height [m].", [0, 0, -1], default=[0.0, 1.0, 0.0]
     )
-    resolution: Annotated[list[Whole], Len(2, 2)] = Field(
-        default=[20, 20], description="Particles across and up.", examples=[[31, 21]]
+    resolution: Annotated[list[Whole], Len(2, 2)] = key(
+        "Particles across and up.", [31, 21], default=[20, 20]
     )
-    mesh: PrimMeshModel | None = Field(
+    mesh: PrimMeshModel | None = key(
+        "A mesh in place of a sheet; its mass is spread over its area.",
+        {"file": "table.usda", "prim": "/Set/cloth"},
         default=None,
-        description="A mesh in place of a sheet; its mass is spread over its area.",
-        examples=[{"file": "table.usda", "prim": "/Set/cloth"}],
     )
-    springs: ClothSpringsModel = Field(
-        description="Its springs.",
-        examples=[{"structural": {"stiffness": 1000}, "bend": {"stiffness": 5}}],
+    springs: ClothSpringsModel = key(
+        "Its springs.", {"structural": {"stiffness": 1000}, "bend": {"stiffness": 5}}
     )
     wind: FaceWindField = None
     self_contact: SelfContactField = None
@@ -179,12 +160,9 @@ class ClothModel(SpringsModel):
 class TetrahedraModel(FileModel):
     """A volume of tetrahedra, in npz files."""
 
-    points: Name = Field(
-        description="Array of points, (particles, 3) [m].", examples=["jelly.npz"]
-    )
-    cells: Name = Field(
-        description="Array of the four corners of each, (tetrahedra, 4).",
-        examples=["jelly.npz"],
+    points: Name = key("Array of points, (particles, 3) [m].", "jelly.npz")
+    cells: Name = key(
+        "Array of the four corners of each, (tetrahedra, 4).", "jelly.npz"
     )
 
 
@@ -192,35 +170,29 @@ class VolumeModel(SpringsModel):
     """A soft body, its skin written as a mesh. Lengths are in metres."""
 
     name: PrimName = Field(default="volume", examples=["jelly"])
-    corner: Vector = Field(
+    corner: Vector = key(
+        "Where its corner of least x, y and z is [m].",
+        [-0.5, 1, -0.5],
         default=[0.0, 0.0, 0.0],
-        description="Where its corner of least x, y and z is [m].",
-        examples=[[-0.5, 1, -0.5]],
     )
-    size: Vector = Field(
-        default=[1.0, 1.0, 1.0],
-        description="Along x, y and z [m].",
-        examples=[[0.5, 0.5, 0.5]],
+    size: Vector = key(
+        "Along x, y and z [m].", [0.5, 0.5, 0.5], default=[1.0, 1.0, 1.0]
     )
-    resolution: Annotated[list[Whole], Len(3, 3)] = Field(
-        default=[6, 6, 6],
-        description="Particles along x, y and z.",
-        examples=[[8, 4, 8]],
+    resolution: Annotated[list[Whole], Len(3, 3)] = key(
+        "Particles along x, y and z.", [8, 4, 8], default=[6, 6, 6]
     )
-    tetrahedra: TetrahedraModel | None = Field(
+    tetrahedra: TetrahedraModel | None = key(
+        "Tetrahedra in place of a block.",
+        {"points": "jelly.npz", "cells": "jelly.npz"},
         default=None,
-        description="Tetrahedra in place of a block.",
-        examples=[{"points": "jelly.npz", "cells": "jelly.npz"}],
     )
-    springs: VolumeSpringsModel = Field(
-        description="Its springs.",
-        examples=[
-            {
-                "structural": {"stiffness": 2000},
-                "face_diagonals": {"stiffness": 1000},
-                "body_diagonals": {"stiffness": 1000},
-            }
-        ],
+    springs: VolumeSpringsModel = key(
+        "Its springs.",
+        {
+            "structural": {"stiffness": 2000},
+            "face_diagonals": {"stiffness": 1000},
+            "body_diagonals": {"stiffness": 1000},
+        },
     )
     wind: FaceWindField = None
     self_contact: SelfContactField = None

@@ -8,7 +8,7 @@ from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole, with_fields
+from animtool.documents.fields import Name, Real, Vector, Whole, key, with_fields
 from animtool.options import or_more
 from animtool.systems.fields import (
     CharacterFile,
@@ -26,9 +26,9 @@ class SelfContactModel(FileModel):
 
 SelfContactField = Annotated[
     SelfContactModel | None,
-    Field(
-        description="How it keeps apart from itself. Not given: it goes through.",
-        examples=[{"thickness": 0.01}],
+    key(
+        "How it keeps apart from itself. Not given: it goes through.",
+        {"thickness": 0.01},
     ),
 ]
 
@@ -42,86 +42,81 @@ class FamilyModel(FileModel):
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
 
-    stiffness: Real | None = Field(
+    stiffness: Real | None = key(
+        "Force over lengthening of each spring [N/m]. Not given: `axial_stiffness` is.",
+        1e4,
         default=None,
-        description="Force over lengthening of each spring [N/m]. Not given: "
-        "`axial_stiffness` is.",
-        examples=[1e4],
     )
 
 
 class DiagonalsModel(FamilyModel):
     """Springs across the cells of cloth."""
 
-    ways: Literal["one", "both"] = Field(
+    ways: Literal["one", "both"] = key(
+        "Along one diagonal of each cell, from its first corner, or along both.",
+        "one",
         default="both",
-        description="Along one diagonal of each cell, from its first corner, or along "
-        "both.",
-        examples=["one"],
     )
 
 
 class LineSpringsModel(FileModel):
     """The springs of ropes and strands; each family can be left out."""
 
-    structural: LineFamilyModel | None = Field(
+    structural: LineFamilyModel | None = key(
+        "From each particle to the next.",
+        {"axial_stiffness": 5000, "ratio": 0.1},
         default=None,
-        description="From each particle to the next.",
-        examples=[{"axial_stiffness": 5000, "ratio": 0.1}],
     )
-    bend: FamilyModel | None = Field(
+    bend: FamilyModel | None = key(
+        "From each to the next but one, against bending.",
+        {"stiffness": 50},
         default=None,
-        description="From each to the next but one, against bending.",
-        examples=[{"stiffness": 50}],
     )
 
 
 class ClothSpringsModel(FileModel):
     """The springs of cloth; each family can be left out."""
 
-    structural: FamilyModel | None = Field(
+    structural: FamilyModel | None = key(
+        "Between neighbours; of a mesh, along its edges.",
+        {"stiffness": 1000, "ratio": 0.05},
         default=None,
-        description="Between neighbours; of a mesh, along its edges.",
-        examples=[{"stiffness": 1000, "ratio": 0.05}],
     )
-    diagonals: DiagonalsModel | None = Field(
-        default=None,
-        description="Across cells, against shearing; of a mesh, across faces of four "
+    diagonals: DiagonalsModel | None = key(
+        "Across cells, against shearing; of a mesh, across faces of four "
         "corners or more, always both.",
-        examples=[{"stiffness": 300, "ways": "one"}],
-    )
-    bend: FamilyModel | None = Field(
+        {"stiffness": 300, "ways": "one"},
         default=None,
-        description="From each to the next but one, or over the edges of a mesh, "
-        "against bending.",
-        examples=[{"stiffness": 10}],
+    )
+    bend: FamilyModel | None = key(
+        "From each to the next but one, or over the edges of a mesh, against bending.",
+        {"stiffness": 10},
+        default=None,
     )
 
 
 class VolumeSpringsModel(FileModel):
     """The springs of volumes; each family can be left out."""
 
-    structural: FamilyModel | None = Field(
+    structural: FamilyModel | None = key(
+        "Along the axes; of tetrahedra, along their edges.",
+        {"stiffness": 2000, "ratio": 0.05},
         default=None,
-        description="Along the axes; of tetrahedra, along their edges.",
-        examples=[{"stiffness": 2000, "ratio": 0.05}],
     )
-    face_diagonals: FamilyModel | None = Field(
-        default=None,
-        description="Across the sides of each cell.",
-        examples=[{"stiffness": 1000}],
+    face_diagonals: FamilyModel | None = key(
+        "Across the sides of each cell.", {"stiffness": 1000}, default=None
     )
-    body_diagonals: FamilyModel | None = Field(
-        default=None, description="Through each cell.", examples=[{"stiffness": 1000}]
+    body_diagonals: FamilyModel | None = key(
+        "Through each cell.", {"stiffness": 1000}, default=None
     )
 
 
 class _FramedModel(FileModel):
-    offset: Vector | None = Field(
-        default=None,
-        description="Where in its frame the particles are held [m]; the whole system "
+    offset: Vector | None = key(
+        "Where in its frame the particles are held [m]; the whole system "
         "is brought there before it begins. Not given: where they are at 0 s.",
-        examples=[[0, 0.1, 0]],
+        [0, 0.1, 0],
+        default=None,
     )
 
 
@@ -130,7 +125,7 @@ class CarryingJointModel(_FramedModel):
 
     file: CharacterFile = None
     source: OwnCharacter = False
-    joint: Name = Field(description="Name of the joint.", examples=["hand_r"])
+    joint: Name = key("Name of the joint.", "hand_r")
 
 
 class CarryingVertexModel(_FramedModel):
@@ -138,8 +133,8 @@ class CarryingVertexModel(_FramedModel):
 
     file: CharacterFile = None
     source: OwnCharacter = False
-    mesh: Name = Field(description="Name of the rig's mesh.", examples=["body"])
-    vertex: Annotated[Whole, Ge(0)] = Field(description="Its number.", examples=[120])
+    mesh: Name = key("Name of the rig's mesh.", "body")
+    vertex: Annotated[Whole, Ge(0)] = key("Its number.", 120)
 
 
 class CarryingPrimModel(FollowedPrimModel, _FramedModel):
@@ -149,11 +144,10 @@ class CarryingPrimModel(FollowedPrimModel, _FramedModel):
 class JoinedModel(FileModel):
     """Particles of another system."""
 
-    system: Name = Field(description="Its name.", examples=["flag"])
-    particles: Annotated[list[str | Whole], Len(1)] = Field(
-        description="Particles of it, one for each or one for all, as `particles` of "
-        "a pin.",
-        examples=[["top_left"]],
+    system: Name = key("Its name.", "flag")
+    particles: Annotated[list[str | Whole], Len(1)] = key(
+        "Particles of it, one for each or one for all, as `particles` of a pin.",
+        ["top_left"],
     )
 
 
@@ -165,59 +159,54 @@ class PinModel(FileModel):
         "an array of numbers, such as cape.npz#pins.",
         examples=[["start"], ["top_left", 40]],
     )
-    moves: list[TimedVector] = Field(
-        default=[],
-        description="Where they are over time, from where they begin: rows of seconds "
+    moves: list[TimedVector] = key(
+        "Where they are over time, from where they begin: rows of seconds "
         "from the first frame on and three coordinates [m]. Not given: they stay.",
-        examples=[[[0, 0, 0, 0], [1, 0.5, 0, 0]]],
+        [[0, 0, 0, 0], [1, 0.5, 0, 0]],
+        default=[],
     )
-    joint: CarryingJointModel | None = Field(
+    joint: CarryingJointModel | None = key(
+        "A joint that carries them.",
+        {"file": "walk.clip.yaml", "joint": "hand_r"},
         default=None,
-        description="A joint that carries them.",
-        examples=[{"file": "walk.clip.yaml", "joint": "hand_r"}],
     )
-    vertex: CarryingVertexModel | None = Field(
+    vertex: CarryingVertexModel | None = key(
+        "A vertex of a character's mesh that carries them.",
+        {"file": "walk.clip.yaml", "mesh": "body", "vertex": 12},
         default=None,
-        description="A vertex of a character's mesh that carries them.",
-        examples=[{"file": "walk.clip.yaml", "mesh": "body", "vertex": 12}],
     )
-    prim: CarryingPrimModel | None = Field(
+    prim: CarryingPrimModel | None = key(
+        "A prim of a USD file that carries them.",
+        {"file": "props.usda", "prim": "/Set/hook"},
         default=None,
-        description="A prim of a USD file that carries them.",
-        examples=[{"file": "props.usda", "prim": "/Set/hook"}],
     )
-    to: JoinedModel | None = Field(
+    to: JoinedModel | None = key(
+        "Particles of another system that they become one with: both move each other.",
+        {"system": "flag", "particles": ["top_left"]},
         default=None,
-        description="Particles of another system that they become one with: both "
-        "move each other.",
-        examples=[{"system": "flag", "particles": ["top_left"]}],
     )
-    stiffness: Annotated[Real | None, or_more(0, "SIM042")] = Field(
-        default=None,
-        description="They are drawn there by springs of no length and this stiffness "
+    stiffness: Annotated[Real | None, or_more(0, "SIM042")] = key(
+        "They are drawn there by springs of no length and this stiffness "
         "[N/m]. Not given: they are held.",
-        examples=[200],
+        200,
+        default=None,
     )
-    damping: Annotated[Real, or_more(0, "SIM042")] = Field(
-        default=0.0,
-        description="Of such springs: force over speed [N s/m].",
-        examples=[1],
+    damping: Annotated[Real, or_more(0, "SIM042")] = key(
+        "Of such springs: force over speed [N s/m].", 1, default=0.0
     )
 
 
 class WindModel(FileModel):
     """The air of ropes and strands: `drag` takes them along with it."""
 
-    velocity: Vector = Field(
-        default=[0.0, 0.0, 0.0],
-        description="Velocity of the air [m/s].",
-        examples=[[4, 0, 0]],
+    velocity: Vector = key(
+        "Velocity of the air [m/s].", [4, 0, 0], default=[0.0, 0.0, 0.0]
     )
-    gusts: list[TimedVector] = Field(
-        default=[],
-        description="More of it over time: rows of seconds from the first frame on "
+    gusts: list[TimedVector] = key(
+        "More of it over time: rows of seconds from the first frame on "
         "and three coordinates [m/s].",
-        examples=[[[0, 0, 0, 0], [0.5, 3, 0, 1], [1, 0, 0, 0]]],
+        [[0, 0, 0, 0], [0.5, 3, 0, 1], [1, 0, 0, 0]],
+        default=[],
     )
 
 
@@ -228,8 +217,5 @@ class FaceWindModel(WindModel):
 
 FaceWindField = Annotated[
     FaceWindModel | None,
-    Field(
-        description="The air that its faces bear. Not given: none.",
-        examples=[{"velocity": [5, 0, 1]}],
-    ),
+    key("The air that its faces bear. Not given: none.", {"velocity": [5, 0, 1]}),
 ]
