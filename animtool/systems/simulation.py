@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -14,9 +13,9 @@ from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
 from animtool.sim.colliders import Colliders
 from animtool.sim.system import Energy
+from animtool.sim.trajectory import Stats
 
 State = TypeVar("State")
-FrameT_co = TypeVar("FrameT_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +25,11 @@ class Diagnostics:
     energy: Energy | None = None  # None where it may come and go
     values: Mapping[str, float] = field(default_factory=dict)  # for the report
     notices: Sequence[Fault] = ()  # warnings so far
+    if_empty: Sequence[Fault] = ()  # more of them, where no frame had a point
+    steps: int | None = None  # of the method so far; None is one a step
+    # Returns the largest that is stable from here on [s]: 0 where none is, infinite
+    # where all are, None where it is not known.
+    stable_step: Callable[[], float | None] = lambda: None
 
 
 class SimContext(Protocol):
@@ -75,68 +79,8 @@ class Simulation(Protocol[State]):
         """Return what a state is like at its time [s]."""
 
 
-class Progressed(Protocol):
-    """A state that counts the steps that led to it."""
-
-    @property
-    def steps(self) -> int:
-        """Whole steps since the beginning."""
-
-
-ProgressedT = TypeVar("ProgressedT", bound=Progressed)
-
-
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
-
-
-class SteppedRun(ABC, Generic[ProgressedT, FrameT_co]):
-    """Takes a state through time in steps of one length, and looks at any time.
-
-    Steps begin at the beginning and do not heed the times that are asked for: a look
-    between two steps takes a part of a step that is not kept. So the frame rate of an
-    output changes nothing of the motion. To resume, begin with a state of an earlier
-    run.
-
-    Attributes:
-        begin: Time of the first step [s].
-        step_length: Of every step [s].
-        state: At the end of the last whole step.
-    """
-
-    begin: float
-    step_length: float
-    state: ProgressedT
-
-    @abstractmethod
-    def stepped(self, state: ProgressedT, until: float) -> ProgressedT:
-        """Return the state at the end of a step, or of a part of one [s]."""
-
-    @abstractmethod
-    def frame(self, state: ProgressedT, t: float) -> FrameT_co:
-        """Return what a state shows at its time [s]."""
-
-    def at(self, t: float) -> FrameT_co:
-        """Return what there is at a time, not before the last one asked for.
-
-        Raises:
-            OptionError: Time runs backwards (SIM002).
-            ToleranceError: It blew up (SIM102), or the method could not go on.
-        """
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
-        if whole < self.state.steps:
-            message = f"time {t:g} s is before that of the simulation"
-            raise OptionError(Fault("SIM002", message, hint="begin again"))
-        while self.state.steps < whole:
-            self.state = self.stepped(self.state, self.time(self.state.steps + 1))
-        now = self.time(whole)
-        part = t > now + ON_STEP * self.step_length
-        state = self.stepped(self.state, t) if part else self.state
-        return self.frame(state, max(t, now))
-
-    def time(self, steps: int) -> float:
-        """Return when a number of steps ends [s]."""
-        return self.begin + steps * self.step_length
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +91,28 @@ class Reached(Generic[State]):
     state: State
 
 
-class SimulationRun(SteppedRun[Reached[Any], Frame]):
-    """A simulation under way; one whose numbers do not stay finite is stopped."""
+class StoppedError(ToleranceError):
+    """A method that could not go on, and what it took until then."""
+
+    def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
+        super().__init__(faults)
+        self.stats = stats
+
+
+class SimulationRun:
+    """Takes a simulation through time in steps of one length, and looks at any time.
+
+    Steps begin at the beginning and do not heed the times that are asked for: a look
+    between two steps takes a part of a step that is not kept. So the frame rate of an
+    output changes nothing of the motion. To resume, begin with a state of an earlier
+    run. One whose numbers do not stay finite is stopped.
+
+    Attributes:
+        begin: Time of the first step [s].
+        step_length: Of every step [s].
+        state: At the end of the last whole step.
+        taken: Steps and parts of steps so far.
+    """
 
     def __init__(
         self,
@@ -161,22 +125,45 @@ class SimulationRun(SteppedRun[Reached[Any], Frame]):
         self.name, self.simulation = name, simulation
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
-        self.taken = 0  # steps and parts of steps
+        self.taken = 0
         self._seen = self.state.state, self.time(self.state.steps)
+        self._empty: bool | None = None  # None before the first look
 
-    def stepped(self, state: Reached[Any], until: float) -> Reached[Any]:
-        """Return the state at the end of a step, or of a part of one [s].
+    def at(self, t: float) -> Frame:
+        """Return what there is at a time [s], not before the last one asked for.
 
         Raises:
-            ToleranceError: It blew up (SIM102).
+            OptionError: Time runs backwards (SIM002).
+            ToleranceError: It blew up (SIM102), or the method could not go on.
         """
+        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        if whole < self.state.steps:
+            message = f"time {t:g} s is before that of the simulation"
+            raise OptionError(Fault("SIM002", message, hint="begin again"))
+        while self.state.steps < whole:
+            self.state = self._stepped(self.state, self.time(self.state.steps + 1))
+        now = self.time(whole)
+        part = t > now + ON_STEP * self.step_length
+        state = self._stepped(self.state, t) if part else self.state
+        self._seen = state.state, max(t, now)
+        frame = self.simulation.frame(*self._seen)
+        self._empty = self._empty is not False and not len(frame.points)
+        return frame
+
+    def time(self, steps: int) -> float:
+        """Return when a number of steps ends [s]."""
+        return self.begin + steps * self.step_length
+
+    def _stepped(self, state: Reached[Any], until: float) -> Reached[Any]:
+        """Return the state at the end of a step, or of a part of one [s]."""
         now = self.time(state.steps)
         after = self.simulation.step(state.state, now, until - now)
         self.taken += 1
         frame = self.simulation.frame(after, until)
-        arrays = [frame.points, frame.velocities]
+        # Velocities of a field may have no value where no frame is.
+        arrays = [frame.points]
         if isinstance(frame, TransformsFrame):
-            arrays += [frame.rotations, frame.spins, frame.scales]
+            arrays += [frame.rotations, frame.scales]
         finite = np.isfinite(np.concatenate(arrays, axis=1))
         (bad,) = np.nonzero(~finite.all(axis=1))
         if len(bad):
@@ -184,11 +171,6 @@ class SimulationRun(SteppedRun[Reached[Any], Frame]):
             hint = "take shorter steps"
             raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
         return Reached(state.steps + 1, after)
-
-    def frame(self, state: Reached[Any], t: float) -> Frame:
-        """Return what a state shows at its time [s]."""
-        self._seen = state.state, t
-        return self.simulation.frame(state.state, t)
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -198,7 +180,8 @@ class SimulationRun(SteppedRun[Reached[Any], Frame]):
     @property
     def notices(self) -> list[Fault]:
         """Warnings so far."""
-        return list(self.diagnostics.notices)
+        found = self.diagnostics
+        return [*found.notices, *(found.if_empty if self._empty else ())]
 
     def report(self) -> dict[str, object]:
         """Return what became of it, as plain values."""

@@ -10,8 +10,7 @@ from typing import cast
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
-from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.frames import PointsFrame
+from animtool.errors import Fault, OptionError, counted
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.setups import SystemFacts
@@ -24,9 +23,10 @@ from animtool.systems.particles import (
     Particles,
     VelocityField,
 )
-from animtool.systems.particles.run import ParticleRun
+from animtool.systems.particles.run import ParticleSimulation
 from animtool.systems.particles.spec import EmitterModel, ParticlesModel
 from animtool.systems.particles.trial import ParticleTrial
+from animtool.systems.simulation import SimulationRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +82,13 @@ class ParticleSetup:
 
 def open_particles(
     members: Sequence[SceneSystem], opening: Opening
-) -> list[RunningParticles]:
+) -> list[SimulationRun]:
     """Return particles at their beginning; characters are read now."""
     setup, whole = _whole(members, opening)
-    return [RunningParticles(ParticleRun(whole, -setup.preroll))]
+    begin, step = -setup.preroll, whole.options.step
+    assert step is not None
+    simulation = ParticleSimulation(whole, begin)
+    return [SimulationRun(whole.name, simulation, begin, step)]
 
 
 def particle_trial(
@@ -118,43 +121,6 @@ def _whole(
     assert options.step is not None
     colliders, sheets = setup.around.built(opening, -setup.preroll, options.step)
     return setup, replace(given, colliders=colliders, sheets=sheets, options=options)
-
-
-class RunningParticles:
-    """Particles under way.
-
-    Attributes:
-        run: What takes them through time.
-    """
-
-    def __init__(self, run: ParticleRun) -> None:
-        self.run = run
-        self._looks = self._seen = 0
-
-    @property
-    def notices(self) -> list[Fault]:
-        """What is odd so far."""
-        if self._seen or not self._looks:
-            return self.run.notices
-        message = "there is no particle at any frame"
-        hint = "give emitters a rate or bursts, and a start and a lifetime by which "
-        hint += "their particles are there in the range"
-        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
-        return [*self.run.notices, nobody]
-
-    def report(self) -> dict[str, object]:
-        """Return nothing: what is written says it all."""
-        return {}
-
-    def at(self, t: float) -> PointsFrame:
-        """Return the particles at a time [s], not before the last one asked for."""
-        frame = self.run.at(t)
-        self._looks += 1
-        self._seen += len(frame.ids)
-        primvars = {"age": frame.ages}
-        return PointsFrame(
-            frame.ids, frame.points, frame.velocities, frame.radii, primvars
-        )
 
 
 def read_particles(

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError
+from animtool.errors import Fault, Severity
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.options import check_options
 from animtool.sim.run import Run
-from animtool.sim.trajectory import Checkpoint, Stats, Status
+from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.particles.system import (
@@ -23,6 +23,7 @@ from animtool.systems.particles.system import (
     energies,
     particle_system,
 )
+from animtool.systems.simulation import StoppedError
 
 
 class DivergenceCheck:
@@ -112,7 +113,6 @@ class Mover:
     Attributes:
         notices: Of steps that are too long.
         taken: Steps of the method so far.
-        stop: What it took in the step that it stopped in; None where it did not.
 
     Args:
         setup: What moves them.
@@ -133,7 +133,6 @@ class Mover:
         self._fastest: FloatArray | None = None
         self.notices: list[Fault] = []
         self.taken = 0
-        self.stop: Stats | None = None
 
     def moved(
         self,
@@ -214,8 +213,9 @@ class Mover:
     ) -> None:
         # A force that is no number at once is no blow-up.
         check_start(run.equations, *places[0])
-        self.stop = stats_of(run, status, places)
-        why = ending(self._integrator, self._setup.options, self.stop)
-        raise ToleranceError(
-            [replace(each, severity=Severity.ERROR) for each in [*self.notices, why]]
+        stats = stats_of(run, status, places)
+        why = ending(self._integrator, self._setup.options, stats)
+        raise StoppedError(
+            [replace(each, severity=Severity.ERROR) for each in [*self.notices, why]],
+            stats,
         )

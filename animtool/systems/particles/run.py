@@ -11,15 +11,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity
+from animtool.frames import PointsFrame
+from animtool.sim.checks import check_start
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch, collide
-from animtool.sim.trajectory import Checkpoint, Stats
+from animtool.sim.equations import Equations
+from animtool.sim.integrators import find_integrator
+from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.system import Energy
+from animtool.sim.trajectory import Checkpoint
 from animtool.systems.particles.moving import Mover
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.particles.system import accelerations
-from animtool.systems.simulation import SteppedRun
+from animtool.systems.particles.system import (
+    ParticleFlow,
+    ParticleForces,
+    accelerations,
+    particle_system,
+)
+from animtool.systems.simulation import Diagnostics, Reached, SimulationRun
 
 
 def spawned(
@@ -69,7 +80,6 @@ _NONE = np.zeros((2, 0, 3))
 class ParticleRunState:
     """Where a simulation stands at the end of a step, to go on from."""
 
-    steps: int  # taken since the beginning
     particles: ParticleState  # who lives
     state: FloatArray  # positions, then velocities ``(2, N, 3)``
     born: int = 0  # how many were born so far
@@ -78,87 +88,51 @@ class ParticleRunState:
     checkpoint: Checkpoint | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ParticleFrame:
-    """Particles at a time.
-
-    Attributes:
-        time: [s].
-        ids: ``(N,)``, ascending.
-        points: ``(N, 3)`` [m].
-        velocities: ``(N, 3)`` [m/s].
-        radii: ``(N,)`` [m].
-        ages: Since birth ``(N,)`` [s].
-    """
-
-    time: float
-    ids: IntArray
-    points: FloatArray
-    velocities: FloatArray
-    radii: FloatArray
-    ages: FloatArray
-
-
-class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
-    """Particles under way, born, moved, stopped and removed in steps of one length.
-
-    Attributes:
-        state: At the end of the last whole step.
-        contacts: What particles met in the last step that was taken; None where there
-            was none. Those who were born in it are not among them.
-        notices: What is odd so far.
-
-    Args:
-        setup: What there is.
-        begin: Time of the first step [s].
-        state: Where to go on from, in place of the beginning.
+class ParticleSimulation:
+    """Particles in steps; what moved them is kept for warnings alone.
 
     Raises:
         OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
             SIM024).
     """
 
-    def __init__(
-        self,
-        setup: Particles,
-        begin: float = 0.0,
-        state: ParticleRunState | None = None,
-    ) -> None:
+    def __init__(self, setup: Particles, begin: float) -> None:
         setup.check()
         self.setup, self.begin = setup, begin
         self.colliders = Colliders(setup.colliders, setup.sheets)
-        self.notices: list[Fault] = self.colliders.notices()
+        self.contacts: Contacts | None = None  # as in `ParticleRun`
+        self._notices: list[Fault] = self.colliders.notices()
         self._kills = [Colliders([kill.region]) for kill in setup.kills]
-        assert setup.options.step is not None
-        self.step_length = setup.options.step
         self._held = False
         self._mover = Mover(setup, self.colliders)
-        self.contacts: Contacts | None = None
-        if state is None:
-            state = ParticleRunState(0, ParticleState.none(), _NONE)
-            state = self._with_first(state)
-        self.state = state
 
-    @property
-    def taken(self) -> int:
-        """Steps that the method took so far, of looks between two steps too."""
-        return self._mover.taken
+    def initial(self) -> ParticleRunState:
+        """Return those who are born at the very beginning."""
+        nobody = ParticleRunState(ParticleState.none(), _NONE)
+        return self._with_born(nobody, None, self.begin, self.begin)
 
-    @property
-    def stop(self) -> Stats | None:
-        """What the step that it blew up in came to; None where it did not."""
-        return self._mover.stop
+    def step(self, state: ParticleRunState, t: float, dt: float) -> ParticleRunState:
+        """Return who lives a step later, or a part of one [s].
 
-    def stepped(self, state: ParticleRunState, until: float) -> ParticleRunState:
-        """Return the end of a step, or of a part of one."""
-        now = self.time(state.steps)
-        same = state.particles
+        Raises:
+            OptionError: A force or a field is no number (SIM003).
+            StoppedError: It blew up, or the method could not go on (SIM101 to SIM105).
+        """
+        same, until = state.particles, t + dt
         if len(same):
-            state = self._moved(state, now, until)
-        state = replace(state, steps=state.steps + 1)
-        state = self._with_born(state, now, now, until)
+            state = self._moved(state, t, until)
+        state = self._with_born(state, t, t, until)
         state = self._without_dead(state, until)
-        return state if state.particles is same else replace(state, checkpoint=None)
+        if state.particles is same:
+            return state
+        if not np.isfinite(state.state).all():
+            system = self._system(state)
+            check_start(Equations(system), until, system.state)
+        return replace(state, checkpoint=None)
+
+    def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
+        setup, colliders = self.setup, self.colliders
+        return particle_system(setup, colliders, state.particles, state.state)
 
     def _moved(
         self, state: ParticleRunState, now: float, until: float
@@ -167,14 +141,10 @@ class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
         moved = self._mover.moved(
             state.particles, state.state, state.checkpoint, now, until
         )
-        self.notices += self._mover.notices[said:]
+        self._notices += self._mover.notices[said:]
         self.contacts = moved.contacts
         self._say_held(state.particles, until)
         return replace(state, state=moved.state, checkpoint=moved.checkpoint)
-
-    def _with_first(self, state: ParticleRunState) -> ParticleRunState:
-        """Return a state with those who are born at the very beginning."""
-        return self._with_born(state, None, self.begin, self.begin)
 
     def _with_born(
         self, state: ParticleRunState, after: float | None, now: float, until: float
@@ -257,7 +227,7 @@ class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
         hint = (
             "particles begin inside, or colliders close in on them from several sides"
         )
-        self.notices.append(
+        self._notices.append(
             Fault(
                 "SIM123",
                 message,
@@ -271,7 +241,7 @@ class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
         room = self.setup.max_particles
         message = f"there is room for {room} particles, from {t:g} s on for"
         hint = "raise max_particles, or lower rates or lifetimes"
-        self.notices.append(
+        self._notices.append(
             Fault(
                 "SIM121",
                 f"{message} no more",
@@ -291,11 +261,113 @@ class ParticleRun(SteppedRun[ParticleRunState, ParticleFrame]):
             state, particles=state.particles.select(kept), state=state.state[:, kept]
         )
 
-    def frame(self, state: ParticleRunState, t: float) -> ParticleFrame:
+    def frame(self, state: ParticleRunState, t: float) -> PointsFrame:
         """Return the particles of a state at its time [s]."""
-        particles = state.particles
-        points, velocities = state.state
-        ages = t - particles.births
+        particles, (points, velocities) = state.particles, state.state
+        ages = {"age": t - particles.births}
+        return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
+
+    def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
+        """Return the energy, where nothing takes or brings any, and warnings."""
+        hint = "give emitters a rate or bursts, and a start and a lifetime by which "
+        hint += "their particles are there in the range"
+        message = "there is no particle at any frame"
+        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        return Diagnostics(
+            self._energy(state, t),
+            notices=self._notices,
+            if_empty=[nobody],
+            steps=self._mover.taken,
+            stable_step=lambda: self._stable_step(state),
+        )
+
+    def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
+        system, forces = self._system(state), self.setup.forces
+        if isinstance(system, ParticleFlow) or self.colliders.meet:
+            return None
+        damping = (force.damping(state.state[1], state.particles) for force in forces)
+        return None if any(damping) else system.energy(t, state.state)
+
+    def _stable_step(self, state: ParticleRunState) -> float | None:
+        """Return the largest step that is stable for a state [s]."""
+        integrator = find_integrator(self.setup.options.method)
+        if integrator.limit is None or not len(state.particles):
+            return None
+        system = self._system(state)
+        modes = modes_at(Equations(system), self.begin, system.state)
+        return None if modes is None else allowed_step(integrator, modes)
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFrame(PointsFrame):
+    """Particles at a time.
+
+    Attributes:
+        ids: ``(N,)``, ascending.
+        points: ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        radii: ``(N,)`` [m].
+        time: [s].
+    """
+
+    time: float = 0.0
+
+    @property
+    def ages(self) -> FloatArray:
+        """Since birth ``(N,)`` [s]."""
+        return np.asarray(self.primvars["age"], np.float64)
+
+
+class ParticleRun(SimulationRun):
+    """Particles under way, born, moved, stopped and removed in steps of one length.
+
+    Attributes:
+        state: At the end of the last whole step.
+        notices: What is odd so far.
+
+    Args:
+        setup: What there is.
+        begin: Time of the first step [s].
+        state: Where to go on from, in place of the beginning.
+
+    Raises:
+        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
+            SIM024).
+    """
+
+    def __init__(
+        self,
+        setup: Particles,
+        begin: float = 0.0,
+        state: Reached[ParticleRunState] | None = None,
+    ) -> None:
+        self._particles = ParticleSimulation(setup, begin)
+        step = setup.options.step
+        assert step is not None
+        super().__init__(setup.name, self._particles, begin, step, state)
+
+    @property
+    def contacts(self) -> Contacts | None:
+        """What particles met in the last step that was taken; None where it took none.
+
+        Those who were born in it are not among them.
+        """
+        return self._particles.contacts
+
+    def at(self, t: float) -> ParticleFrame:
+        """Return the particles at a time [s], not before the last one asked for.
+
+        Raises:
+            OptionError: Time runs backwards (SIM002).
+            ToleranceError: They blew up (SIM102), or the method could not go on.
+        """
+        frame = super().at(t)
+        assert isinstance(frame, PointsFrame)
         return ParticleFrame(
-            t, particles.ids, points, velocities, particles.radii, ages
+            frame.ids,
+            frame.points,
+            frame.velocities,
+            frame.radii,
+            frame.primvars,
+            max(t, self.time(self.state.steps)),
         )

@@ -11,17 +11,15 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.plugins import load_object
-from animtool.sim.equations import Equations
 from animtool.sim.integrators import INTEGRATORS, find_integrator
 from animtool.sim.integrators.integrator import Control
-from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import TOLERANCE, IntegrateOptions
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder, stepwise
 from animtool.systems.particles.run import ParticleFrame, ParticleRun
 from animtool.systems.particles.setup import Particles
-from animtool.systems.particles.system import ParticleForces, particle_system
+from animtool.systems.simulation import StoppedError
 
 # What others are compared with: of high order, and yet with a step that ends at each
 # contact.
@@ -120,22 +118,27 @@ class ParticleTrial:
         run = ParticleRun(setup, self._begin)
         frames: list[ParticleFrame] = []
         energies: list[Energy | None] = []
-        reason = ""
+        stats, reason = None, ""
         try:
             for t in self._times.tolist():
                 frames.append(run.at(t))
-                energies.append(self._energy(run, frames[-1]))
+                energies.append(run.diagnostics.energy)
         except ToleranceError as error:
-            reason = run.stop.reason if run.stop else error.faults[0].message
+            stats = error.stats if isinstance(error, StoppedError) else None
+            reason = stats.reason if stats else error.faults[0].message
         seconds = time.perf_counter() - began
         self._most = max([self._most, *(len(frame.ids) for frame in frames)])
+        stable = None if stats is None else stats.stable_step
+        if stable is None:
+            last = run.simulation.diagnostics(run.state.state, run.begin)
+            stable = last.stable_step()
         return Outcome(
             seconds,
-            run.taken,
+            run.diagnostics.steps or 0,
             [Shot(frame.points, frame.ids) for frame in frames],
-            Status.OK if run.stop is None else run.stop.status,
+            Status.OK if stats is None else stats.status,
             reason,
-            _stable_step(run),
+            stable,
             _held(frames, energies),
         )
 
@@ -174,18 +177,6 @@ class ParticleTrial:
             budget=budget,
         )
 
-    def _energy(self, run: ParticleRun, frame: ParticleFrame) -> Energy | None:
-        particles = run.state.particles
-        # Contacts and damping take energy, and births bring some.
-        if self._setup.velocity is not None or run.colliders.meet:
-            return None
-        damped = any(f.damping(frame.velocities, particles) for f in self._setup.forces)
-        if damped or not np.array_equal(particles.ids, frame.ids):
-            return None
-        state = np.stack([frame.points, frame.velocities])
-        system = ParticleForces(self._setup, run.colliders, particles, state)
-        return system.energy(frame.time, state)
-
 
 def _held(
     frames: Sequence[ParticleFrame], energies: Sequence[Energy | None]
@@ -194,16 +185,3 @@ def _held(
     known = [energy for energy in energies if energy is not None]
     same = all(np.array_equal(frame.ids, frames[0].ids) for frame in frames)
     return known if same and len(known) == len(frames) else None
-
-
-def _stable_step(run: ParticleRun) -> float | None:
-    """Return the largest step that is stable where a run stands [s]."""
-    integrator = find_integrator(run.setup.options.method)
-    state = run.state
-    if run.stop is not None and run.stop.stable_step is not None:
-        return run.stop.stable_step
-    if integrator.limit is None or not len(state.particles):
-        return None
-    system = particle_system(run.setup, run.colliders, state.particles, state.state)
-    modes = modes_at(Equations(system), run.begin, system.state)
-    return None if modes is None else allowed_step(integrator, modes)

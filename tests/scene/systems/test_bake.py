@@ -149,7 +149,7 @@ def test_particles_run_into_characters(root: Path, tmp_path: Path) -> None:
     rain = SCENE.replace("    kill:", f"{character}    kill:")
     systems = load_scene(written(tmp_path, rain), {"at": str(root)}).systems
     (particles,) = open_systems(systems)
-    hit = particles.run.setup.colliders  # type: ignore[attr-defined]
+    hit = particles.simulation.setup.colliders  # type: ignore[attr-defined]
     assert len(hit) > 6
     assert hit[2].name
     assert len(hit[2].poses.moments) > 10

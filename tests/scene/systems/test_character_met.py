@@ -108,7 +108,7 @@ def test_particles_run_into_a_mesh_too(root: Path, clip: Path, tmp_path: Path) -
     character = f"{{file: {str(clip)!r}, mesh: body, margin: 0.005}}"
     loaded = scene(tmp_path, root, DUST, character + ", " + character)
     (dust,) = open_systems(loaded.systems)
-    given = dust.run.setup  # type: ignore[attr-defined]
+    given = dust.simulation.setup  # type: ignore[attr-defined]
     assert [sheet.name for sheet in given.sheets] == ["body"]
     assert not given.colliders
 

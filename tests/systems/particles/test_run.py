@@ -142,7 +142,7 @@ def test_what_there_is_no_room_for_is_not_born() -> None:
     crowded = Particles([Emitter(rate=100)], max_particles=30)
     run = ParticleRun(crowded)
     assert len(run.at(1.0).ids) == 30
-    assert run.state.missed == 70
+    assert run.state.state.missed == 70
     assert [notice.code for notice in run.notices] == ["SIM121"]
 
 
