@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from typing import Any, Literal, TypeAlias, get_type_hints
 
@@ -22,7 +22,7 @@ from animtool.errors import Fault
 Kind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "choice", "unit", "axis", "rate", "range",
     "frame", "rest", "offsets", "length", "lengths", "count", "name", "names", "angle",
-    "amount", "seed",
+    "amount", "seed", "codes", "severities", "processes",
 ]  # fmt: skip
 
 
@@ -52,6 +52,7 @@ class Option:
     least: int  # of a count
     reason: str  # why a source may not take it
     written: str | float | None  # the default, where the command line has another unit
+    short: str  # the flag of one letter
 
 
 def option(
@@ -59,6 +60,7 @@ def option(
     kind: Kind,
     flag: str,
     *,
+    default_factory: Any = MISSING,
     label: str = "",
     not_for: tuple[str, ...] = (),
     scene: Key | None = None,
@@ -70,8 +72,12 @@ def option(
     least: int = 0,
     reason: str = "",
     written: str | float | None = None,
+    short: str = "",
 ) -> Any:
-    """Return the field of an option; ``both`` is the key of scenes and batches."""
+    """Return the field of an option; ``both`` is the key of scenes and batches.
+
+    default, default_factory: As `dataclasses.field` takes them; one is ``MISSING``.
+    """
     described = Option(
         kind,
         flag,
@@ -85,8 +91,13 @@ def option(
         least,
         reason,
         written,
+        short,
     )
-    return field(default=default, metadata={"option": described})
+    return field(
+        default=default,
+        default_factory=default_factory,
+        metadata={"option": described},
+    )
 
 
 def options_of(record: Any) -> dict[str, Option]:

@@ -12,8 +12,8 @@ from click.testing import CliRunner
 
 import animtool
 from animtool.cli.bake import bake
-from animtool.cli.options import declared
-from animtool.errors import OptionError
+from animtool.cli.options import declared, read_values, record_option
+from animtool.errors import OptionError, Severity
 from animtool.options import (
     Key,
     as_arguments,
@@ -24,6 +24,7 @@ from animtool.options import (
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
+from animtool.validation.options import ValidateOptions
 
 
 @dataclass(frozen=True)
@@ -102,3 +103,30 @@ def test_an_option_is_added_to_a_command_by_its_declaration() -> None:
         command = declared(cuts[name], name)(command)
     done = CliRunner().invoke(command, ["--sharp", "--width", "2mm"])
     assert done.output == "[('sharp', True), ('width', 0.002)]\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ([], ValidateOptions(jobs=None)),
+        (
+            ["--select", "rig2,USD", "--select", "CLIP2", "-j", "2"],
+            ValidateOptions(select=("RIG2", "USD", "CLIP2"), jobs=2),
+        ),
+        (
+            ["--severity", "RIG2=note", "--profile", "shot", "--jobs", "1"],
+            ValidateOptions(severity={"RIG2": Severity.NOTE}, profile="shot"),
+        ),
+    ],
+)
+def test_codes_and_severities_of_a_command_are_those_of_its_record(
+    words: list[str], options: ValidateOptions
+) -> None:
+    taken: list[ValidateOptions] = []
+
+    @record_option(ValidateOptions)
+    def run(**given: object) -> None:
+        taken.append(ValidateOptions(**read_values(ValidateOptions, given)))
+
+    done = CliRunner().invoke(click.command()(run), words)
+    assert (done.output, taken) == ("", [options])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from animtool.cli.console import Console
+from animtool.errors import Severity
 from animtool.options import Option, options_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
@@ -106,6 +107,24 @@ def _variable(text: str) -> tuple[str, str]:
     return name, value
 
 
+def _codes(text: str) -> tuple[str, ...]:
+    return tuple(code.strip().upper() for code in text.split(",") if code.strip())
+
+
+def _severity(text: str) -> tuple[str, Severity]:
+    code, equals, name = text.partition("=")
+    if not equals or not code or name not in list(Severity):
+        allowed = ", ".join(Severity)
+        raise ValueError(f"{text!r} is not CODE=SEVERITY, of which there are {allowed}")
+    return code.upper(), Severity(name)
+
+
+def _processes(text: str) -> int:
+    if not text.isdigit() or not int(text):
+        raise ValueError(f"{text!r} is no number of processes from 1 up")
+    return int(text)
+
+
 # What a file cannot be read for is said by whatever reads it.
 # A file that is looked for later, with a fault of its own.
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -195,7 +214,12 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
     "seed": (Parsed("whole number", _whole), None),
+    "codes": (Parsed("codes", _codes), "CODE,…"),
+    "severities": (Parsed("severity", _severity), "CODE=SEVERITY"),
+    "processes": (Parsed("processes", _processes), "N"),
 }
+# Kinds that can be given several times.
+_MULTIPLE = {"lengths", "codes", "severities"}
 
 
 class _OneOf(click.ParamType[Any]):
@@ -242,14 +266,16 @@ def declared(
         kind, word = _TYPES[option.kind]
         shown = shown or word
     default = default if option.written is None else option.written
+    if option.kind == "processes":
+        default = None  # a command takes what fits; a script has to ask for it
     return click.option(
-        flag,
+        *filter(None, (option.short, flag)),
         name,
         type=kind,
         metavar=shown,
         default=default,
         show_default=default not in {None, ()} and "[default: " not in option.help,
-        multiple=option.kind == "lengths",
+        multiple=option.kind in _MULTIPLE,
         help=option.help,
     )
 
@@ -262,7 +288,10 @@ def record_option(
     called: What the command calls some of them.
     """
     options = options_of(record)
-    defaults = {entry.name: entry.default for entry in fields(record)}
+    defaults = {
+        entry.name: None if entry.default is MISSING else entry.default
+        for entry in fields(record)
+    }
 
     def add(command: Command) -> Command:
         for name in reversed(names or (*options,)):
@@ -296,6 +325,8 @@ _READ: dict[str, Callable[[Any], Any]] = {
     "unit": LengthUnit,
     "axis": lambda axis: UpAxis(axis.upper()),
     "angle": math.radians,
+    "codes": lambda lists: tuple(code for codes in lists for code in codes),
+    "severities": dict,
 }
 
 

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import Command, Parsed, common_options
+from animtool.cli.options import common_options, read_values, record_option
 from animtool.supervisor import stdin_lines
+from animtool.validation.options import ValidateOptions
 
 if TYPE_CHECKING:
-    from animtool.validation.options import ValidateOptions
     from animtool.validation.run import Report
 
 FORMATS = ("text", "json", "github", "sarif", "junit")
-
-
-def _codes(text: str) -> tuple[str, ...]:
-    return tuple(code.strip().upper() for code in text.split(",") if code.strip())
-
-
-def _codes_option(name: str, text: str) -> Callable[[Command], Command]:
-    return click.option(
-        name, type=Parsed("codes", _codes), multiple=True, metavar="CODE,…", help=text
-    )
-
-
-def _severity(text: str) -> tuple[str, str]:
-    from animtool.errors import Severity
-
-    code, equals, name = text.partition("=")
-    if not equals or not code or name not in list(Severity):
-        allowed = ", ".join(Severity)
-        raise ValueError(f"{text!r} is not CODE=SEVERITY, of which there are {allowed}")
-    return code.upper(), name
-
-
-def _jobs(text: str) -> int:
-    if not text.isdigit() or not int(text):
-        raise ValueError(f"{text!r} is no number of processes from 1 up")
-    return int(text)
 
 
 @click.command(
@@ -57,26 +31,7 @@ Examples:
   git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
 )
 @click.argument("paths", nargs=-1, required=True)
-@_codes_option(
-    "--select", "Look for these codes only; a beginning such as RIG2 means all with it."
-)
-@_codes_option(
-    "--ignore", "Leave these out. Of a code that both name, the longer one decides."
-)
-@click.option(
-    "--severity",
-    type=Parsed("severity", _severity),
-    multiple=True,
-    metavar="CODE=SEVERITY",
-    help="Take a code for an error, a warning or a note.",
-)
-@click.option(
-    "--profile",
-    default="",
-    metavar="NAME|FILE",
-    help="Severities for a delivery: asset, layer, shot, vendor, default, or your own "
-    "file.  [default: layer for a USD layer without its rig, else default]",
-)
+@record_option(ValidateOptions, "select", "ignore", "severity", "profile")
 @click.option("--strict", is_flag=True, help="End with 1 where there are warnings.")
 @click.option("--exit-zero", is_flag=True, help="End with 0 whatever is found.")
 @click.option(
@@ -99,13 +54,7 @@ Examples:
 @click.option(
     "--diff", is_flag=True, help="Show what --fix would change, and write nothing."
 )
-@click.option(
-    "-j",
-    "--jobs",
-    type=Parsed("processes", _jobs),
-    metavar="N",
-    help="Processes to share the files among.  [default: as fits]",
-)
+@record_option(ValidateOptions, "jobs")
 @click.option(
     "--format",
     "report_format",
@@ -131,17 +80,9 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     Ends with 1 where there are errors, 3 where a file cannot be read, 5 where there
     is none to check.
     """
-    from animtool.errors import Severity
-    from animtool.validation.options import ValidateOptions
     from animtool.validation.run import find_files
 
-    options = ValidateOptions(
-        tuple(code for codes in given["select"] for code in codes),
-        tuple(code for codes in given["ignore"] for code in codes),
-        {code: Severity(name) for code, name in given["severity"]},
-        given["jobs"],
-        given["profile"],
-    ).resolved()
+    options = ValidateOptions(**read_values(ValidateOptions, given)).resolved()
     _check_fix(given)
     files = find_files(_listed(paths))
     if given["diff"]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
+from animtool.options import option, options_of
 from animtool.rules import all_rules, current_codes, own_rules
 from animtool.validation.profiles import PROFILES, load_profile
 
@@ -29,11 +30,40 @@ class ValidateOptions:
             to do. More than one need a script that can be imported.
     """
 
-    select: tuple[str, ...] = ()
-    ignore: tuple[str, ...] = ()
-    severity: Mapping[str, Severity] = field(default_factory=dict)
-    jobs: int | None = 1
-    profile: str = ""
+    select: tuple[str, ...] = option(
+        (),
+        "codes",
+        "--select",
+        help="Look for these codes only; a beginning such as RIG2 means all with it.",
+    )
+    ignore: tuple[str, ...] = option(
+        (),
+        "codes",
+        "--ignore",
+        help="Leave these out. Of a code that both name, the longer one decides.",
+    )
+    severity: Mapping[str, Severity] = option(
+        MISSING,
+        "severities",
+        "--severity",
+        default_factory=dict,
+        help="Take a code for an error, a warning or a note.",
+    )
+    jobs: int | None = option(
+        1,
+        "processes",
+        "--jobs",
+        short="-j",
+        help="Processes to share the files among.  [default: as fits]",
+    )
+    profile: str = option(
+        "",
+        "text",
+        "--profile",
+        metavar="NAME|FILE",
+        help="Severities for a delivery: asset, layer, shot, vendor, default, or your "
+        "own file.  [default: layer for a USD layer without its rig, else default]",
+    )
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
     def counts(self, code: str) -> bool:
@@ -128,6 +158,8 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
 
 
 _LISTS = ("select", "ignore")
+# What a project may set, in the order of its faults.
+_SETTINGS = tuple(name for name in options_of(ValidateOptions) if name != "jobs")
 
 
 def settings_of(path: Path) -> ValidateOptions:
@@ -139,9 +171,9 @@ def settings_of(path: Path) -> ValidateOptions:
 def _options(table: Any, path: str) -> ValidateOptions:
     lists: dict[str, tuple[str, ...]] = {}
     for name in table:
-        if name not in {*_LISTS, "severity", "profile"}:
+        if name not in _SETTINGS:
             message = f"unknown setting validate.{name}"
-            hint = f"allowed: {', '.join(_LISTS)}, severity, profile"
+            hint = f"allowed: {', '.join(_SETTINGS)}"
             raise OptionError(Fault("CFG002", message, path, (), hint))
     for name in _LISTS:
         codes = table.get(name, [])
