@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Protocol
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
@@ -20,6 +20,7 @@ from animtool.documents.fields import (
     check_numbers,
     key,
 )
+from animtool.errors import Fault, counted
 
 # One name of a table, and its options.
 Named = Annotated[
@@ -75,8 +76,28 @@ class FollowedPrimModel(FileModel):
     )
 
 
+class Record(Protocol):
+    """What an entry is made into."""
+
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return the same as faults, in the same order."""
+
+
+class RecordModel(FileModel):
+    """An entry whose part is a record; this says what of it makes no sense."""
+
+    def record(self, parts: Mapping[str, Any]) -> Record:
+        """Return it, from what the keys are read as."""
+        raise NotImplementedError
+
+
 class PlacedModel(FileModel):
     """What stands somewhere, or moves."""
+
+    code: ClassVar[str] = "SIM020"  # of a place that makes no sense
 
     at: Vector = key("Where it is [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
     rotate: Quaternion = key(
@@ -194,10 +215,13 @@ class SystemSpec(FileModel):
 
     Attributes:
         methods: What its key ``method``, if it adds one, may be; ``--table`` compares
-            them, each with several steps.
+            them, each with several steps or tolerances. None is every integrator.
+        exact: The integrator that others are compared with, in finer steps; empty is
+            that of the file.
     """
 
-    methods: ClassVar[Sequence[str]] = ()
+    methods: ClassVar[Sequence[str] | None] = ()
+    exact: ClassVar[str] = ""
 
     name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = key(
@@ -221,3 +245,26 @@ class SystemSpec(FileModel):
         "birds.npz",
         default=None,
     )
+
+    @property
+    def title(self) -> str:
+        """What it is called in words."""
+        return self.name
+
+    @property
+    def reads(self) -> list[str]:
+        """What acts on it, in words; what it runs into is left out."""
+        forces = getattr(self, "forces", ())
+        return [counted(len(forces), "force")] if forces else []
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What it is made of, by kind."""
+        return {}
+
+    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
+        """Return what its keys together make no sense of, each at a key.
+
+        ``parts`` are those of a `SimContext`. Also see `build`.
+        """
+        return ()

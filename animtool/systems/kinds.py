@@ -29,14 +29,14 @@ class SystemKind:
 
 def system_kind(module: str, description: str, example: dict[str, Any]) -> SystemKind:
     """Return a kind whose module has a `Spec` and a `build`; all else is derived."""
-    derived = "animtool.scene.systems.derived"
+    scene = "animtool.scene.systems"
     return SystemKind(
         f"{module}:Spec",
         description,
         example,
-        f"{derived}:read_spec",
-        f"{derived}:open_spec",
-        f"{derived}:spec_trial",
+        f"{scene}.derived:read_spec",
+        f"{scene}.derived:open_spec",
+        f"{scene}.trial:spec_trial",
         build=f"{module}:build",
     )
 
@@ -57,13 +57,10 @@ def _springs(
 
 
 SYSTEM_KINDS: dict[str, SystemKind] = {
-    "particles": SystemKind(
-        "animtool.systems.particles.spec:ParticlesModel",
+    "particles": system_kind(
+        "animtool.systems.particles.spec",
         "Particles that are born, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
-        "animtool.scene.systems.particles:read_particles",
-        "animtool.scene.systems.particles:open_particles",
-        "animtool.scene.systems.particles:particle_trial",
     ),
     "flocks": system_kind(
         "animtool.systems.flocks",

@@ -42,8 +42,10 @@ class SimContext(Protocol):
             files, and surfaces of other systems, at any time of a step.
         parts: What other keys of its entry are read as, by key, a list for a list:
             forces, places, shapes and arrays where a `Part` marks them, a `Collider`
-            of what has a shape, and of other models such parts again, with the
-            ``poses`` of those that are placed. Plain values are in the spec alone.
+            of what has a shape, the record of a `RecordModel`, and of other models such
+            parts again, with the ``poses`` of those that are placed. Plain values are
+            in the spec alone.
+        budget: Most evaluations of a step; None is the usual one.
     """
 
     @property
@@ -61,6 +63,10 @@ class SimContext(Protocol):
     @property
     def parts(self) -> Mapping[str, Any]:
         """What other keys of its entry are read as, by key, a list for a list."""
+
+    @property
+    def budget(self) -> int | None:
+        """Most evaluations of a step; None is the usual one."""
 
 
 class Simulation(Protocol[State]):
@@ -83,6 +89,19 @@ class Simulation(Protocol[State]):
 ON_STEP = 1e-9
 
 
+# Metadata of fields of a state, so that it can be saved and resumed.
+
+
+def growing(axis: int = 0) -> dict[str, Any]:
+    """Mark a field whose arrays change their length along an axis, all alike."""
+    return {"grows": axis}
+
+
+def later(*records: type[Any]) -> dict[str, Any]:
+    """Mark a field that is None at first: later one of some records, or a number."""
+    return {"later": records}
+
+
 @dataclass(frozen=True, slots=True)
 class Reached(Generic[State]):
     """A state, and the steps that led to it."""
@@ -94,7 +113,7 @@ class Reached(Generic[State]):
 class StoppedError(ToleranceError):
     """A method that could not go on, and what it took until then."""
 
-    def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
+    def __init__(self, faults: Sequence[Fault], stats: Stats) -> None:
         super().__init__(faults)
         self.stats = stats
 

@@ -217,7 +217,7 @@ def test_keys_of_old_names_are_read_with_a_warning(tmp_path: Path) -> None:
     scene = load_scene(path)
     assert [prop.path for prop in scene.props] == ["most"]
     (system,) = scene.systems
-    assert system.setup.particles.max_particles == 7
+    assert system.setup.spec.max_particles == 7
     assert [(n.code, n.lines, n.where) for n in scene.notices] == [
         ("DOC102", (5,), "beside"),
         ("DOC102", (7,), "systems[0].particles.most"),

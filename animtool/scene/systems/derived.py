@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, cast, get_args, get_origin
 
-import numpy as np
-
-from animtool._types import FloatArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault, ToleranceError, counted
-from animtool.frames import Frame, PointsFrame, TransformsFrame
+from animtool.errors import AnimtoolError, Fault
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.entries import PLACING, EntryReader
@@ -24,12 +19,11 @@ from animtool.scene.systems.setups import SystemFacts
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
-from animtool.sim.trajectory import Status
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
 from animtool.systems.fields import (
     Part,
     PlacedModel,
     PrototypeModel,
+    RecordModel,
     SystemColliderModel,
     SystemSpec,
 )
@@ -48,15 +42,18 @@ class PartReader(EntryReader):
         """Return what the keys of a model are read as, by key; plain ones are left out.
 
         A list has one of each entry, without those that faults leave none. A model in a
-        model is such parts again, and what is placed has its ``poses`` among them.
+        model is such parts again, or its record, and what is placed has its ``poses``
+        among them.
         """
         parts: dict[str, Any] = {}
+        check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
-            parts["poses"] = self._sound(at, self._poses, model)
+            poses = self.poses(at, model, model.code)
+            parts["poses"] = self._sound(at, poses, check=check)
         for key, declared in type(model).model_fields.items():
             value = getattr(model, key)
             placing = isinstance(model, PlacedModel) and key in PLACING
-            read = self._reader(declared.annotation, declared.metadata)
+            read = self._reader(declared.annotation, declared.metadata, check=check)
             if key in skipped or placing or read is None or value is None:
                 continue
             if isinstance(value, list):
@@ -66,25 +63,44 @@ class PartReader(EntryReader):
                 parts[key] = read((*at, key), value)
         return parts
 
-    def _reader(self, annotation: Any, marks: Sequence[Any] = ()) -> Reader | None:
-        """Return what reads entries of a type; None for plain values."""
+    def _entry(self, at: Location, model: FileModel) -> Any:
+        """Return the parts of a model, or its record; None where faults leave none."""
+        parts = self.parts(at, model)
+        if not isinstance(model, RecordModel):
+            return parts
+        whole = all(part is not None for part in parts.values())
+        record = model.record(parts) if whole else None
+        return self.checked(at, record, model)
+
+    def _reader(
+        self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
+    ) -> Reader | None:
+        """Return what reads entries of a type; None for plain values.
+
+        Faults of places and shapes are noted where nothing else does.
+        """
+
+        def sound(read: Reader) -> Reader:
+            return lambda at, entry: self._sound(at, read(at, entry), check=check)
+
         readers: dict[Part, Reader] = {
             Part.ARRAY: lambda at, text: self.array(at, text, "points"),
             Part.FORCE: self.force,
-            Part.PLACE: lambda at, entry: self._sound(at, self.emitter_place, entry),
-            Part.SHAPE: lambda at, entry: self._sound(at, self.shape, entry),
+            Part.PLACE: sound(self.emitter_place),
+            Part.SHAPE: sound(self.shape),
         }
         for mark in marks:
             if isinstance(mark, Part):
                 return readers[mark]
         if get_origin(annotation) is Annotated:
-            return self._reader(annotation.__origin__, annotation.__metadata__)
+            marks = annotation.__metadata__
+            return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
             if issubclass(annotation, PrototypeModel):
                 return self.prototype
             collides = issubclass(annotation, SystemColliderModel)
-            return self.collider if collides else self.parts
-        inner = (self._reader(one) for one in get_args(annotation))
+            return self.collider if collides else self._entry
+        inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
     def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
@@ -106,18 +122,20 @@ class PartReader(EntryReader):
                 self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
         return made
 
-    def _poses(self, at: Location, model: PlacedModel) -> Any:
-        return self.poses(at, model, "SIM020")
-
-    def _sound(self, at: Location, read: Reader, entry: Any) -> Any:
-        """Return what an entry is read as, its own faults noted; None of any."""
-        part = read(at, entry)
-        if part is None:
-            self.sound = False
-            return None
-        for why in part.faults():
+    def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
+        """Return what an entry is read as, and note its own faults if asked to."""
+        self.sound &= part is not None
+        for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
         return part
+
+    def note_whole(
+        self, at: Location, model: FileModel, faults: Sequence[Fault]
+    ) -> None:
+        """Note faults of a whole entry, each at its key where that is given."""
+        for fault in faults:
+            key = fault.where
+            self.note((*at, key) if key in model.model_fields_set else at, fault)
 
 
 _AROUND = {"colliders", "characters", "systems", "meshes"}
@@ -153,15 +171,13 @@ class SpecSetup:
     @property
     def reads(self) -> tuple[str, ...]:
         """What acts on it, in words."""
-        forces = self.parts.get("forces", ())
-        acting = [counted(len(forces), "force")] if forces else []
-        return (*acting, *self.around.reads)
+        return (*self.spec.reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
         """What results from it, in words."""
-        by = f" by {self.method}" if self.spec.methods else ""
-        return f"{self.spec.name},{by} in steps of {self.spec.step:g} s"
+        by = "" if self.method == STEPS else f" by {self.method}"
+        return f"{self.spec.title},{by} in steps of {self.spec.step:g} s"
 
     @property
     def method(self) -> str:
@@ -171,7 +187,8 @@ class SpecSetup:
     @property
     def facts(self) -> SystemFacts:
         """What it is made of, in numbers."""
-        return SystemFacts({}, self.method, self.spec.step, self.around.count)
+        spec = self.spec
+        return SystemFacts(spec.counts, self.method, spec.step, self.around.count)
 
     @property
     def preroll(self) -> float:
@@ -187,6 +204,7 @@ class Context:
     last: float  # the last time that will be asked for [s]
     colliders: Colliders
     parts: Mapping[str, Any]  # what other keys are read as, by key
+    budget: int | None = None  # most evaluations of a step; None is the usual one
 
 
 def read_spec(
@@ -197,24 +215,28 @@ def read_spec(
     What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
     into, where the spec has them; other keys are read as their types say.
     """
-    reader = PartReader(document, roots)
+    outside, reader = EntryReader(document, roots), PartReader(document, roots)
 
     def entries(key: str) -> tuple[Location, Any]:
         return (*at, key), getattr(spec, key, [])
 
-    colliders = reader.colliders(*entries("colliders"))
-    characters = reader.characters(*entries("characters"))
-    surfaces = reader.surfaces(*entries("systems"))
-    meshes = reader.meshes(*entries("meshes"))
+    colliders = outside.colliders(*entries("colliders"))
+    # Systems that are named are looked for, whatever else makes no sense.
+    sound = outside.sound
+    characters = outside.characters(*entries("characters"))
+    surfaces = outside.surfaces(*entries("systems"))
+    meshes = outside.meshes(*entries("meshes"))
     parts = reader.parts(at, spec, _AROUND)
+    if reader.sound:
+        reader.note_whole(at, spec, spec.faults(parts))
     resume = None
     if spec.resume is not None:
         resume = reader.input((*at, "resume"), spec.resume)
     if spec.save is not None:
         reader.output((*at, "save"), spec.save)
-    if not reader.sound:
+    if not (sound and reader.sound):
         return None
-    followed = tuple(reader.files)
+    followed = (*outside.files, *reader.files)
     around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
     return SpecSetup(spec, around, parts, resume=resume)
 
@@ -223,7 +245,7 @@ def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[Simulati
     """Return a system at its beginning; characters are read now."""
     (member,) = members
     setup = cast(SpecSetup, member.setup)
-    run = _run(member, opening, setup.spec)
+    run = run_spec(member, opening, setup.spec)
     if setup.resume is not None:
         run.state = read_state(setup.resume, clocked(member), run.state)
     return [run]
@@ -235,7 +257,10 @@ def clocked(member: SceneSystem) -> Clocked:
     return Clocked(member.kind, -setup.preroll, setup.spec.step)
 
 
-def _run(member: SceneSystem, opening: Opening, spec: SystemSpec) -> SimulationRun:
+def run_spec(
+    member: SceneSystem, opening: Opening, spec: SystemSpec, budget: int | None = None
+) -> SimulationRun:
+    """Return a system at its beginning, by another spec than its own."""
     setup = cast(SpecSetup, member.setup)
     begin = -setup.preroll
     colliders = Colliders(*setup.around.built(opening, begin, spec.step))
@@ -243,73 +268,6 @@ def _run(member: SceneSystem, opening: Opening, spec: SystemSpec) -> SimulationR
         Callable[[SystemSpec, Context], Simulation[Any]],
         load_object(SYSTEM_KINDS[member.kind].build),
     )
-    simulation = build(spec, Context(begin, opening.last, colliders, setup.parts))
+    context = Context(begin, opening.last, colliders, setup.parts, budget)
+    simulation = build(spec, context)
     return SimulationRun(member.name, simulation, begin, spec.step)
-
-
-def _shot(frame: Frame) -> Shot:
-    """Return what a table compares of a frame."""
-    if isinstance(frame, TransformsFrame):
-        arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
-        sizes = np.abs(frame.scales).max(initial=0.0)
-        reach = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
-        return Shot(frame.points, frame.ids, frame.rotations, reach)
-    ids = frame.ids if isinstance(frame, PointsFrame) else None
-    return Shot(frame.points, ids)
-
-
-def spec_trial(
-    members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
-) -> SpecTrial:
-    """Return a system that can be simulated with several steps."""
-    (member,) = members
-    return SpecTrial(member, rebuild, times)
-
-
-class SpecTrial:
-    """A system with the method and the step of its file, and with others."""
-
-    def __init__(
-        self, member: SceneSystem, rebuild: Callable[[], Opening], times: FloatArray
-    ) -> None:
-        setup = cast(SpecSetup, member.setup)
-        spec = self._spec = setup.spec
-        self.name, self.kind = member.name, member.kind
-        self.span = float(times[-1]) + spec.preroll
-        self.chosen = Setting.of(setup.method, step=spec.step)
-        self._member, self._rebuild, self._times = member, rebuild, times
-
-    def settings(self) -> list[Setting]:
-        """Return each method with several steps."""
-        methods = self._spec.methods or [self.chosen.method]
-        return [one for name in methods for one in stepwise(name, self._spec.step)]
-
-    def references(self) -> list[list[Setting]]:
-        """Return finer and finer steps of the method of the file."""
-        return [stepwise(self.chosen.method, self._spec.step, FINER)]
-
-    def run(self, setting: Setting) -> Outcome:
-        """Simulate it in one way."""
-        changes: dict[str, Any] = dict(setting.options)
-        if self._spec.methods:
-            changes["method"] = setting.method
-        spec = self._spec.model_copy(update=changes)
-        run = _run(self._member, self._rebuild(), spec)
-        began = time.perf_counter()
-        shots, energies, status, reason = [], [], Status.OK, ""
-        try:
-            for t in self._times.tolist():
-                frame = run.at(t)
-                shots.append(_shot(frame))
-                energies.append(run.diagnostics.energy)
-        except ToleranceError as error:
-            status, reason = Status.UNSTABLE, error.faults[0].message
-        known = [energy for energy in energies if energy is not None]
-        return Outcome(
-            time.perf_counter() - began,
-            run.taken,
-            shots,
-            status,
-            reason,
-            energies=known if len(known) == len(shots) else None,
-        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -32,6 +32,7 @@ from animtool.systems.fields import (
     MovingMeshModel,
     Named,
     PlacedModel,
+    Record,
     SystemColliderModel,
     SystemSurfaceModel,
 )
@@ -48,7 +49,8 @@ SHAPES: dict[str, type[Any]] = {
 }
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
-Record = TypeVar("Record")
+Kind = TypeVar("Kind")
+RecordT = TypeVar("RecordT", bound=Record)
 
 
 class NamedCharacter(Protocol):
@@ -93,18 +95,17 @@ class EntryReader:
         return place_of_entry(self.document, at, model)
 
     def checked(
-        self, at: Location, make: Callable[[Location, Any], Record | None], model: Any
-    ) -> Record | None:
-        """Return what is made of an entry, its own faults noted at their keys."""
-        made: Any = make(at, model)
-        if made is None:
+        self, at: Location, record: RecordT | None, model: FileModel
+    ) -> RecordT | None:
+        """Return what an entry is made into, its own faults noted at their keys."""
+        if record is None:
             self.sound = False
             return None
-        faults = zip(made.problems(), made.faults(""), strict=True)
+        faults = zip(record.problems(), record.faults(""), strict=True)
         for (option, _), fault in faults:
             named = option in model.model_fields_set
             self.note((*at, option) if named else at, fault)
-        return made  # type: ignore[no-any-return]
+        return record
 
     def colliders(
         self, at: Location, models: Sequence[SystemColliderModel]
@@ -115,7 +116,7 @@ class EntryReader:
 
     def collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         """Return the collider of an entry that makes sense."""
-        return self.checked(at, self._collider, model)
+        return self.checked(at, self._collider(at, model), model)
 
     def _collider(self, at: Location, model: SystemColliderModel) -> Collider | None:
         shape = self.shape((*at, "shape"), model.shape)
@@ -294,8 +295,8 @@ class EntryReader:
         return self.record((*at, name), table[name], given or {}, name)
 
     def record(
-        self, at: Location, kind: type[Record], given: dict[str, Any], name: str
-    ) -> Record | None:
+        self, at: Location, kind: type[Kind], given: dict[str, Any], name: str
+    ) -> Kind | None:
         """Return a record of options, all of which are checked."""
         names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
         unknown = [key for key in given if key not in names]

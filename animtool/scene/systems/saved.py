@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, listed
 from animtool.output import replacing
 from animtool.placing import output_error
 from animtool.systems.simulation import Reached
@@ -45,7 +45,7 @@ def write_state(path: Path, clocked: Clocked, reached: Reached[Any]) -> None:
         "clock": np.array(head),
     }
     state = _arrays(reached.state)
-    arrays["state"] = np.array(_names(state))
+    arrays["state"] = np.array(_listed(state))
     arrays |= {f"state/{name}": rows for name, rows in state.items()}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
@@ -90,24 +90,64 @@ def _read(
         message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
         message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
         raise other(message, "keep the step and the pre-roll that it was saved with")
-    like = _arrays(start.state)
+    like, marks = _arrays(start.state), _Marks()
+    _mark(start.state, marks)
     held = archives.text(path, "state")
-    if held != _names(like):
-        raise other(f"its state has {held}, and the scene's {_names(like)}")
+    names = sorted({*like, *(n for n in held.split(", ") if marks.is_later(n))})
+    if held != _listed(names):
+        raise other(f"its state has {held}, and the scene's {_listed(like)}")
     found: _Arrays = {}
-    for name, rows in like.items():
-        values = archives.stored(path, f"state/{name}")
-        if values.shape != rows.shape or values.dtype.kind != rows.dtype.kind:
+    lengths = set()
+    for name in names:
+        values = found[name] = archives.stored(path, f"state/{name}")
+        rows, axis = like.get(name, values), marks.axes.get(name)
+        shape = list(rows.shape)
+        if axis is not None and values.ndim == rows.ndim:
+            shape[axis] = values.shape[axis]
+            lengths.add(shape[axis])
+        if values.shape != (*shape,) or values.dtype.kind != rows.dtype.kind:
             message = f"{name} is {values.dtype} of shape {values.shape}, and in the "
             raise other(f"{message}scene {rows.dtype} of shape {rows.shape}")
-        if rows.dtype.kind == "f" and not np.isfinite(values).all():
+        # Who lives for ever has a death that is infinite.
+        sound = np.isfinite(values) if axis is None else ~np.isnan(values)
+        if rows.dtype.kind == "f" and not sound.all():
             raise other(f"{name} holds a value that is not finite")
         found[name] = values.astype(rows.dtype)
-    return Reached(int(steps), _restored(start.state, found))
+    if len(lengths) > 1:
+        raise other(f"its arrays have {listed(sorted(lengths))} rows, not all the same")
+    try:
+        return Reached(int(steps), _restored(start.state, found, marks))
+    except TypeError as error:
+        raise other(f"its state has {held}: {error}") from error
 
 
-def _names(arrays: _Arrays) -> str:
-    return ", ".join(sorted(arrays)) or "nothing"
+@dataclass(frozen=True, slots=True)
+class _Marks:
+    """What fields of a state declare, by name."""
+
+    axes: dict[str, int] = field(default_factory=dict)  # `growing`
+    later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
+
+    def is_later(self, name: str) -> bool:
+        """Return whether an array is of a part that the first state lacks."""
+        return any(f"{name}.".startswith(f"{above}.") for above in self.later)
+
+
+def _mark(state: Any, marks: _Marks, above: str = "", axis: int | None = None) -> None:
+    """Note what the fields of a state declare; of a growing record all arrays grow."""
+    if axis is not None:
+        marks.axes[above] = axis
+    declared = fields(state) if is_dataclass(state) else ()
+    for entry in declared:
+        name = f"{above}.{entry.name}" if above else entry.name
+        if "later" in entry.metadata:
+            marks.later[name] = entry.metadata["later"]
+        grows = entry.metadata.get("grows", axis)
+        _mark(getattr(state, entry.name), marks, name, grows)
+
+
+def _listed(names: Collection[str]) -> str:
+    return ", ".join(sorted(names)) or "nothing"
 
 
 def _arrays(state: Any, above: str = "") -> _Arrays:
@@ -132,15 +172,38 @@ def _parts(state: Any) -> dict[str, Any]:
     return {entry.name: getattr(state, entry.name) for entry in fields(state)}
 
 
-def _restored(like: Any, arrays: _Arrays, above: str = "") -> Any:
+def _restored(like: Any, arrays: _Arrays, marks: _Marks, above: str = "") -> Any:
     """Return a state like one, of other arrays."""
+    if above in marks.later:
+        return _part(arrays, marks.later[above], above)
     if like is None:
         return None
     if isinstance(like, Mapping) or is_dataclass(like):
         parts = {
-            name: _restored(part, arrays, f"{above}.{name}" if above else name)
+            name: _restored(part, arrays, marks, f"{above}.{name}" if above else name)
             for name, part in _parts(like).items()
         }
         return replace(like, **parts) if is_dataclass(like) else parts  # type: ignore[type-var]
     array = arrays[above]
     return array if isinstance(like, np.ndarray) else type(like)(array.item())
+
+
+def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
+    """Return a part that the first state lacks; None where these arrays do, too.
+
+    Raises:
+        TypeError: It is neither a number nor one of the records.
+    """
+    held = {
+        name.removeprefix(f"{above}."): values if values.ndim else values.item()
+        for name, values in arrays.items()
+        if name == above or name.startswith(f"{above}.")
+    }
+    if not held:
+        return None
+    if not records and isinstance(held.get(above), float):
+        return held[above]
+    for record in records:
+        if {entry.name for entry in fields(record)} == held.keys():
+            return record(**held)
+    raise TypeError(f"{above} is of another method")

@@ -19,7 +19,7 @@ LARGEST_RATIO = 2.4
 
 
 @dataclass(frozen=True, slots=True)
-class _Before:
+class Before:
     """The step before: where it began and how long it was [s]."""
 
     state: FloatArray
@@ -69,13 +69,14 @@ def bdf2(
 ) -> Step | None:
     """Return where a step leads; the first, with none before it, as implicit Euler."""
     base, scale = y, h
-    if isinstance(memory, _Before) and 0 < h / memory.h <= LARGEST_RATIO:
-        ratio = h / memory.h
+    known = memory if isinstance(memory, Before) else Before(y, 0.0)
+    if known.h > 0 and known.state.shape == y.shape and h / known.h <= LARGEST_RATIO:
+        ratio = h / known.h
         share = 1 / (1 + 2 * ratio)
-        base = (share * (1 + ratio) ** 2) * y - (share * ratio**2) * memory.state
+        base = (share * (1 + ratio) ** 2) * y - (share * ratio**2) * known.state
         scale = h * (1 + ratio) * share
     state = solve_stage(equations, t + h, base, y, scale)
-    return None if state is None else Step(state, _Before(y, h))
+    return None if state is None else Step(state, Before(y, h))
 
 
 BDF2 = Integrator(

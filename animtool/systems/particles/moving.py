@@ -103,7 +103,8 @@ class Moved:
     """Particles at the end of a step."""
 
     state: FloatArray  # positions, then velocities ``(2, N, 3)``
-    checkpoint: Checkpoint  # what the method takes along
+    memory: object  # what the method takes along
+    trial: float | None  # the step to try next [s]
     contacts: Contacts | None  # what they met; None where there is nothing to meet
 
 
@@ -138,16 +139,17 @@ class Mover:
         self,
         particles: ParticleState,
         state: FloatArray,
-        checkpoint: Checkpoint | None,
+        memory: object,
+        trial: float | None,
         now: float,
         until: float,
     ) -> Moved:
         """Return particles after a step.
 
-        ``state`` ``(2, N, 3)``, ``now`` [s], ``until`` [s].
+        ``state`` ``(2, N, 3)``, ``trial`` [s], ``now`` [s], ``until`` [s].
         """
         system = particle_system(self._setup, self._colliders, particles, state)
-        begin = checkpoint or Checkpoint(now, system.state)
+        begin = Checkpoint(now, system.state, memory, trial)
         with np.errstate(all="ignore"):
             self._watch.look_at(particles, state)
             self._look_at_steps(system, begin.state, now, until)
@@ -164,7 +166,8 @@ class Mover:
             # Of colliders that change their shape nobody knows how fast they are.
             driven = met.colliders >= len(self._colliders)
             self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
-        return Moved(end, checkpoint_of(run, status, until, run.state), system.contacts)
+        after = checkpoint_of(run, status, until, run.state)
+        return Moved(end, after.memory, after.trial, system.contacts)
 
     def _run(
         self, system: ParticleForces | ParticleFlow, begin: Checkpoint, until: float

@@ -7,7 +7,7 @@ not act on others before the next step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from animtool.sim.checks import check_start
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch, collide
 from animtool.sim.equations import Equations
 from animtool.sim.integrators import find_integrator
+from animtool.sim.integrators.implicit import Before
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.system import Energy
-from animtool.sim.trajectory import Checkpoint
 from animtool.systems.particles.moving import Mover
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
@@ -30,7 +30,13 @@ from animtool.systems.particles.system import (
     accelerations,
     particle_system,
 )
-from animtool.systems.simulation import Diagnostics, Reached, SimulationRun
+from animtool.systems.simulation import (
+    Diagnostics,
+    Reached,
+    SimulationRun,
+    growing,
+    later,
+)
 
 
 def spawned(
@@ -80,12 +86,15 @@ _NONE = np.zeros((2, 0, 3))
 class ParticleRunState:
     """Where a simulation stands at the end of a step, to go on from."""
 
-    particles: ParticleState  # who lives
-    state: FloatArray  # positions, then velocities ``(2, N, 3)``
+    particles: ParticleState = field(metadata=growing())  # who lives
+    # Positions, then velocities ``(2, N, 3)``.
+    state: FloatArray = field(metadata=growing(1))
     born: int = 0  # how many were born so far
     missed: int = 0  # how many were not, for want of room
     # What the method takes along, as long as the same particles live.
-    checkpoint: Checkpoint | None = None
+    memory: object = field(default=None, metadata=later(Before))
+    # The step to try next [s].
+    trial: float | None = field(default=None, metadata=later())
 
 
 class ParticleSimulation:
@@ -128,7 +137,7 @@ class ParticleSimulation:
         if not np.isfinite(state.state).all():
             system = self._system(state)
             check_start(Equations(system), until, system.state)
-        return replace(state, checkpoint=None)
+        return replace(state, memory=None, trial=None)
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
         setup, colliders = self.setup, self.colliders
@@ -139,12 +148,12 @@ class ParticleSimulation:
     ) -> ParticleRunState:
         said = len(self._mover.notices)
         moved = self._mover.moved(
-            state.particles, state.state, state.checkpoint, now, until
+            state.particles, state.state, state.memory, state.trial, now, until
         )
         self._notices += self._mover.notices[said:]
         self.contacts = moved.contacts
         self._say_held(state.particles, until)
-        return replace(state, state=moved.state, checkpoint=moved.checkpoint)
+        return replace(state, state=moved.state, memory=moved.memory, trial=moved.trial)
 
     def _with_born(
         self, state: ParticleRunState, after: float | None, now: float, until: float

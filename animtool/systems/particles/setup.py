@@ -110,10 +110,7 @@ class Particles:
                 for option, why in force.faults()
             ]
         if self.velocity is not None:
-            found += [
-                Fault("SIM022", f"its {option} {why}", where="velocity")
-                for option, why in self.velocity.faults()
-            ]
+            found += self.velocity.faults("velocity")
         for what, given in (
             ("colliders", self.colliders),
             ("kills", [kill.region for kill in self.kills]),

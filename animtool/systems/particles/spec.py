@@ -1,29 +1,42 @@
-"""The keys of particles in a scene file, as models."""
+"""The keys of particles in a scene file, as models, and the records of them."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from annotated_types import Gt, Le, Len
 from pydantic import Field
 
-from animtool.documents.check import FileModel
 from animtool.documents.fields import Pair, Real, Vector, Whole, key
+from animtool.errors import Fault, OptionError, counted
 from animtool.systems.fields import (
     CharacterModel,
     ForceEntry,
     MovingMeshModel,
     PlacedModel,
     PlaceEntry,
-    Preroll,
     PrimName,
+    RecordModel,
     SystemColliderModel,
+    SystemSpec,
     SystemSurfaceModel,
 )
 
+if TYPE_CHECKING:
+    from animtool.systems.particles.emitter import Emitter
+    from animtool.systems.particles.run import ParticleSimulation
+    from animtool.systems.particles.setup import Particles
+    from animtool.systems.particles.velocity_field import VelocityField
+    from animtool.systems.simulation import SimContext
 
-class EmitterModel(PlacedModel):
+
+class EmitterModel(PlacedModel, RecordModel):
     """What makes particles."""
+
+    code: ClassVar[str] = "SIM021"
 
     name: str = key("For messages.", "embers", default="")
     place: PlaceEntry = key(
@@ -66,17 +79,37 @@ class EmitterModel(PlacedModel):
     charge: Real = key("Their charge [C].", 1e-6, default=0.0)
     seed: Whole = key("Of what is random about them.", 7, default=0)
 
+    def record(self, parts: Mapping[str, Any]) -> Emitter:
+        """Return what makes them; what is not given is without end."""
+        from animtool.systems.particles.emitter import Emitter
 
-class VelocityModel(FileModel):
+        own = self.model_dump(exclude={*PlacedModel.model_fields, "place"})
+        own["bursts"] = [(when, int(count)) for when, count in self.bursts]
+        own["spread"] = math.radians(self.spread)
+        endless = {"start": -math.inf, "end": math.inf, "lifetime": math.inf}
+        own |= {name: end for name, end in endless.items() if own[name] is None}
+        return Emitter(place=parts["place"], poses=parts["poses"], **own)
+
+
+class VelocityModel(RecordModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
     x: str = key("Along x [m/s].", "-z", default="0")
     y: str = key("Along y [m/s].", "0.2", default="0")
     z: str = key("Along z [m/s].", "x", default="0")
 
+    def record(self, parts: Mapping[str, Any]) -> VelocityField:  # noqa: ARG002
+        """Return the field."""
+        from animtool.systems.particles.velocity_field import VelocityField
 
-class ParticlesModel(FileModel):
+        return VelocityField(self.x, self.y, self.z)
+
+
+class ParticlesModel(SystemSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
+
+    methods: ClassVar[Sequence[str] | None] = None
+    exact: ClassVar[str] = "rk4"
 
     name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = key(
@@ -125,7 +158,64 @@ class ParticlesModel(FileModel):
         1e-5,
         default=None,
     )
-    preroll: Preroll = 0.0
     max_particles: Annotated[Whole, Gt(0), Le(10**7)] = key(
         "Particles at once.", 5000, default=1_000_000
     )
+
+    @property
+    def title(self) -> str:
+        """What they are called in words."""
+        return "particles"
+
+    @property
+    def reads(self) -> list[str]:
+        """What acts on them, in words."""
+        field = ["a velocity field"] if self.velocity else []
+        return [counted(len(self.emitters), "emitter"), *super().reads, *field]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What they are made of, by kind."""
+        return {
+            "emitters": len(self.emitters),
+            "forces": len(self.forces),
+            "max_particles": self.max_particles,
+        }
+
+    def setup(self, parts: Mapping[str, Any]) -> Particles:
+        """Return what they are made of, without what they run into."""
+        from animtool.sim.options import IntegrateOptions
+        from animtool.systems.particles.setup import KillRegion, Particles
+
+        return Particles(
+            parts["emitters"],
+            parts["forces"],
+            parts.get("velocity"),
+            kills=[KillRegion(region) for region in parts["kill"]],
+            options=IntegrateOptions(self.method, self.step, self.tolerance),
+            max_particles=self.max_particles,
+            name=self.name,
+        )
+
+    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
+        """Return what makes no sense together (SIM001, SIM004, SIM005, SIM024)."""
+        try:
+            self.setup(parts).check()
+        except OptionError as error:
+            return [replace(one, where=one.where or "method") for one in error.faults]
+        return ()
+
+
+Spec = ParticlesModel
+
+
+def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
+    """Return particles at their beginning; what moves them is imported now."""
+    from animtool.systems.particles.run import ParticleSimulation
+
+    setup, around = spec.setup(context.parts), context.colliders
+    setup = replace(setup, colliders=around[:], sheets=around.sheets)
+    if context.budget is not None:
+        options = replace(setup.options, budget=context.budget)
+        setup = replace(setup, options=options)
+    return ParticleSimulation(setup, context.begin)

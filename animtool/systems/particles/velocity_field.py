@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.errors import Fault
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.state import ParticleState
 
@@ -41,9 +42,14 @@ class VelocityField:
         """Return velocities at places ``(N, 3)`` [m/s]."""
         return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
 
-    def faults(self) -> list[tuple[str, str]]:
+    def problems(self) -> list[tuple[str, str]]:
         """Return which of the three makes no sense, and why."""
-        return expression_faults(self, _OF_PLACE)
+        faults = expression_faults(self, _OF_PLACE)
+        return [(axis, f"its {axis} {why}") for axis, why in faults]
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense (SIM022)."""
+        return [Fault("SIM022", why, where=where) for _, why in self.problems()]
 
 
 def evaluated(

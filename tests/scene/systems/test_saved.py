@@ -10,6 +10,13 @@ import pytest
 from numpy.testing import assert_array_equal
 from pxr import Usd, UsdGeom
 from support.cli import animtool
+from support.simulated import Simulator
+
+from animtool.errors import FormatError
+from animtool.scene.systems.derived import clocked
+from animtool.scene.systems.saved import write_state
+from animtool.scene.systems.simulation import open_systems
+from animtool.systems.simulation import SimulationRun
 
 SCENE = """\
 scene: animtool/1
@@ -140,3 +147,64 @@ def test_a_state_of_another_system_is_refused(tmp_path: Path, case: str) -> None
     assert "SIM035" in done.stderr
     assert word in done.stderr
     assert not (tmp_path / "two.usdc").exists()
+
+
+BURST = {"place": {"disc": {"radius": 0.3}}, "bursts": [[0, 4]], "speed": 1, "mass": 1}
+STREAM = {**BURST, "rate": 90, "lifetime": 0.2, "lifetime_spread": 0.1}
+
+
+def opened(folder: Path, **keys: Any) -> SimulationRun:
+    """Return particles under way; a state of theirs is saved after some steps."""
+    keys = {"forces": [{"spring": {"k": 20}}], "step": 0.01, **keys}
+    (system,) = Simulator(folder).scene([{"particles": keys}]).systems
+    (run,) = open_systems([system], 0.5)
+    assert isinstance(run, SimulationRun)
+    if "resume" not in keys:
+        run.at(0.253)
+        write_state(folder / "half.npz", clocked(system), run.state)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("method", "emitter"),
+    [("midpoint", STREAM), ("bdf2", BURST), ("rk45", BURST), ("rk45", STREAM)],
+)
+def test_particles_that_come_and_go_are_gone_on_with(
+    tmp_path: Path, method: str, emitter: dict[str, Any]
+) -> None:
+    keys = {"emitters": [emitter], "method": method}
+    whole = opened(tmp_path, **keys)
+    rest = opened(tmp_path, **keys, resume="half.npz")
+    assert rest.state.steps == 25
+    for t in (0.253, 0.5):
+        one, again = whole.at(t), rest.at(t)
+        assert len(one.ids)
+        for name in ("ids", "points", "velocities", "radii"):
+            assert_array_equal(getattr(one, name), getattr(again, name))
+        assert_array_equal(one.primvars["age"], again.primvars["age"])
+
+
+STATES = {
+    "one too many": ({"state/particles.ids": np.arange(5)}, "4, 5 rows"),
+    "other columns": ({"state/state": np.zeros((2, 4, 2))}, "shape (2, 4, 2)"),
+    "NaN": ({"state/particles.deaths": np.full(4, np.nan)}, "not finite"),
+    "what another method takes along": (
+        {"state/memory.k": np.zeros(4), "state/memory.h": None}, "memory.k",
+    ),
+    "no number": ({"state/trial": np.zeros(4)}, "trial"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STATES)
+def test_a_state_that_fits_no_particles_is_refused(tmp_path: Path, case: str) -> None:
+    changes, word = STATES[case]
+    keys = {"emitters": [BURST], "method": "bdf2"}
+    opened(tmp_path, **keys)
+    path = tmp_path / "half.npz"
+    other(path, **changes)
+    with np.load(path) as found:
+        names = [name.removeprefix("state/") for name in found if "/" in name]
+    other(path, state=np.array(", ".join(sorted(names))))
+    with pytest.raises(FormatError, match="SIM035") as error:
+        opened(tmp_path, **keys, resume="half.npz")
+    assert word in error.value.faults[0].message

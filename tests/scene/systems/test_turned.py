@@ -55,7 +55,7 @@ def scene(folder: Path, text: str) -> Path:
 
 def poses(folder: Path, keys: str) -> Poses:
     setup = load_scene(scene(folder, PARTICLES % STILL + BAT % keys)).systems[0].setup
-    return setup.particles.colliders[0].poses
+    return setup.around.colliders[0].poses
 
 
 def points(folder: Path) -> np.ndarray:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.simulated import Simulator
 
 from animtool.errors import OptionError
-from animtool.sim.colliders import Collider, Plane, Poses
-from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialRow, measure
-from animtool.sim.trials.trial import Setting
-from animtool.systems.particles import Emitter, Particles, find_force
-from animtool.systems.particles.trial import ParticleTrial
+from animtool.sim.trials.trial import Setting, Trial
+
+FLOOR = [{"shape": {"plane": {}}, "at": [0, -5, 0]}]
 
 
 @pytest.fixture(autouse=True)
@@ -25,38 +24,33 @@ def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
 
 
-def force(name: str, **options: Any) -> Any:
-    return find_force(name)(**options)
+def orbits(count: int = 2, mass: float = 1.0, **given: Any) -> dict[str, Any]:
+    """Return keys of particles around a centre."""
+    emitter = {
+        "at": [1, 0, 0],
+        "bursts": [[0, count]],
+        "direction": [0, 0, 1],
+        "speed": 0.9,
+        "speed_spread": 0.1,
+        "mass": mass,
+    }
+    forces = [{"central": {"strength": 1}}]
+    return {"emitters": [emitter], "forces": forces, "step": 0.02, **given}
 
 
-def orbits(count: int = 2, mass: float = 1.0, **given: Any) -> Particles:
-    """Return particles around a centre."""
-    emitter = Emitter(
-        poses=Poses.fixed([1, 0, 0]),
-        bursts=[(0.0, count)],
-        direction=[0, 0, 1],
-        speed=0.9,
-        speed_spread=0.1,
-        mass=mass,
-    )
-    forces = given.pop("forces", [force("central", strength=1.0)])
-    options = IntegrateOptions("midpoint", step=0.02)
-    return Particles([emitter], forces, **{"options": options, **given})
-
-
-def trial(setup: Particles, seconds: float = 0.5, frames: int = 6) -> ParticleTrial:
-    def made(options: IntegrateOptions | None) -> Particles:
-        return replace(setup, options=options or setup.options)
-
-    return ParticleTrial(made, 0.0, np.linspace(0, seconds, frames))
+def trial(
+    folder: Path, keys: dict[str, Any], seconds: float = 0.5, frames: int = 6
+) -> Trial:
+    times = np.linspace(0, seconds, frames).tolist()
+    return Simulator(folder).trial([{"particles": keys}], times)
 
 
 def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
     return [row for row in rows if row.setting.method == method]
 
 
-def test_errors_go_with_the_order_of_each_method() -> None:
-    table = measure(trial(orbits()))
+def test_errors_go_with_the_order_of_each_method(tmp_path: Path) -> None:
+    table = measure(trial(tmp_path, orbits()))
     assert table.reference is not None
     assert not table.reference.sensitive
     for method, order in (
@@ -76,43 +70,46 @@ def test_errors_go_with_the_order_of_each_method() -> None:
     assert all(row.steps > 0 for row in table.rows if row.status is Status.OK)
 
 
-def test_tolerances_are_tried_of_methods_that_choose_their_steps() -> None:
-    found = trial(orbits()).settings()
+def test_methods_that_choose_their_steps_have_tolerances(
+    tmp_path: Path,
+) -> None:
+    found = trial(tmp_path, orbits()).settings()
     tried = [setting.options for setting in found if setting.method == "rk45"]
     assert tried == [
         (("step", 0.08), ("tolerance", value)) for value in (1e-4, 1e-6, 1e-8)
     ]
-    own = IntegrateOptions("rk45", step=0.02, tolerance=1e-3)
-    ours = trial(orbits(options=own))
+    own = orbits(method="rk45", tolerance=1e-3)
+    ours = trial(tmp_path, own)
     assert ours.chosen == Setting("rk45", (("step", 0.02), ("tolerance", 1e-3)))
     assert ours.chosen in ours.settings()
 
 
-def test_energy_is_told_where_nothing_takes_or_brings_it() -> None:
+def test_energy_is_told_where_nothing_takes_or_brings_it(tmp_path: Path) -> None:
     drifts = []
     for method in ("euler", "symplectic_euler"):
-        done = trial(orbits(), 6.0).run(Setting(method, (("step", 0.01),)))
+        done = trial(tmp_path, orbits(), 6.0).run(Setting(method, (("step", 0.01),)))
         assert done.energies is not None
         assert len(done.energies) == 6
         drifts.append(done.energies[-1].total - done.energies[0].total)
     assert drifts[0] > 10 * abs(drifts[1])
     for setup in (
-        orbits(colliders=[Collider(Plane(), Poses.fixed([0, -5, 0]))]),
-        orbits(forces=[force("drag", linear=0.1)]),
-        orbits(forces=[force("spring", anchor=[0, 0, 0], k=1.0, kd=0.5)]),
+        orbits(colliders=FLOOR),
+        orbits(forces=[{"drag": {"linear": 0.1}}]),
+        orbits(forces=[{"spring": {"anchor": [0, 0, 0], "k": 1, "kd": 0.5}}]),
     ):
-        done = trial(setup).run(trial(setup).chosen)
+        done = trial(tmp_path, setup).run(trial(tmp_path, setup).chosen)
         assert done.energies is None
 
 
-def test_a_stiff_spring_blows_up_and_says_which_step_is_stable() -> None:
+def test_a_stiff_spring_blows_up_and_says_which_step_is_stable(tmp_path: Path) -> None:
     # ω is 100 / s: semi-implicit Euler is stable up to 0.02 s.
     setup = orbits(
         mass=0.001,
-        forces=[force("spring", anchor=[0, 0, 0], k=10.0)],
-        options=IntegrateOptions("implicit_euler", step=0.03),
+        forces=[{"spring": {"anchor": [0, 0, 0], "k": 10}}],
+        method="implicit_euler",
+        step=0.03,
     )
-    table = measure(trial(setup, 0.96, 3))
+    table = measure(trial(tmp_path, setup, 0.96, 3))
     explicit = rows_of(table.rows, "symplectic_euler")
     lost = [row for row in explicit if row.status is Status.UNSTABLE]
     assert [dict(row.setting.options)["step"] for row in lost] == [0.12, 0.06, 0.03]
@@ -121,15 +118,13 @@ def test_a_stiff_spring_blows_up_and_says_which_step_is_stable() -> None:
     assert all(row.status is Status.OK for row in calm)
 
 
-def test_particles_that_come_and_go_are_compared_by_their_ids() -> None:
-    emitter = Emitter(rate=200, speed=2, spread=0.3, lifetime=0.2, lifetime_spread=0.1)
-    setup = Particles(
-        [emitter],
-        [force("gravity")],
-        colliders=[Collider(Plane(), Poses.fixed([0, 0, 0]), restitution=0.5)],
-        options=IntegrateOptions("midpoint", step=0.02),
-    )
-    table = measure(trial(setup, 0.6, 8))
+def test_particles_that_come_and_go_are_compared_by_their_ids(tmp_path: Path) -> None:
+    emitter = {"rate": 200, "speed": 2, "spread": math.degrees(0.3)}
+    emitter |= {"lifetime": 0.2, "lifetime_spread": 0.1}
+    floor = {"shape": {"plane": {}}, "restitution": 0.5}
+    setup: dict[str, Any] = {"emitters": [emitter], "forces": [{"gravity": {}}]}
+    setup |= {"colliders": [floor], "step": 0.02}
+    table = measure(trial(tmp_path, setup, 0.6, 8))
     (chosen,) = [row for row in table.rows if row.chosen]
     assert chosen.error is not None
     assert chosen.error.apart == 0
@@ -137,11 +132,11 @@ def test_particles_that_come_and_go_are_compared_by_their_ids() -> None:
     assert table.points > 20
 
 
-def test_what_cannot_serve_them_is_left_out() -> None:
-    ours = trial(orbits(40))
+def test_what_cannot_serve_them_is_left_out(tmp_path: Path) -> None:
+    ours = trial(tmp_path, orbits(40))
     ours.run(ours.chosen)
     with pytest.raises(OptionError, match="120 unknowns"):
         ours.run(Setting("radau", (("step", 0.02), ("tolerance", 1e-6))))
-    stopped = trial(orbits(colliders=[Collider(Plane(), Poses.fixed([0, -5, 0]))]))
+    stopped = trial(tmp_path, orbits(colliders=FLOOR))
     with pytest.raises(OptionError, match="cannot stop for contacts"):
         stopped.run(Setting("dop853", (("step", 0.02), ("tolerance", 1e-6))))
