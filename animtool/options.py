@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
-from typing import Any, Literal, TypeAlias, get_type_hints
+from typing import Any, ClassVar, Literal, TypeAlias, get_type_hints
 
 from animtool.errors import Fault
 
@@ -162,7 +162,7 @@ OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a number may be. None is always in range; NaN never is."""
+    """What a number, or each of a vector, may be. None is in range; NaN never is."""
 
     bound: str  # in words, as in "must be above 0"
     code: str
@@ -170,11 +170,16 @@ class Range:
     most: float = math.inf
     reached: bool = True  # whether the least is in range itself
     finite: bool = False  # whether infinity is out of range
+    count: int = 0  # numbers of a vector; 0 is a number
 
-    def holds(self, value: float | None) -> bool:
-        """Return whether a number is in range."""
+    def holds(self, value: Any) -> bool:
+        """Return whether a number, or a vector, is in range."""
         if value is None:
             return True
+        values = value if self.count else (value,)
+        return len(values) == (self.count or 1) and all(map(self._holds, values))
+
+    def _holds(self, value: float) -> bool:
         inside = self.least <= value <= self.most
         if self.finite and not math.isfinite(value):
             return False
@@ -242,6 +247,23 @@ must be above 1, not 1']
     for name, allowed in ranges_of(kind).items():
         value = getattr(record, name)
         if not allowed.holds(value):
-            text = message.format(name=name, bound=allowed.bound, value=value)
+            words = message.partition(", not ")[0] if allowed.count else message
+            text = words.format(name=name, bound=allowed.bound, value=value)
             faults.append(Fault(allowed.code, text, where=name))
     return faults
+
+
+class Checked:
+    """A record of an entry that says what of it makes no sense."""
+
+    __slots__ = ()
+    code: ClassVar[str]
+
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+        faults = range_faults(self, OF_ENTRY)
+        return [(str(fault.where), fault.message) for fault in faults]
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense, as faults of one code."""
+        return [Fault(self.code, why, where=where) for _, why in self.problems()]

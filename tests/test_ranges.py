@@ -17,6 +17,11 @@ RANGES = {
     "at least": (at_least(1, "SIM004"), [1, math.inf, None], [0.5, math.nan]),
     "finite": (or_more(0, "SIM004", finite=True), [0, 1e300], [math.inf, math.nan]),
     "most": (Range("0 to 1", "SIM004", 0, 1), [0, 0.5, 1], [-0.1, 1.1, math.nan]),
+    "vector": (
+        Range("two numbers of 0 or more", "SIM004", 0, finite=True, count=2),
+        [(0, 1), [2.0, 0.5], None],
+        [(0, -1), (math.nan, 1), (1, math.inf), (1,), (1, 2, 3)],
+    ),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
@@ -21,6 +21,7 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.errors import Fault, counted
+from animtool.options import Checked
 
 # One name of a table, and its options.
 Named = Annotated[
@@ -76,20 +77,10 @@ class FollowedPrimModel(FileModel):
     )
 
 
-class Record(Protocol):
-    """What an entry is made into."""
-
-    def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
-
-    def faults(self, where: str) -> list[Fault]:
-        """Return the same as faults, in the same order."""
-
-
 class RecordModel(FileModel):
     """An entry whose part is a record; this says what of it makes no sense."""
 
-    def record(self, parts: Mapping[str, Any]) -> Record:
+    def record(self, parts: Mapping[str, Any]) -> Checked:
         """Return it, from what the keys are read as."""
         raise NotImplementedError
 

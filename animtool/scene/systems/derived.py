@@ -129,14 +129,6 @@ class PartReader(EntryReader):
             self.note(at, Fault("SIM020", why))
         return part
 
-    def note_whole(
-        self, at: Location, model: FileModel, faults: Sequence[Fault]
-    ) -> None:
-        """Note faults of a whole entry, each at its key where that is given."""
-        for fault in faults:
-            key = fault.where
-            self.note((*at, key) if key in model.model_fields_set else at, fault)
-
 
 _AROUND = {"colliders", "characters", "systems", "meshes"}
 STEPS = "steps"  # what a setting of a kind that has no methods is called

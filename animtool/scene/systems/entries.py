@@ -22,7 +22,7 @@ from animtool.documents.references import (
 )
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
-from animtool.options import OF_ENTRY, range_faults
+from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.systems.character_motion import CharacterCollider
 from animtool.scene.systems.surroundings import MovingMesh, SurfaceCollider
@@ -32,7 +32,6 @@ from animtool.systems.fields import (
     MovingMeshModel,
     Named,
     PlacedModel,
-    Record,
     SystemColliderModel,
     SystemSurfaceModel,
 )
@@ -50,7 +49,7 @@ SHAPES: dict[str, type[Any]] = {
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")
-RecordT = TypeVar("RecordT", bound=Record)
+RecordT = TypeVar("RecordT", bound=Checked)
 
 
 class NamedCharacter(Protocol):
@@ -101,11 +100,19 @@ class EntryReader:
         if record is None:
             self.sound = False
             return None
-        faults = zip(record.problems(), record.faults(""), strict=True)
-        for (option, _), fault in faults:
-            named = option in model.model_fields_set
-            self.note((*at, option) if named else at, fault)
+        problems = record.problems()
+        self.note_whole(
+            at, model, [Fault(record.code, why, where=key) for key, why in problems]
+        )
         return record
+
+    def note_whole(
+        self, at: Location, model: FileModel, faults: Sequence[Fault]
+    ) -> None:
+        """Note faults of a whole entry, each at its key where that is given."""
+        for fault in faults:
+            key = fault.where
+            self.note((*at, key) if key in model.model_fields_set else at, fault)
 
     def colliders(
         self, at: Location, models: Sequence[SystemColliderModel]

@@ -11,12 +11,13 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.faces import triangulated
+from animtool.options import Checked
 from animtool.scene.systems.character_motion import (
     CharacterCollider,
     character_colliders,
 )
 from animtool.sim.colliders import Collider, Sheet, SheetMotion
-from animtool.sim.colliders.collider import Friction, Restitution, range_problems
+from animtool.sim.colliders.collider import Friction, Restitution
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
@@ -102,17 +103,13 @@ class _Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceCollider:
+class SurfaceCollider(Checked):
     """Cloth or a volume of the scene."""
 
     system: str
     restitution: Restitution  # share of the speed into the surface that comes back [1]
     friction: Friction  # Coulomb's coefficient [1]
     at: Location  # of the entry
-
-    def problems(self) -> list[tuple[str, str]]:
-        """Return what of it makes no sense: an option, and why."""
-        return range_problems(self)
 
 
 class Watchable(Protocol):

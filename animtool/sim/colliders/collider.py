@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray
-from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.options import OF_ENTRY, Range, above, or_more, range_faults
+from animtool.options import Checked, Range, above, or_more
 from animtool.sim.colliders.shapes import Shape
 
 
@@ -114,14 +113,8 @@ Depenetration: TypeAlias = Annotated[float, above(0, "SIM020")]
 SPEED_LIMIT = 200.0
 
 
-def range_problems(record: Any) -> list[tuple[str, str]]:
-    """Return numbers of a record that are out of their ranges: a field, and why."""
-    faults = range_faults(record, OF_ENTRY)
-    return [(str(fault.where), fault.message) for fault in faults]
-
-
 @dataclass(frozen=True)
-class Collider:
+class Collider(Checked):
     """A shape, where it is over time, and what touching it does.
 
     Attributes:
@@ -136,6 +129,8 @@ class Collider:
         speed_limit: A collider that goes faster was put elsewhere: it has no velocity
             then, and hits nothing on the way [m/s].
     """
+
+    code: ClassVar[str] = "SIM020"
 
     shape: Shape
     poses: Poses = field(default_factory=Poses)
@@ -188,8 +183,4 @@ class Collider:
         """Return what of it makes no sense: an option, and why."""
         found = [("shape", message) for message in self.shape.faults()]
         found += [("poses", message) for message in self.poses.faults()]
-        return found + range_problems(self)
-
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM020)."""
-        return [Fault("SIM020", why, where=where) for _, why in self.problems()]
+        return found + super().problems()

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol, TypeAlias
+from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault
-from animtool.options import Range
+from animtool.options import Checked, Range
 from animtool.sim.colliders.collider import (
     Collider,
     Depenetration,
     Friction,
     Restitution,
-    range_problems,
 )
 from animtool.sim.colliders.shapes import Mesh
 
@@ -38,7 +36,7 @@ class SheetMotion(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
+class Sheet(Checked):
     """A surface in motion, and what touching it does.
 
     Particles meet it from both sides of its thickness.
@@ -53,6 +51,8 @@ class Sheet:
         depenetration: How fast particles that start inside are moved out [m/s].
     """
 
+    code: ClassVar[str] = "SIM020"
+
     motion: SheetMotion
     radius: Annotated[float, Range("above 0", "SIM020", 0, reached=False, finite=True)]
     closed: bool = False
@@ -63,12 +63,8 @@ class Sheet:
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""
-        found = range_problems(self)
+        found = Checked.problems(self)
         return [one for one in found if one[0] == "radius"] or found
-
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM020)."""
-        return [Fault("SIM020", why, where=where) for _, why in self.problems()]
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
         """Return it as it stands at a time, as a collider that rests.

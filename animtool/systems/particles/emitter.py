@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.options import OF_ENTRY, Range, above, range_faults
+from animtool.options import Checked, Range, above
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point
 
@@ -55,6 +54,7 @@ _CHANCES = 8
 _BRIEF = 1e-4
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
+_FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 # A direction that is no longer than this has no certain length.
 SHORTEST = 1e-150
 
@@ -69,7 +69,7 @@ class Births:
 
 
 @dataclass(frozen=True)
-class Emitter:
+class Emitter(Checked):
     """Makes particles; of which number when depends on time alone.
 
     Every particle draws its place, direction, speed and lifetime by its number, so
@@ -97,6 +97,8 @@ class Emitter:
         seed: Of what is random.
     """
 
+    code: ClassVar[str] = "SIM021"
+
     name: str = ""
     place: Place = field(default_factory=Point)
     poses: Poses = field(default_factory=Poses)
@@ -106,15 +108,15 @@ class Emitter:
     end: float = math.inf
     direction: Sequence[float] | None = None
     spread: float = 0.0
-    speed: float = 0.0
+    speed: Annotated[float, _FINITE] = 0.0
     speed_spread: Annotated[float, _SPREAD] = 0.0
-    inherit: float = 1.0
+    inherit: Annotated[float, _FINITE] = 1.0
     lifetime: Annotated[float, above(0, "SIM021")] = math.inf
     lifetime_spread: Annotated[float, _SPREAD] = 0.0
     radius: Annotated[float, _AMOUNT] = 0.005
     radius_spread: Annotated[float, _SPREAD] = 0.0
     mass: Annotated[float, _AMOUNT] = 0.001
-    charge: float = 0.0
+    charge: Annotated[float, _FINITE] = 0.0
     seed: int = 0
 
     def births(
@@ -207,10 +209,7 @@ class Emitter:
         """Return what of it makes no sense: an option, and why."""
         found = [("place", message) for message in self.place.faults()]
         found += [("poses", message) for message in self.poses.faults()]
-        found += [(f.where or "", f.message) for f in range_faults(self, OF_ENTRY)]
-        for name in ("speed", "charge", "inherit"):
-            if not math.isfinite(getattr(self, name)):
-                found.append((name, f"its {name} is not finite"))
+        found += super().problems()
         if not 0 <= self.spread <= math.pi:
             found.append(("spread", "its spread must be 0 to half a turn"))
         if self.radius_spread >= self.radius > 0:
@@ -229,7 +228,3 @@ class Emitter:
                 message += f" and {MAX_AT_ONCE:g} at most"
                 found.append(("bursts", message))
         return found
-
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM021)."""
-        return [Fault("SIM021", why, where=where) for _, why in self.problems()]

@@ -4,39 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.options import OF_ENTRY, Range, range_faults
 from animtool.sim.colliders.shapes import Mesh
 
 # Of a place: points ``(N, 3)``, and the way out there or None where there is none.
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
+_Radius: TypeAlias = Annotated[
+    float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+]
+
+
+class _Checked:
+    """A place whose fields declare their ranges."""
+
+    __slots__ = ()
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return [fault.message for fault in range_faults(self, OF_ENTRY)]
+
+
 @dataclass(frozen=True, slots=True)
-class Point:
+class Point(_Checked):
     """The origin of the emitter's frame."""
 
     def points(self, chances: FloatArray) -> Placed:
         """Return points for random numbers in [0, 1) ``(N, 3)``."""
         return np.zeros((len(chances), 3)), None
 
-    def faults(self) -> list[str]:
-        """Return what makes no sense."""
-        return []
-
 
 @dataclass(frozen=True, slots=True)
-class Disc:
+class Disc(_Checked):
     """A disc at right angles to y.
 
     Attributes:
         radius: [m].
     """
 
-    radius: float
+    radius: Annotated[
+        float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+    ]
 
     def points(self, chances: FloatArray) -> Placed:
         """Return points, evenly by area."""
@@ -47,13 +61,9 @@ class Disc:
             [radius * np.cos(angle), flat, radius * np.sin(angle)], axis=1
         ), None
 
-    def faults(self) -> list[str]:
-        """Return what makes no sense."""
-        return _above("radius", [self.radius])
-
 
 @dataclass(frozen=True, slots=True)
-class SpherePlace:
+class SpherePlace(_Checked):
     """A ball.
 
     Attributes:
@@ -61,7 +71,9 @@ class SpherePlace:
         hollow: Its surface alone; particles go outwards then.
     """
 
-    radius: float
+    radius: Annotated[
+        float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+    ]
     hollow: bool = False
 
     def points(self, chances: FloatArray) -> Placed:
@@ -74,30 +86,23 @@ class SpherePlace:
             return out * self.radius, out
         return out * (self.radius * np.cbrt(chances[:, 2:])), None
 
-    def faults(self) -> list[str]:
-        """Return what makes no sense."""
-        return _above("radius", [self.radius])
-
 
 @dataclass(frozen=True, slots=True)
-class BoxPlace:
+class BoxPlace(_Checked):
     """A box about the origin.
 
     Attributes:
         size: Its three sides, whole [m]; 0 is flat.
     """
 
-    size: Sequence[float]
+    size: Annotated[
+        Sequence[float],
+        Range("three numbers of 0 or more", "SIM021", 0.0, finite=True, count=3),
+    ]
 
     def points(self, chances: FloatArray) -> Placed:
         """Return points, evenly by volume."""
         return (chances - 0.5) * np.asarray(self.size, np.float64), None
-
-    def faults(self) -> list[str]:
-        """Return what makes no sense."""
-        if len(self.size) != 3 or not all(0 <= side < np.inf for side in self.size):
-            return ["its size must be three numbers of 0 or more"]
-        return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +147,3 @@ PLACES: dict[str, type[Any]] = {
     "point": Point,
     "sphere": SpherePlace,
 }
-
-
-def _above(name: str, values: Sequence[float]) -> list[str]:
-    odd = [value for value in values if not 0 < value < np.inf]
-    return [f"its {name} must be above 0, not {value:g}" for value in odd[:1]]

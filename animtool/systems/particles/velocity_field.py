@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.options import Checked
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.state import ParticleState
 
@@ -18,7 +19,7 @@ _OF_PLACE = ("x", "y", "z", "t", "age")
 
 
 @dataclass(frozen=True)
-class VelocityField:
+class VelocityField(Checked):
     """Velocities by place and time, as expressions of x, y, z [m], t and age [s].
 
     Attributes:
@@ -26,6 +27,8 @@ class VelocityField:
         y: [m/s].
         z: [m/s].
     """
+
+    code: ClassVar[str] = "SIM022"
 
     x: str = "0"
     y: str = "0"
@@ -46,10 +49,6 @@ class VelocityField:
         """Return which of the three makes no sense, and why."""
         faults = expression_faults(self, _OF_PLACE)
         return [(axis, f"its {axis} {why}") for axis, why in faults]
-
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM022)."""
-        return [Fault("SIM022", why, where=where) for _, why in self.problems()]
 
 
 def evaluated(

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.systems.particles.forces.force import (
+    Force,
+    NotNegative,
+    Positive,
+    Time,
+    Vector,
+)
 from animtool.systems.particles.state import ParticleState
 
 
@@ -15,8 +21,10 @@ from animtool.systems.particles.state import ParticleState
 class Drag(Force):
     """Drag against the velocity, by the speed and by its square."""
 
-    linear: float = 0.0  # [kg/s]
-    quadratic: float = 0.0  # half of density, area and coefficient together [kg/m]
+    linear: NotNegative = 0.0  # [kg/s]
+    quadratic: NotNegative = (
+        0.0  # half of density, area and coefficient together [kg/m]
+    )
 
     drains = True
 
@@ -34,16 +42,12 @@ class Drag(Force):
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
         return self.linear + 2 * self.quadratic * speed
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return at_least(self, ["linear", "quadratic"])
-
 
 @dataclass(frozen=True)
 class Viscosity(Force):
     """Stokes's law: ``6 π η r v`` against the velocity of small, slow balls."""
 
-    viscosity: float = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
+    viscosity: NotNegative = 1e-3  # of the fluid [Pa s]; of water 1e-3, of air 1.8e-5
 
     drains = True
 
@@ -57,17 +61,13 @@ class Viscosity(Force):
         """Return how much it grows with velocity [kg/s]."""
         return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return at_least(self, ["viscosity"])
-
 
 @dataclass(frozen=True)
 class Wind(Force):
     """Air that moves and takes particles along."""
 
     velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
-    drag: float = 0.0  # of particles in it [kg/s]
+    drag: NotNegative = 0.0  # of particles in it [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -79,10 +79,6 @@ class Wind(Force):
         """Return how much it grows with velocity [kg/s]."""
         return self.drag
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return three(self, ["velocity"]) + at_least(self, ["drag"])
-
 
 @dataclass(frozen=True)
 class Friction(Force):
@@ -91,9 +87,9 @@ class Friction(Force):
     Of surfaces that particles touch, the colliders have their own.
     """
 
-    deceleration: float = 0.0  # [m/s²]
+    deceleration: NotNegative = 0.0  # [m/s²]
     # Speed below which it goes to 0, so that nothing is pushed back [m/s].
-    smooth: float = 0.01
+    smooth: Positive = 0.01
 
     drains = True
 
@@ -109,8 +105,3 @@ class Friction(Force):
         """Return how much it grows with velocity [kg/s]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         return float((self.deceleration * particles.masses / speed).max(initial=0.0))
-
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        found = at_least(self, ["deceleration", "smooth"])
-        return found or ([] if self.smooth else [("smooth", "must be above 0")])

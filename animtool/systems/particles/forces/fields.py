@@ -10,13 +10,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
+from animtool.options import at_least
 from animtool.rig.expressions import Expression, parse_expression
-from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.systems.particles.forces.force import (
+    Force,
+    NotNegative,
+    Positive,
+    Time,
+    Vector,
+)
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.particles.velocity_field import (
     VARIABLES,
@@ -53,10 +61,11 @@ class Field(Force):
 class Turbulence(Force):
     """Accelerations that swirl and go nowhere in the mean."""
 
-    strength: float = 1.0  # about the root mean square [m/s²]
-    size: float = 1.0  # of the largest swirls [m]
-    change: float = 0.5  # how often a second they become others [1/s]
-    octaves: int = 2  # sizes of swirls, each half of the one before and half as strong
+    strength: NotNegative = 1.0  # about the root mean square [m/s²]
+    size: Positive = 1.0  # of the largest swirls [m]
+    change: NotNegative = 0.5  # how often a second they become others [1/s]
+    # Sizes of swirls, each half of the one before and half as strong.
+    octaves: Annotated[int, at_least(1, "SIM022", finite=True)] = 2
     seed: int = 0  # of what is random
 
     def force(
@@ -71,14 +80,6 @@ class Turbulence(Force):
             seed = (self.seed + octave) % 2**64
             found += _kernels.curl_noise(places, times * finer, seed) / finer
         return found * (self.strength * particles.masses[:, None])
-
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        found = at_least(self, ["strength", "change"])
-        found += at_least(self, ["octaves"], 1)
-        if not 0 < self.size < np.inf:
-            found.append(("size", f"must be above 0, not {self.size:g}"))
-        return found
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,6 @@ class Electromagnetic(Force):
             (np.abs(particles.charges) / particles.masses).max(initial=0.0)
         )
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return three(self, ["electric", "magnetic"])
-
 
 # Pairs at once: this bounds memory.
 _ROWS = 256
@@ -119,8 +116,8 @@ _ROWS = 256
 class Charges(Force):
     """Coulomb's law between all particles, softened where they are close."""
 
-    constant: float = 8.9875517862e9  # coulomb's [N m²/C²]
-    softening: float = 0.01  # length that keeps it finite [m]
+    constant: NotNegative = 8.9875517862e9  # coulomb's [N m²/C²]
+    softening: Positive = 0.01  # length that keeps it finite [m]
 
     pairs = True
 
@@ -136,10 +133,3 @@ class Charges(Force):
             weights = particles.charges / squared**1.5
             found[rows] = (off * weights[:, :, None]).sum(axis=1)
         return found * (self.constant * particles.charges[:, None])
-
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        found = at_least(self, ["constant", "softening"])
-        if self.softening == 0:
-            found.append(("softening", "must be above 0"))
-        return found

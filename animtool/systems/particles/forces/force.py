@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.options import Range, at_least, range_faults
 from animtool.systems.particles.state import ParticleState
 
-Vector: TypeAlias = tuple[float, float, float]
+# What options may be.
+_THREE = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=3)
+Vector: TypeAlias = Annotated[tuple[float, float, float], _THREE]
+AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _THREE]
+Finite: TypeAlias = Annotated[float, Range("finite", "SIM022", -math.inf, finite=True)]
+NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
+Positive: TypeAlias = Annotated[
+    float, Range("above 0", "SIM022", 0.0, reached=False, finite=True)
+]
 # One for all particles, or one each ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
@@ -52,25 +60,5 @@ class Force(ABC):
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
-        return []
-
-
-def at_least(
-    given: object, names: Sequence[str], least: float = 0.0
-) -> list[tuple[str, str]]:
-    """Return the options that are not finite, or below a bound."""
-    return [
-        (name, f"must be finite and at least {least:g}, not {value:g}")
-        for name in names
-        if not (least <= (value := getattr(given, name)) < math.inf)
-    ]
-
-
-def three(given: object, names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the options that are no three finite numbers."""
-    return [
-        (name, "must be three finite numbers")
-        for name in names
-        if (value := getattr(given, name)) is not None
-        and not (len(value) == 3 and np.isfinite(value).all())
-    ]
+        faults = range_faults(self, "must be {bound}, not {value:g}")
+        return [(str(fault.where), fault.message) for fault in faults]

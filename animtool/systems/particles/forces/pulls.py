@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.systems.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.options import Range
+from animtool.systems.particles.forces.force import (
+    AnyVector,
+    Finite,
+    Force,
+    NotNegative,
+    Time,
+    Vector,
+)
 from animtool.systems.particles.state import ParticleState
 
 
@@ -28,10 +37,6 @@ class Gravity(Force):
         """Return energies ``(N,)`` [J]."""
         return np.asarray(-particles.masses * (x @ np.asarray(self.acceleration)))
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return three(self, ["acceleration"])
-
 
 @dataclass(frozen=True)
 class Uniform(Force):
@@ -49,19 +54,15 @@ class Uniform(Force):
         """Return energies ``(N,)`` [J]."""
         return -(x @ np.asarray(self.push, np.float64))
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return three(self, ["push"])
-
 
 @dataclass(frozen=True)
 class Central(Force):
     """Acceleration towards a centre."""
 
     centre: Vector = (0.0, 0.0, 0.0)  # [m]
-    strength: float = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
-    power: float = -2.0  # of the distance: -2 is that of gravity and of charges
-    softening: float = 0.01  # length that keeps it finite at the centre [m]
+    strength: Finite = 1.0  # acceleration at one metre [m/s²]; below 0 it pushes
+    power: Finite = -2.0  # of the distance: -2 is that of gravity and of charges
+    softening: NotNegative = 0.01  # length that keeps it finite at the centre [m]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -90,12 +91,7 @@ class Central(Force):
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
-        found = three(self, ["centre"]) + at_least(self, ["softening"])
-        found += [
-            (name, "is not finite")
-            for name in ("strength", "power")
-            if not math.isfinite(getattr(self, name))
-        ]
+        found = super().faults()
         if self.power < 1 and not self.softening > 0:
             found.append(("softening", "must be above 0 where the power is below 1"))
         return found
@@ -105,10 +101,10 @@ class Central(Force):
 class Spring(Force):
     """A spring to a point, or to where each particle was born."""
 
-    anchor: Vector | None = None  # the point [m]; None is where each was born
-    k: float = 1.0  # stiffness [N/m]
-    rest: float = 0.0  # length at which it pulls nobody [m]
-    kd: float = 0.0  # damping against change of its length [kg/s]
+    anchor: AnyVector = None  # the point [m]; None is where each was born
+    k: NotNegative = 1.0  # stiffness [N/m]
+    rest: NotNegative = 0.0  # length at which it pulls nobody [m]
+    kd: NotNegative = 0.0  # damping against change of its length [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -138,18 +134,15 @@ class Spring(Force):
         """Return its damping [kg/s]."""
         return self.kd
 
-    def faults(self) -> list[tuple[str, str]]:
-        """Return which options make no sense, and why."""
-        return three(self, ["anchor"]) + at_least(self, ["k", "rest", "kd"])
-
 
 @dataclass(frozen=True)
 class Propulsion(Force):
     """A thrust along the velocity, or in a direction."""
 
-    thrust: float = 0.0  # [N]; below 0 it brakes
-    direction: Vector | None = None  # of any length above 0; None is along the velocity
-    duration: float = math.inf  # from birth on [s]
+    thrust: Finite = 0.0  # [N]; below 0 it brakes
+    direction: AnyVector = None  # of any length above 0; None is along the velocity
+    # From birth on [s].
+    duration: Annotated[float, Range("finite and at least 0", "SIM022", 0.0)] = math.inf
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -165,11 +158,7 @@ class Propulsion(Force):
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
-        found = three(self, ["direction"])
+        found = super().faults()
         if self.direction is not None and not any(self.direction):
             found.append(("direction", "must not be all 0"))
-        if not math.isfinite(self.thrust):
-            found.append(("thrust", "is not finite"))
-        if self.duration != math.inf:
-            found += at_least(self, ["duration"])
         return found
