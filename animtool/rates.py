@@ -7,6 +7,7 @@ from decimal import Decimal, InvalidOperation
 from enum import StrEnum
 from fractions import Fraction
 from numbers import Rational
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.errors import Fault, OptionError, excerpt
 
@@ -24,6 +25,28 @@ HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
 MAX_DIGITS = 100
 USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
+
+# Frames a second as people write them: 24, 23.976, "24000/1001", Fraction(24000, 1001).
+RateLike: TypeAlias = int | float | str | Fraction
+
+
+class OptionalRate:
+    """Type of a record's field that takes any rate, or None, and holds a fraction.
+
+    Type checkers alone know it as a descriptor; `__post_init__` of the record makes
+    the fraction.
+    """
+
+    if TYPE_CHECKING:
+
+        def __get__(
+            self, record: object, owner: type | None = None
+        ) -> Fraction | None: ...
+
+        def __set__(self, record: object, rate: RateLike | None) -> None: ...
+
+
+NO_RATE: Any = None  # the default of such a field
 
 
 class RateKind(StrEnum):
@@ -164,7 +187,7 @@ def exact_number(text: str) -> Fraction:
     return Fraction(text)
 
 
-def parse_rate(text: str | float | Fraction) -> Fraction:
+def parse_rate(text: RateLike) -> Fraction:
     """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is taken as it is.
@@ -200,9 +223,7 @@ def _digits(number: object) -> str:
     return str(number) if is_rate else repr(number)
 
 
-def rate_option(
-    fps: str | float | Fraction, code: str, option: str = "fps"
-) -> Fraction:
+def rate_option(fps: RateLike, code: str, option: str = "fps") -> Fraction:
     """Return the rate of an option, see `parse_rate`; else a fault of that code.
 
     >>> rate_option("29.97", "SCN022")

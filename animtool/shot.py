@@ -10,8 +10,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
-from animtool.rates import rate_label
+from animtool.rates import NO_RATE, OptionalRate, rate_label, rate_option
 
 # The number of a shot's first frame where nothing states another.
 SHOT_START = 1001
@@ -29,12 +30,16 @@ class Shot:
         head: How many frames the handle before the cut has.
         tail: How many frames the handle after the cut has.
         name: Of the shot; empty where it has none.
-        fps: Shot frames a second; None is the rate of the output.
+        fps: Shot frames a second; a number or text becomes a fraction. None is the
+            rate of the output.
         media_in: Time of the media that ``cut_in`` shows, 0 at its first frame [s];
             None where the shot does not place its media.
         speed: How many times as fast as its media the shot plays, above 0.
 
-    >>> shot = Shot(1009, 1056, 8, 8, fps=Fraction(24), media_in=Fraction(2))
+    Raises:
+        OptionError: fps is no rate (SCN022).
+
+    >>> shot = Shot(1009, 1056, 8, 8, fps=24, media_in=Fraction(2))
     >>> shot.start, shot.end, float(shot.seconds_at(1033))
     (1001, 1064, 3.0)
     """
@@ -44,9 +49,15 @@ class Shot:
     head: int = 0
     tail: int = 0
     name: str = ""
-    fps: Fraction | None = None
+    fps: OptionalRate = NO_RATE
     media_in: Fraction | None = None
     speed: Fraction = Fraction(1)
+
+    def __post_init__(self) -> None:
+        """Take the rate as it is written; timelines may have any fraction."""
+        fps: Any = self.fps
+        if not isinstance(fps, Fraction | None):
+            object.__setattr__(self, "fps", rate_option(fps, "SCN022"))
 
     @property
     def start(self) -> int:

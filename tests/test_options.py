@@ -62,7 +62,7 @@ def test_errors_in_python_name_arguments(walk: Path, tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="overwrite=True replaces it") as caught:
         animtool.bake(walk, output)
     assert "--overwrite" in str(caught.value.faults[0])
-    fps = SourceOptions(fps=24)  # type: ignore[arg-type]
+    fps = SourceOptions(fps=24)
     with pytest.raises(OptionError, match="to_units, to_up and fps convert"):
         animtool.open_source(output, fps)
 

@@ -81,7 +81,7 @@ def test_a_reader_of_a_plugin(
     install(monkeypatch, marks="marks_reader:READER")
     path = tmp_path / "walk.marks"
     path.write_text(str(walk))
-    assert open_source(path, SourceOptions(fps=24)).fps == 24  # type: ignore[arg-type]
+    assert open_source(path, SourceOptions(fps=24)).fps == 24
     row = listed_readers()[-1]
     assert (row.suffix, row.opens, row.about) == (".marks", ("source",), "marks")
     with pytest.raises(AnimtoolError, match="no rig") as caught:

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from animtool.errors import OptionError
+from animtool.rates import RateLike
 from animtool.shot import Shot, frame_spans, frames_within
 
 RATES = st.sampled_from(
@@ -100,3 +102,15 @@ def test_a_shot_that_places_no_media_has_no_seconds() -> None:
     for other in (shot, replace(shot, fps=None, media_in=Fraction(0))):
         with pytest.raises(ValueError, match="does not place"):
             other.seconds_at(1)
+
+
+@pytest.mark.parametrize("fps", [24, 24.0, "24", Fraction(24)])
+def test_a_shot_takes_its_rate_as_it_is_written(fps: RateLike) -> None:
+    found = Shot(1001, 1024, fps=fps).fps
+    assert (found, type(found)) == (24, Fraction)
+
+
+def test_a_shot_at_no_rate() -> None:
+    with pytest.raises(OptionError) as caught:
+        Shot(1001, 1024, fps="fast")
+    assert caught.value.code == "SCN022"

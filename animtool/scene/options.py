@@ -9,7 +9,7 @@ from pathlib import Path
 
 from animtool.errors import excerpt
 from animtool.options import Key, option
-from animtool.rates import LARGEST_FRAME, exact_number, rate_option
+from animtool.rates import LARGEST_FRAME, OptionalRate, exact_number, rate_option
 from animtool.scene.sources import SourceOptions
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
@@ -157,7 +157,7 @@ class BakeOptions:
         metavar="offsets|frame:N",
         help="Where the rest pose comes from.  [default: offsets]",
     )
-    fps: Fraction | None = option(
+    fps: OptionalRate = option(
         None,
         "rate",
         "--fps",

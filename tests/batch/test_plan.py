@@ -168,7 +168,7 @@ def test_touched_files_are_read_once(
 
 def test_options_and_variables(takes: Path) -> None:
     run_batch(spec(takes), SERIAL)
-    other = spec(takes, options=BakeOptions(fps=24))  # type: ignore[arg-type]
+    other = spec(takes, options=BakeOptions(fps=24))
     assert reasons(run_batch(other, DRY)) == ["options changed"] * 3
     (takes / "t.scene.yaml").write_text(SCENE)
     scene = spec(takes, scene=takes / "t.scene.yaml")

@@ -200,7 +200,7 @@ def test_media_too_short_is_an_error_under_strict(tmp_path: Path) -> None:
 def test_a_source_in_a_shot_has_its_frames(tmp_path: Path) -> None:
     capture(tmp_path / "take.bvh", 30, 31)
     shot = Shot(1001, 1012, fps=Fraction(24), media_in=Fraction(1, 2))
-    options = BakeOptions(source=SourceOptions(shot=shot), fps=24)  # type: ignore[arg-type]
+    options = BakeOptions(source=SourceOptions(shot=shot), fps=24)
     bake(tmp_path / "take.bvh", tmp_path / "a.usdc", options)
     take = open_source(tmp_path / "a.usdc").collect()
     # The take begins half a second before the shot, and no range was asked for.

@@ -18,6 +18,7 @@ from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
+from animtool.rates import RateLike, rate_option
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.similar import distinct
@@ -36,7 +37,7 @@ def read_bvh(
     *,
     unit: LengthUnit | None = None,
     up: UpAxis = UpAxis.Y,
-    fps: Fraction | None = None,
+    fps: RateLike | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
     """Open a BVH file; its rows are read as the blocks are taken.
@@ -58,8 +59,10 @@ def read_bvh(
     Raises:
         FormatError: The file cannot be read, or is malformed. The rows raise it
             when they are reached.
+        OptionError: fps is no rate (SCN022).
     """
     path = Path(path)
+    rate = None if fps is None else rate_option(fps, "SCN022")
     with open_input(path, None) as file:
         try:
             lines = HeaderLines(file, path)
@@ -72,7 +75,7 @@ def read_bvh(
     assert header.rate is not None
     stream = TakeStream(
         rig,
-        header.rate.fps if fps is None else fps,
+        header.rate.fps if rate is None else rate,
         None,
         Fraction(1),
         iter(()),

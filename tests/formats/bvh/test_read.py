@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import contextlib
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +88,7 @@ def test_static_joints_are_stored_once(write) -> None:  # type: ignore[no-untype
 
 def test_units_and_stated_rate(write) -> None:  # type: ignore[no-untyped-def]
     path = write(small_bvh(random_rows(2), frame_time="1.0"))
-    stream = read_bvh(path, unit=LengthUnit.IN, fps=Fraction(60))
+    stream = read_bvh(path, unit=LengthUnit.IN, fps="60")
     assert stream.fps == 60
     take = stream.collect()
     assert codes(stream) == []

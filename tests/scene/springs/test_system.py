@@ -135,7 +135,7 @@ def test_faces_point_away_from_the_inside(tmp_path: Path) -> None:
 
 def test_velocities_are_those_of_points(tmp_path: Path) -> None:
     path = written(tmp_path, ROPE + CLOTH)
-    fine = BakeOptions(fps=480, frame_range=FrameRange(1, 40))  # type: ignore[arg-type]
+    fine = BakeOptions(fps=480, frame_range=FrameRange(1, 40))
     bake(path, tmp_path / "o.usda", fine)
     stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
     for prim in ("/shot/lead", "/shot/flag"):
@@ -151,7 +151,7 @@ def test_the_bytes_are_the_same_and_frames_do_not_matter(tmp_path: Path) -> None
     assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
     bake(scene, tmp_path / "whole.usda")
     bake(scene, tmp_path / "part.usda", BakeOptions(frame_range=FrameRange(7, 9)))
-    double = BakeOptions(fps=48, frame_range=FrameRange(1, 24))  # type: ignore[arg-type]
+    double = BakeOptions(fps=48, frame_range=FrameRange(1, 24))
     bake(scene, tmp_path / "double.usda", double)
     whole, part, fast = (
         Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
