@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from functools import cache
-from typing import Any, ClassVar, Literal, TypeAlias, get_type_hints
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 
 from animtool.errors import Fault
 
@@ -113,6 +113,36 @@ def keys_of(record: Any, place: Literal["scene", "batch"]) -> dict[str, Key]:
     """Return the keys that a kind of file has for a record, by name of the option."""
     keys = {name: getattr(o, place) for name, o in options_of(record).items()}
     return {name: key for name, key in keys.items() if key is not None}
+
+
+Record = TypeVar("Record")
+# What files write for a value of some kinds: a length as text, an angle in degrees.
+_WRITTEN: dict[Kind, type] = {"length": str, "angle": float}
+
+
+def with_written(
+    record: type[Any], *first: str
+) -> Callable[[type[Record]], type[Record]]:
+    """Give a frozen dataclass the options of a record, as files write them.
+
+    first: Names of options that come before the others.
+    """
+
+    def add(own: type[Record]) -> type[Record]:
+        hints, options = get_type_hints(record), options_of(record)
+        more = []
+        for name in dict.fromkeys((*first, *options)):
+            written = _WRITTEN.get(options[name].kind)
+            usual = record.__dataclass_fields__[name].default
+            default = usual if written is None else options[name].written
+            more.append((name, written or hints[name], default))
+        described = {"__module__": own.__module__, "__doc__": own.__doc__}
+        made: type[Record] = make_dataclass(
+            own.__name__, more, bases=(own,), namespace=described, frozen=True
+        )
+        return made
+
+    return add
 
 
 def as_arguments(text: str, *records: Any) -> str:

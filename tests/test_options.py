@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import get_type_hints
 
 import click
 import pytest
@@ -14,6 +16,7 @@ import animtool
 from animtool.cli.bake import bake
 from animtool.cli.options import declared, read_values, record_option
 from animtool.errors import OptionError, Severity
+from animtool.ik.options import TakeOptions
 from animtool.options import (
     Key,
     as_arguments,
@@ -21,6 +24,7 @@ from animtool.options import (
     option,
     options_of,
     refused_options,
+    with_written,
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
@@ -34,6 +38,14 @@ class Cut:
     sharp: bool = option(False, "switch", "--sharp", not_for=("soup",), both=Key("", 1))
     width: float | None = option(None, "length", "--width", not_for=("soup", "bread"))
     plain: int = 0
+
+
+@with_written(TakeOptions, "joints")
+@dataclass(frozen=True)
+class Reach:
+    """Reach."""
+
+    far: bool = False
 
 
 @pytest.mark.parametrize(
@@ -130,3 +142,13 @@ def test_codes_and_severities_of_a_command_are_those_of_its_record(
 
     done = CliRunner().invoke(click.command()(run), words)
     assert (done.output, taken) == ("", [options])
+
+
+def test_a_record_has_the_options_of_another_as_files_write_them() -> None:
+    defaults = {entry.name: entry.default for entry in fields(Reach)}
+    others = [name for name in options_of(TakeOptions) if name != "joints"]
+    assert [*defaults] == ["far", "joints", *others]
+    assert (defaults["tolerance"], defaults["angle_tolerance"]) == ("0.001mm", 1e-4)
+    assert defaults["restarts"] == TakeOptions().restarts
+    assert get_type_hints(Reach)["tolerance"] is str
+    assert pickle.loads(pickle.dumps(Reach(far=True))) == Reach(far=True)

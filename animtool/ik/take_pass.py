@@ -6,45 +6,32 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
-from animtool.ik.options import ANGLE_TOLERANCE, LENGTH_TOLERANCE, IkMethod, TakeOptions
+from animtool.ik.options import TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
-from animtool.options import options_of
+from animtool.options import options_of, with_written
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.units import parse_length
 
 
-@dataclass(frozen=True, slots=True)
+@with_written(TakeOptions, "joints")
+@dataclass(frozen=True)
 class IkPassOptions:
-    """What the take is brought to, and how."""
+    """What the take is brought to, and the options of `TakeOptions`."""
 
     targets: Path | None = None  # the targets file
     # File of a rig whose types and limits of joints, and chains, are used for the
     # joints of the same names; None is the take's own.
     rig: Path | None = None
-    # Names or patterns of those that may move; none is every one that moves a goal.
-    joints: tuple[str, ...] = ()
-    method: IkMethod = IkMethod.AUTO  # which solver
-    # A position is reached within this length, such as ``0.001mm``.
-    tolerance: str = LENGTH_TOLERANCE
-    # An orientation, aim or pole is reached within this [deg].
-    angle_tolerance: float = ANGLE_TOLERANCE
-    # Most new starts of a frame that does not reach its goals.
-    restarts: int = TakeOptions().restarts
-    seed: int = TakeOptions().seed  # of the new starts
-    seconds: float = TakeOptions().seconds  # most time for one frame [s]; 0 is no bound
-    # How strongly the pose of the take is kept.
-    rest_weight: float = TakeOptions().rest_weight
-    # Time over which motion that the goals leave free is evened out [s].
-    smooth: float = TakeOptions().smooth
 
 
 def asked_of(
@@ -68,7 +55,7 @@ def asked_of(
     return take, load_targets(path, take.rig)
 
 
-def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
+def _run(take: Take, options: Any, context: PassContext) -> Take:
     rig = take.rig
     take, tracks = asked_of(take, options, context.folder)
     settings = replace(_settings(options), tolerance=_length(options.tolerance))
@@ -79,7 +66,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
         max(settings.tolerance, MISSED_LENGTH),
         max(settings.angle_tolerance, MISSED_ANGLE),
     )
-    odd = take_notices(solved, goals, smooth=options.smooth > 0)
+    odd = take_notices(solved, goals, smooth=settings.smooth > 0)
     context.notices.extend(odd)
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.metric]
@@ -87,7 +74,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     return replace(solved.take, rig=rig)
 
 
-def _settings(options: IkPassOptions) -> TakeOptions:
+def _settings(options: Any) -> TakeOptions:
     """Return the options but for the tolerance, which is text."""
     names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
@@ -110,7 +97,7 @@ def _length(text: str) -> float:
         raise OptionError(Fault("IK014", f"tolerance: {error}")) from error
 
 
-def _checks(options: IkPassOptions) -> OptionChecks:
+def _checks(options: Any) -> OptionChecks:
     found = take_option_faults(_settings(options))
     numbers = {name: partial(_refuse, faults) for name, faults in found.items()}
     return {
