@@ -67,6 +67,15 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
+    "rigid": system_kind(
+        "animtool.systems.rigid",
+        "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",
+        {
+            "name": "crates",
+            "bodies": [{"name": "crate", "shape": {"box": {"size": [1, 1, 1]}}}],
+            "colliders": [{"shape": {"plane": None}}],
+        },
+    ),
     "rope": _springs(
         "RopeModel",
         "A rope.",

@@ -1,0 +1,750 @@
+// A step of rigid bodies: small steps, in each of which forces act, contacts and joints are
+// solved one after the other until velocities hardly change, bodies go on, and what pushed them
+// apart is taken out of their velocities again (Catto 2023, "Solver2D": soft contacts, small
+// steps and relaxation). Bodies that nothing touches go on exactly.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "rigid_world.h"
+
+namespace animtool::rigid {
+
+namespace {
+
+// Of contacts and joints, how hard they are pushed back to where they should be: a frequency,
+// over that of the small steps, and a damping ratio.
+constexpr double STIFF = 0.35;
+constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
+// Speed at which bodies that begin inside each other are moved apart at most [m/s].
+constexpr double PUSH = 2;
+// A point of contact is the one of the step before where it is as near, over the size.
+constexpr double SAME = 0.1;
+// Islands of fewer points than these are corrected more often, and at most so much more.
+constexpr std::size_t SMALL = 512, MOST = 32;
+// Rounds in which bounces of several points settle.
+constexpr int BOUNCES = 8;
+
+struct Point {
+  Vec own, other;          // in the frames of both
+  Vec arm_a, arm_b;        // in the world, where the step begins
+  double gap = 0, now = 0; // where the manifold is, and now
+  double given = 0;        // speed of a collider along the normal
+  Vec slide;               // and whole
+  double coming = 0;       // speed into the other where a small step begins, as it arrives
+  double mass = 0, force = 0, across[2] = {0, 0}, masses[2] = {0, 0};
+  double half[3] = {0, 0, 0};  // what is held for half a small step
+  Vec arms_a[3], arms_b[3];    // r x n, r x t1, r x t2
+  Vec turns_a[3], turns_b[3];  // what these turn
+};
+
+struct Patch {
+  std::size_t a, b;
+  Vec normal, tangents[2];
+  double friction, restitution, push;
+  std::size_t begin, end;  // points
+  const Contact* contact;
+};
+
+class Solver {
+ public:
+  Solver(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
+         std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+         const std::vector<Vec>& torques, const std::vector<collide::Collider>& colliders,
+         const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
+      : world_(world), states_(states), kept_(kept), held_(held), forces_(forces),
+        torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
+        step_(step), h_(step / settings.substeps), count_(states.size()) {}
+
+  Report run() {
+    contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
+    if (wake()) contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
+    make_islands();
+    speeds_.assign(count_ + 1, {});
+    pushed_.assign(count_, 0);
+    turns_.resize(count_);
+    for (const auto& island : islands_) solve(island);
+    keep();
+    rest();
+    return report_;
+  }
+
+ private:
+  struct Island {
+    std::vector<std::size_t> bodies, joints;
+    std::vector<std::size_t> contacts;
+  };
+
+  // ---- who is awake
+
+  std::size_t top(std::size_t i) {
+    while (parents_[i] != i) i = parents_[i] = parents_[parents_[i]];
+    return i;
+  }
+  void join(std::size_t i, std::size_t j) {
+    i = top(i), j = top(j);
+    if (i != j) parents_[std::max(i, j)] = std::min(i, j);
+  }
+  void begin_groups() {
+    parents_.resize(count_);
+    std::iota(parents_.begin(), parents_.end(), std::size_t{0});
+    for (const Joint& joint : world_.joints)
+      if (joint.a >= 0) join(static_cast<std::size_t>(joint.a), joint.b);
+  }
+  bool sleeps(std::size_t i) const { return asleep(states_[i], settings_); }
+
+  // Wakes those that somebody awake touches, with all that they touch.
+  bool wake() {
+    if (!(settings_.drowsy > 0)) return false;
+    begin_groups();
+    const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
+    for (const Kept& one : kept_)
+      if (one.second < shapes)
+        join(world_.shapes[static_cast<std::size_t>(one.first)].body,
+             world_.shapes[static_cast<std::size_t>(one.second)].body);
+    std::vector<char> called(count_, 0);
+    const auto call = [&](std::size_t i) { called[top(i)] = 1; };
+    for (std::size_t i = 0; i < count_; ++i)
+      if (!sleeps(i)) called[top(i)] = 1;
+    for (const Contact& c : contacts_) {
+      const auto b = static_cast<std::size_t>(c.b);
+      if (c.b < 0 ? sleeps(c.a) && c.motion->moves() : sleeps(c.a) != sleeps(b)) {
+        call(c.a);
+        if (c.b >= 0) call(b);
+      }
+    }
+    for (std::size_t k = 0; k < world_.joints.size(); ++k) {
+      const Joint& joint = world_.joints[k];
+      if (joint.a < 0 ? sleeps(joint.b) && anchors_[k].moves()
+                      : sleeps(joint.b) != sleeps(static_cast<std::size_t>(joint.a)))
+        call(joint.b);
+    }
+    bool woken = false;
+    for (std::size_t i = 0; i < count_; ++i)
+      if (called[top(i)] && sleeps(i)) states_[i].idle = 0, woken = true;
+    return woken;
+  }
+
+  void make_islands() {
+    begin_groups();
+    for (const Contact& c : contacts_)
+      if (c.b >= 0) join(c.a, static_cast<std::size_t>(c.b));
+    std::vector<std::size_t> number(count_, count_);
+    for (std::size_t i = 0; i < count_; ++i) {
+      if (sleeps(i)) continue;
+      std::size_t& n = number[top(i)];
+      if (n == count_) n = islands_.size(), islands_.emplace_back();
+      islands_[n].bodies.push_back(i);
+      ++report_.awake;
+    }
+    for (std::size_t k = 0; k < contacts_.size(); ++k) {
+      const std::size_t n = number[top(contacts_[k].a)];
+      if (n < islands_.size()) islands_[n].contacts.push_back(k);
+    }
+    for (std::size_t k = 0; k < world_.joints.size(); ++k) {
+      const std::size_t n = number[top(world_.joints[k].b)];
+      if (n < islands_.size()) islands_[n].joints.push_back(k);
+    }
+  }
+
+  // ---- one island
+
+  void solve(const Island& island) {
+    for (const std::size_t i : island.bodies) {
+      turns_[i] = pose_of(states_[i]);
+      speeds_[i].ease = world_.bodies[i].ease;
+      speeds_[i].v = states_[i].velocity;
+      speeds_[i].w = spin_of(world_.bodies[i], states_[i]);
+      refresh(i);
+    }
+    patches_.clear(), points_.clear();
+    patches_.reserve(island.contacts.size()), points_.reserve(MOST_POINTS * island.contacts.size());
+    for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
+    rows_.assign(island.joints.size(), {});
+    for (int s = 0; s < settings_.substeps; ++s) small_step(island, s);
+    for (const Patch& patch : patches_) save(patch);
+    for (std::size_t k = 0; k < island.joints.size(); ++k) {
+      auto& slots = held_[island.joints[k]];
+      slots.fill(0);
+      for (std::size_t r = 0; r < rows_[k].count; ++r)
+        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / h_;
+    }
+  }
+
+  void refresh(std::size_t i) {
+    const double* r = turns_[i].turn;
+    const double* e = world_.bodies[i].turning.of;
+    double* to = speeds_[i].turning;
+    for (int p = 0; p < 3; ++p)
+      for (int q = p; q < 3; ++q) {
+        const double sum = r[3 * p] * e[0] * r[3 * q] + r[3 * p + 1] * e[1] * r[3 * q + 1] +
+                           r[3 * p + 2] * e[2] * r[3 * q + 2];
+        to[3 * p + q] = to[3 * q + p] = sum;
+      }
+  }
+
+  void add_patch(const Contact& c) {
+    Patch patch;
+    patch.a = c.a, patch.b = c.b < 0 ? count_ : static_cast<std::size_t>(c.b);
+    patch.contact = &c;
+    const Vec n = patch.normal = c.normal;
+    patch.tangents[0] = collide::across(n);
+    patch.tangents[1] = cross(n, patch.tangents[0]);
+    patch.friction = c.material.friction, patch.restitution = c.material.restitution;
+    patch.push = c.depenetration > 0 ? c.depenetration : PUSH;
+    patch.begin = points_.size();
+    const Pose& pose_a = turns_[c.a];
+    const Pose still = c.b < 0 ? c.motion->at(0) : turns_[patch.b];
+    const Speed &sa = speeds_[patch.a], &sb = speeds_[patch.b];
+    for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
+      Point& p = points_.emplace_back();
+      p.own = c.own[k], p.other = c.other[k], p.gap = c.gaps[k];
+      p.arm_a = pose_a.rotated(p.own);
+      p.arm_b = c.b < 0 ? still.rotated(p.other) : turns_[patch.b].rotated(p.other);
+      const Vec lines[3] = {n, patch.tangents[0], patch.tangents[1]};
+      for (int d = 0; d < 3; ++d) {
+        p.arms_a[d] = cross(p.arm_a, lines[d]), p.arms_b[d] = cross(p.arm_b, lines[d]);
+        p.turns_a[d] = sa.turned(p.arms_a[d]), p.turns_b[d] = sb.turned(p.arms_b[d]);
+        const double k_d = sa.ease + sb.ease + dot(p.arms_a[d], p.turns_a[d]) +
+                           dot(p.arms_b[d], p.turns_b[d]);
+        (d ? p.masses[d - 1] : p.mass) = k_d > 0 ? 1 / k_d : 0;
+      }
+    }
+    patch.end = points_.size();
+    find_kept(patch);
+    patches_.push_back(patch);
+  }
+
+  // Begins with the forces of the step before.
+  void find_kept(Patch& patch) {
+    const Contact& c = *patch.contact;
+    const auto first = static_cast<std::int64_t>(c.first);
+    auto begin = std::lower_bound(kept_.begin(), kept_.end(), c, [&](const Kept& k, const Contact&) {
+      return k.first != first ? k.first < first : k.second < c.second;
+    });
+    const double size = SAME * world_.bodies[c.a].reach;
+    std::uint32_t taken = 0;
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      double least = size * size;
+      int best = -1, i = 0;
+      for (auto it = begin; it != kept_.end() && it->first == first && it->second == c.second &&
+                            i < 32; ++it, ++i) {
+        const Vec off = it->at - p.own;
+        if (!(taken >> i & 1) && dot(off, off) < least) least = dot(off, off), best = i;
+      }
+      if (best < 0) continue;
+      taken |= 1u << best;
+      const Vec force = turns_[c.a].rotated((begin + best)->force) * h_;
+      p.force = std::max(dot(force, patch.normal), 0.0);
+      p.across[0] = dot(force, patch.tangents[0]), p.across[1] = dot(force, patch.tangents[1]);
+    }
+  }
+
+  void save(const Patch& patch) {
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      const Point& p = points_[k];
+      const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
+                        patch.tangents[1] * p.across[1];
+      // In the frame of the body where the step begins; it turns little in one.
+      const Vec own = turns_[patch.a].unrotated(force) * (1 / h_);
+      saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
+                        p.own, own});
+      report_.deepest = std::max(report_.deepest, -p.now);
+      if (p.force > 0) ++report_.contacts;
+    }
+  }
+
+  // ---- one small step
+
+  // As RATTLE does (Andersen 1983): forces act for half the time, bodies go on with what leaves
+  // joints and contacts right at the end, forces act for the other half, and velocities are made
+  // right there.
+  void small_step(const Island& island, int s) {
+    const double begin = static_cast<double>(s) / settings_.substeps;
+    const double end = static_cast<double>(s + 1) / settings_.substeps;
+    const std::size_t joints = island.joints.size();
+    for (const std::size_t i : island.bodies) pushed_[i] = 0;
+    look(begin);
+    note_coming();
+    for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, s == 0);
+    for (const std::size_t i : island.bodies) push(i);
+    for (Patch& p : patches_) begin_warm(p);
+    for (std::size_t k = 0; k < joints; ++k) begin_warm(world_.joints[island.joints[k]], rows_[k]);
+    for (std::size_t k = 0; k < joints; ++k) bend(island.joints[k], rows_[k], end);
+    iterate(island, true);
+    mark(island);
+    for (const std::size_t i : island.bodies) go(i);
+    look(end);
+    for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, end, false);
+    for (const std::size_t i : island.bodies) push(i);
+    for (Patch& p : patches_) end_warm(p);
+    for (std::size_t k = 0; k < joints; ++k) end_warm(world_.joints[island.joints[k]], rows_[k]);
+    iterate(island, false);
+    bounce();
+    mark(island);
+    for (const std::size_t i : island.bodies) settle(i);
+  }
+
+  // Where points are now.
+  void look(double share) {
+    for (Patch& patch : patches_) {
+      const Vec at = states_[patch.a].at;
+      const Pose& pose = turns_[patch.a];
+      const bool fixed = patch.b == count_;
+      const collide::Motion* motion = patch.contact->motion;
+      const Pose other = fixed ? motion->at(share) : turns_[patch.b];
+      for (std::size_t k = patch.begin; k < patch.end; ++k) {
+        Point& p = points_[k];
+        const Vec own = at + pose.rotated(p.own), far = other.to_world(p.other);
+        p.now = p.gap + dot(patch.normal, far - own);
+        if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
+        p.given = dot(p.slide, patch.normal);
+      }
+    }
+  }
+
+  // How fast points come, as it is when the gap is closed.
+  void note_coming() {
+    for (Patch& patch : patches_) {
+      if (!(patch.restitution > 0)) continue;
+      const double pull = pull_along(patch, relative_pull(patch));
+      for (std::size_t k = patch.begin; k < patch.end; ++k) {
+        Point& p = points_[k];
+        const double into = -approach(patch, p);
+        const double energy = into * std::fabs(into) + 2 * pull * std::max(p.now, 0.0);
+        p.coming = std::sqrt(std::max(energy, 0.0));
+      }
+    }
+  }
+
+  // Acceleration of the second as the first sees it.
+  Vec relative_pull(const Patch& patch) const {
+    Vec pull = forces_[patch.a] * -world_.bodies[patch.a].ease;
+    if (patch.b < count_) pull = pull + forces_[patch.b] * world_.bodies[patch.b].ease;
+    return pull;
+  }
+  static double pull_along(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
+
+  // Speed of the second away from the first.
+  double approach(const Patch& patch, const Point& p) const {
+    const Speed &a = speeds_[patch.a], &b = speeds_[patch.b];
+    return dot(patch.normal, b.v - a.v) + dot(p.arms_b[0], b.w) - dot(p.arms_a[0], a.w) + p.given;
+  }
+
+  // Forces act for half a small step.
+  void push(std::size_t i) {
+    State& s = states_[i];
+    const double half = h_ / 2;
+    s.velocity = s.velocity + forces_[i] * (world_.bodies[i].ease * half);
+    s.momentum = s.momentum + torques_[i] * half;
+    speeds_[i].v = s.velocity;
+    speeds_[i].w = spin_of(world_.bodies[i], s);
+  }
+
+  void apply(std::size_t a, std::size_t b, Vec line, Vec turn_a, Vec turn_b, double impulse) {
+    Speed &sa = speeds_[a], &sb = speeds_[b];
+    sa.v = sa.v - line * (impulse * sa.ease), sa.w = sa.w - turn_a * impulse;
+    sb.v = sb.v + line * (impulse * sb.ease), sb.w = sb.w + turn_b * impulse;
+  }
+
+  // Contacts and joints hold for half the time what they held in the small step before.
+  void begin_warm(Patch& patch) {
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      p.force /= 2, p.across[0] /= 2, p.across[1] /= 2;
+      p.half[0] = p.force, p.half[1] = p.across[0], p.half[2] = p.across[1];
+      hold(patch, p);
+    }
+  }
+  void end_warm(Patch& patch) {
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      if (p.force == 0) continue;
+      p.force += p.half[0], p.across[0] += p.half[1], p.across[1] += p.half[2];
+      hold(patch, p);
+    }
+  }
+  void hold(const Patch& patch, const Point& p) {
+    if (p.half[0] == 0) return;
+    apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], p.half[0]);
+    for (int d = 0; d < 2; ++d)
+      apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1],
+            p.half[d + 1]);
+  }
+  void begin_warm(const Joint& joint, Rows& rows) {
+    for (std::size_t r = 0; r < rows.count; ++r) {
+      Row& row = rows.of[r];
+      row.half = row.impulse = row.impulse / 2;
+    }
+    hold(joint, rows);
+  }
+  void end_warm(const Joint& joint, Rows& rows) {
+    for (std::size_t r = 0; r < rows.count; ++r) rows.of[r].impulse += rows.of[r].half;
+    hold(joint, rows);
+  }
+
+  std::size_t first_of(const Joint& joint) const {
+    return joint.a < 0 ? count_ : static_cast<std::size_t>(joint.a);
+  }
+
+  void hold(const Joint& joint, const Rows& rows) {
+    const std::size_t a = first_of(joint);
+    for (std::size_t r = 0; r < rows.count; ++r) {
+      const Row& row = rows.of[r];
+      if (row.half == 0) continue;
+      apply(a, joint.b, row.line, speeds_[a].turned(row.arm_a),
+            speeds_[joint.b].turned(row.arm_b), row.half);
+    }
+  }
+
+  // The frames of a joint at a share of the step, and the arms to them.
+  struct Frames {
+    Anchor a, b;
+    Vec arm_a, arm_b;
+  };
+
+  Frames frames_of(std::size_t number, double share, const State* on_a, const State& on_b) const {
+    const Joint& joint = world_.joints[number];
+    Frames found;
+    if (joint.a < 0) {
+      const Pose pose = anchors_[number].at(share);
+      found.a = {pose.to_world(joint.on_a.at), unit(turn_of_pose(pose) * joint.on_a.turn), {}, {}};
+      if (anchors_[number].moves()) {
+        found.a.velocity = anchors_[number].displacement(found.a.at, pose) * (1 / step_);
+        found.a.spin = anchors_[number].turn() * (1 / step_);
+      }
+    } else {
+      found.a = anchor_of(*on_a, joint.on_a);
+      found.arm_a = found.a.at - on_a->at;
+    }
+    found.b = anchor_of(on_b, joint.on_b);
+    found.arm_b = found.b.at - on_b.at;
+    return found;
+  }
+
+  const State* first_state(const Joint& joint) const {
+    return joint.a < 0 ? nullptr : &states_[static_cast<std::size_t>(joint.a)];
+  }
+
+  void write_rows(std::size_t number, std::size_t k, double share, bool first) {
+    const Joint& joint = world_.joints[number];
+    std::array<double, ROWS> before{}, half{};
+    if (first) {
+      for (std::size_t i = 0; i < ROWS; ++i) before[i] = held_[number][i] * h_;
+    } else {
+      for (std::size_t r = 0; r < rows_[k].count; ++r) {
+        const Row& row = rows_[k].of[r];
+        before[static_cast<std::size_t>(row.slot)] = row.impulse;
+        half[static_cast<std::size_t>(row.slot)] = row.half;
+      }
+    }
+    const Frames f = frames_of(number, share, first_state(joint), states_[joint.b]);
+    rows_[k] = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
+                       speeds_[joint.b], h_);
+    for (std::size_t r = 0; r < rows_[k].count; ++r) {
+      Row& row = rows_[k].of[r];
+      const auto slot = static_cast<std::size_t>(row.slot);
+      row.impulse = std::clamp(before[slot], row.least, row.most), row.half = half[slot];
+    }
+  }
+
+  // How much more a joint's errors change until the end of the small step than its equations
+  // say, as bodies go on and turn: over the time.
+  void bend(std::size_t number, Rows& rows, double end) {
+    const Joint& joint = world_.joints[number];
+    const auto gone = [&](std::size_t i) {
+      State s = states_[i];
+      s.at = s.at + speeds_[i].v * h_;
+      s.turn = unit(turn_of(speeds_[i].w * h_) * s.turn);
+      return s;
+    };
+    const State on_b = gone(joint.b);
+    const State on_a = joint.a < 0 ? State{} : gone(static_cast<std::size_t>(joint.a));
+    const Frames f = frames_of(number, end, &on_a, on_b);
+    const Rows after = rows_of(joint, f.a, f.b, f.arm_a, f.arm_b, speeds_[first_of(joint)],
+                               speeds_[joint.b], h_);
+    for (std::size_t r = 0; r < rows.count; ++r) {
+      Row& row = rows.of[r];
+      if (row.kind == Row::DRIVE) continue;
+      for (std::size_t q = 0; q < after.count; ++q)
+        if (after.of[q].slot == row.slot)
+          row.bend = (after.of[q].error - row.error) / h_ - speed_of(joint, row);
+    }
+  }
+
+  double speed_of(const Joint& joint, const Row& row) const {
+    const Speed &a = speeds_[first_of(joint)], &b = speeds_[joint.b];
+    return dot(row.line, b.v - a.v) + dot(row.arm_b, b.w) - dot(row.arm_a, a.w) + row.given;
+  }
+
+  static Turn turn_of_pose(const Pose& pose) {
+    const double* m = pose.turn;
+    const double w = std::sqrt(std::max(0.0, 1 + m[0] + m[4] + m[8])) / 2;
+    const double x = std::sqrt(std::max(0.0, 1 + m[0] - m[4] - m[8])) / 2;
+    const double y = std::sqrt(std::max(0.0, 1 - m[0] + m[4] - m[8])) / 2;
+    const double z = std::sqrt(std::max(0.0, 1 - m[0] - m[4] + m[8])) / 2;
+    return {std::copysign(x, m[7] - m[5]), std::copysign(y, m[2] - m[6]),
+            std::copysign(z, m[3] - m[1]), w};
+  }
+
+  static Anchor anchor_of(const State& s, const Frame& frame) {
+    return {s.at + rotate(s.turn, frame.at), s.turn * frame.turn, {}, {}};
+  }
+
+  // Corrects velocities until they hardly change: with or without what pushes back to where
+  // bodies should be.
+  void iterate(const Island& island, bool pushing) {
+    if (patches_.empty() && island.joints.empty()) return;
+    const std::size_t size = points_.size() + island.joints.size() * 6;
+    const int limit = settings_.rounds * static_cast<int>(std::clamp<std::size_t>(SMALL / std::max<std::size_t>(size, 1), 1, MOST));
+    double change = 0;
+    int round = 0;
+    do {
+      change = 0;
+      for (std::size_t k = 0; k < island.joints.size(); ++k)
+        change = std::max(change, correct(world_.joints[island.joints[k]], rows_[k], pushing));
+      const std::size_t patches = patches_.size();
+      // There and back, so that weight gets down and support gets up.
+      for (std::size_t k = 0; k < patches; ++k)
+        change = std::max(change, correct(patches_[round % 2 ? patches - 1 - k : k], pushing));
+      ++round;
+    } while (change > settings_.tolerance && round < limit);
+    report_.rounds += round;
+    if (!pushing) {
+      report_.residual = std::max(report_.residual, change);
+      if (change > settings_.tolerance) ++report_.unsolved;
+    }
+  }
+
+  double correct(Patch& patch, bool pushing) {
+    double most = 0;
+    const double h = h_;
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      double bias = 0, mass = 1, leak = 0;
+      if (p.now > 0) {
+        bias = p.now / h;
+      } else if (pushing) {
+        bias = std::max(contact_.bias * p.now, -patch.push);
+        mass = contact_.mass, leak = contact_.leak;
+      }
+      const double speed = approach(patch, p);
+      const double change = -p.mass * mass * (speed + bias) - leak * p.force;
+      const double force = std::max(p.force + change, 0.0), by = force - p.force;
+      p.force = force;
+      if (by != 0) {
+        apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], by);
+        most = std::max(most, std::fabs(by) / p.mass);
+      }
+    }
+    if (!(patch.friction > 0)) return most;
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      Point& p = points_[k];
+      if (p.force == 0 && p.across[0] == 0 && p.across[1] == 0) continue;
+      const Speed &a = speeds_[patch.a], &b = speeds_[patch.b];
+      const Vec off = b.v - a.v + p.slide;
+      double to[2];
+      for (int d = 0; d < 2; ++d) {
+        const double speed = dot(patch.tangents[d], off) + dot(p.arms_b[d + 1], b.w) -
+                             dot(p.arms_a[d + 1], a.w);
+        to[d] = p.across[d] - p.masses[d] * speed;
+      }
+      const double limit = patch.friction * p.force;
+      const double size = std::sqrt(to[0] * to[0] + to[1] * to[1]);
+      const double share = size > limit ? limit / size : 1;
+      for (int d = 0; d < 2; ++d) {
+        const double by = to[d] * share - p.across[d];
+        p.across[d] += by;
+        if (by == 0) continue;
+        apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1], by);
+        most = std::max(most, std::fabs(by) / p.masses[d]);
+      }
+    }
+    return most;
+  }
+
+  double correct(const Joint& joint, Rows& rows, bool pushing) {
+    double most = 0;
+    const std::size_t first = first_of(joint);
+    Speed &a = speeds_[first], &b = speeds_[joint.b];
+    for (std::size_t r = 0; r < rows.count; ++r) {
+      Row& row = rows.of[r];
+      const double speed = speed_of(joint, row) + (pushing ? row.bend : 0);
+      double change = 0;
+      if (row.kind == Row::DRIVE) {
+        change = -row.mass * (speed + row.bias * row.error + row.leak * row.impulse);
+      } else if (row.kind == Row::LIMIT && row.error > 0) {
+        change = -row.mass * (speed + row.error / h_);
+      } else if (pushing) {
+        change = -row.mass * joint_.mass * (speed + joint_.bias * row.error) -
+                 joint_.leak * row.impulse;
+      } else {
+        change = -row.mass * speed;
+      }
+      const double to = std::clamp(row.impulse + change, row.least, row.most);
+      const double by = to - row.impulse;
+      row.impulse = to;
+      if (by == 0) continue;
+      apply(first, joint.b, row.line, a.turned(row.arm_a), b.turned(row.arm_b), by);
+      most = std::max(most, std::fabs(by) / row.mass);
+    }
+    return most;
+  }
+
+  // Bodies go on for a small step.
+  void go(std::size_t i) {
+    State& s = states_[i];
+    const Body& body = world_.bodies[i];
+    const Speed& speed = speeds_[i];
+    s.at = s.at + speed.v * h_;
+    if (pushed_[i]) s.velocity = speed.v, s.momentum = momentum_of(i);
+    const Vec p = unrotate(s.turn, s.momentum);
+    Spin spin{s.turn, {p.x, p.y, p.z}};
+    spin_freely(spin, body.turning, h_, settings_.method);
+    s.turn = spin.q;
+    if (settings_.method != Method::SPLITTING)
+      s.momentum = rotate(s.turn, {spin.p[0], spin.p[1], spin.p[2]});
+    turns_[i] = pose_of(s);
+    speeds_[i].w = spin_of(body, s);
+    if (pushed_[i]) refresh(i);
+  }
+
+  Vec momentum_of(std::size_t i) const {
+    const Vec w = turns_[i].unrotated(speeds_[i].w);
+    const double* e = world_.bodies[i].turning.of;
+    const double p[3] = {w.x, w.y, w.z};
+    double to[3];
+    for (int k = 0; k < 3; ++k) to[k] = e[k] > 0 ? p[k] / e[k] : 0.0;
+    return turns_[i].rotated({to[0], to[1], to[2]});
+  }
+
+  // Notes whom contacts and joints push.
+  void mark(const Island& island) {
+    for (const std::size_t k : island.joints) {
+      const Joint& joint = world_.joints[k];
+      pushed_[joint.b] = 1;
+      if (joint.a >= 0) pushed_[static_cast<std::size_t>(joint.a)] = 1;
+    }
+    for (const Patch& patch : patches_)
+      for (std::size_t k = patch.begin; k < patch.end; ++k)
+        if (points_[k].force > 0) {
+          pushed_[patch.a] = 1;
+          if (patch.b < count_) pushed_[patch.b] = 1;
+        }
+  }
+
+  void bounce() {
+    for (int round = 0; round < BOUNCES; ++round) {
+      bool any = false;
+      for (Patch& patch : patches_) {
+        if (!(patch.restitution > 0)) continue;
+        const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
+        for (std::size_t k = patch.begin; k < patch.end; ++k) {
+          Point& p = points_[k];
+          const double out = patch.restitution * p.coming;
+          // What is back within a small step rests.
+          if (p.force == 0 || out <= pull * h_) continue;
+          const double change = std::max(out - approach(patch, p), 0.0) * p.mass;
+          if (!(change > settings_.tolerance * p.mass * 1e-3)) continue;
+          p.force += change;
+          apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], change);
+          any = true;
+        }
+      }
+      if (!any) break;
+    }
+    // A bounce is no force that lasts.
+    for (Patch& patch : patches_) {
+      if (!(patch.restitution > 0)) continue;
+      const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
+      for (std::size_t k = patch.begin; k < patch.end; ++k) {
+        Point& p = points_[k];
+        if (p.force > 0 && patch.restitution * p.coming > pull * h_)
+          p.force = p.across[0] = p.across[1] = 0;
+      }
+    }
+  }
+
+  // Velocities as states have them.
+  void settle(std::size_t i) {
+    State& s = states_[i];
+    if (!pushed_[i]) return;
+    s.velocity = speeds_[i].v;
+    s.momentum = momentum_of(i);
+  }
+
+  // ---- what is kept
+
+  void keep() {
+    const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
+    for (const Kept& one : kept_) {
+      const bool both = sleeps(world_.shapes[static_cast<std::size_t>(one.first)].body) &&
+                        (one.second >= shapes ||
+                         sleeps(world_.shapes[static_cast<std::size_t>(one.second)].body));
+      if (both) saved_.push_back(one);
+    }
+    std::stable_sort(saved_.begin(), saved_.end(), [](const Kept& a, const Kept& b) {
+      return a.first != b.first ? a.first < b.first : a.second < b.second;
+    });
+    kept_ = std::move(saved_);
+  }
+
+  // Lets islands fall asleep that have been slow for long enough.
+  void rest() {
+    for (const auto& island : islands_) {
+      double speed = 0, least = std::numeric_limits<double>::infinity();
+      for (const std::size_t i : island.bodies) {
+        const State& s = states_[i];
+        const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
+        speed = std::max(speed, length(s.velocity) + turning);
+      }
+      for (const std::size_t i : island.bodies) {
+        states_[i].idle = speed < settings_.drowsy ? states_[i].idle + step_ : 0;
+        least = std::min(least, states_[i].idle);
+      }
+      for (const std::size_t i : island.bodies) {
+        states_[i].idle = std::min(states_[i].idle, std::max(least, settings_.rest / 2));
+        if (least >= settings_.rest) states_[i].velocity = states_[i].momentum = {};
+      }
+    }
+  }
+
+  const World& world_;
+  std::vector<State>& states_;
+  std::vector<Kept>& kept_;
+  std::vector<std::array<double, ROWS>>& held_;
+  const std::vector<Vec>&forces_, &torques_;
+  const std::vector<collide::Collider>& colliders_;
+  const std::vector<collide::Motion>& anchors_;
+  const Settings& settings_;
+  double step_, h_;
+  std::size_t count_;
+  Softness contact_ = Softness::of(STIFF / h_, CONTACT_DAMPING, h_);
+  Softness joint_ = Softness::of(STIFF / h_, JOINT_DAMPING, h_);
+  std::vector<Contact> contacts_;
+  std::vector<std::size_t> parents_;
+  std::vector<Island> islands_;
+  std::vector<Speed> speeds_;  // of the bodies, and of what does not move
+  std::vector<Pose> turns_;
+  std::vector<char> pushed_;
+  std::vector<Patch> patches_;
+  std::vector<Point> points_;
+  std::vector<Rows> rows_;
+  std::vector<Kept> saved_;
+  Report report_;
+};
+
+}  // namespace
+
+Report step_world(const World& world, std::vector<State>& states, std::vector<Kept>& kept,
+                  std::vector<std::array<double, ROWS>>& held, const std::vector<Vec>& forces,
+                  const std::vector<Vec>& torques,
+                  const std::vector<collide::Collider>& colliders,
+                  const std::vector<collide::Motion>& anchors, const Settings& settings,
+                  double step) {
+  return Solver(world, states, kept, held, forces, torques, colliders, anchors, settings, step)
+      .run();
+}
+
+}  // namespace animtool::rigid

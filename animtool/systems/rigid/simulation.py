@@ -1,0 +1,301 @@
+"""Rigid bodies in steps: forces, contacts, joints, and how they turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, Severity
+from animtool.frames import TransformsFrame
+from animtool.maths import so3
+from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
+from animtool.sim.system import Energy
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.joints import joints_of
+from animtool.systems.rigid.spec import PushModel, RigidModel
+from animtool.systems.simulation import Diagnostics, SimContext
+
+# Bodies that begin deeper in each other than this share of their size are a warning.
+DEEP = 0.02
+# A force that changes by more of itself in a step wakes who sleeps.
+CHANGES = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class RigidState:
+    """Where bodies are, and what contacts and joints hold.
+
+    Attributes:
+        motion: Of N bodies centre of mass [m], attitude of the principal axes (x, y, z,
+            w), velocity [m/s], angular momentum [kg m²/s], and for how long each has
+            been slow [s] ``(N, 14)``.
+        pairs: Shapes of each point of contact ``(M, 2)``.
+        contacts: Its place on the first body [m], and the force there [N] ``(M, 6)``.
+        held: Forces and torques of joints ``(K, 12)``.
+        deepest: How deep bodies have been in each other [m]: before, and in the first
+            step.
+        pressing: Points that press.
+        awake: Bodies that are awake.
+        residual: What the last corrections changed velocities by [m/s].
+    """
+
+    motion: FloatArray
+    pairs: IntArray
+    contacts: FloatArray
+    held: FloatArray
+    deepest: FloatArray
+    pressing: int = 0
+    awake: int = 0
+    residual: float = 0.0
+
+
+def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
+    """Return the points of a surface at both ends of a step; none before again."""
+    sheet.motion.forget(t)
+    return sheet.motion.points(t), sheet.motion.points(end)
+
+
+def going(sheet: Sheet, t: float, end: float) -> Collider:
+    """Return a surface through a step: as it begins, and as nearly as it goes as one.
+
+    The rotation is that of Kabsch (1976): points that change shape differ from it.
+    """
+    begin, after = _ends(sheet, t, end)
+    collider = sheet.collider(begin, sheet.motion.triangles(t))
+    if begin is after or (begin == after).all():
+        return collider
+    middle, goal = begin.mean(axis=0), after.mean(axis=0)
+    u, _, v = np.linalg.svd((after - goal).T @ (begin - middle))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    poses = Poses(
+        (t, end),
+        np.stack([np.zeros(3), goal - turn @ middle]),
+        np.stack([so3.IDENTITY, so3.from_matrix(turn)]),
+    )
+    return replace(collider, poses=poses)
+
+
+class RigidSimulation:
+    """Bodies of a spec, in steps.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM020, SIM061).
+    """
+
+    def __init__(self, spec: RigidModel, context: SimContext) -> None:
+        self._spec, self._begin = spec, context.begin
+        parts = context.parts
+        self.bodies = Bodies.of_models(spec.bodies, parts["bodies"], context.begin)
+        self.joints = joints_of(spec.joints, parts.get("joints", ()), self.bodies)
+        given = context.colliders
+        self._colliders = Colliders([*given, *self.bodies.colliders()], given.sheets)
+        # Points of surfaces in the last step, and these as colliders.
+        self._known: tuple[list[FloatArray], Colliders] | None = None
+        self._forces = parts.get("forces", ())
+        self._kernel = self.bodies.kernel(self.joints.rows, self.joints.numbers)
+        self._settings = (
+            spec.methods.index(spec.method),
+            spec.substeps,
+            spec.iterations,
+            spec.tolerance,
+            spec.sleep.speed,
+            spec.sleep.time,
+        )
+        self._pushes = [
+            (number, push)
+            for number, i in enumerate(self.bodies.dynamic.tolist())
+            for push in self.bodies.kinds[self.bodies.of[i]].model.pushes
+        ]
+
+    def initial(self) -> RigidState:
+        """Return where all begin."""
+        count = len(self.joints.rows)
+        return RigidState(
+            self.bodies.start,
+            np.zeros((0, 2), np.int64),
+            np.zeros((0, 6)),
+            np.zeros((count, 12)),
+            np.zeros(2),
+            awake=len(self.bodies.dynamic),
+        )
+
+    def step(self, state: RigidState, t: float, dt: float) -> RigidState:
+        """Return where bodies are a step [s] later."""
+        forces = self.forces(t, t + dt, state.motion)
+        motion = self._woken(state.motion, forces, t, dt)
+        stepped = _kernels.step_rigid(
+            self._kernel,
+            motion,
+            state.pairs,
+            state.contacts,
+            state.held,
+            forces,
+            self._surroundings(t, t + dt),
+            self.joints.frames(t, t + dt),
+            dt,
+            *self._settings,
+        )
+        motion, pairs, contacts, held, deepest, residual, pressing, _, awake, _ = (
+            stepped
+        )
+        first = deepest if t == self._begin else state.deepest[1]
+        return RigidState(
+            motion,
+            pairs,
+            contacts,
+            held,
+            np.array([max(deepest, state.deepest[0]), first]),
+            pressing,
+            awake,
+            residual,
+        )
+
+    def _surroundings(self, t: float, end: float) -> tuple[Any, ...]:
+        """Return what bodies run into through a step; surfaces as they then are."""
+        sheets = self._colliders.sheets
+        if not sheets:
+            return self._colliders.arrays(t, end)
+        places = [point for one in sheets for point in _ends(one, t, end)]
+        known = self._known
+        if known is None or any(
+            old is not new for old, new in zip(known[0], places, strict=True)
+        ):
+            moving = [going(one, t, end) for one in sheets]
+            known = self._known = places, Colliders([*self._colliders, *moving])
+        return known[1].arrays(t, end)
+
+    def forces(self, t: float, end: float, motion: FloatArray) -> FloatArray:
+        """Return forces [N] and torques [N m] through a step ``(N, 6)``."""
+        made = np.zeros((len(motion), 6))
+        x, v = motion[:, :3], motion[:, 7:10]
+        for force in self._forces:
+            made[:, :3] += force.force(t, x, v, self._particles)
+        for number, push in self._pushes:
+            made[number] += self._pushed(number, push, t, end, motion)
+        return made
+
+    def _pushed(
+        self, number: int, push: PushModel, t: float, end: float, motion: FloatArray
+    ) -> FloatArray:
+        """Return force and torque of a push ``(6,)``, less where it lasts less."""
+        start = self._begin if push.start is None else push.start
+        last = np.inf if push.end is None else push.end
+        share = max(min(end, last) - max(t, start), 0.0) / (end - t)
+        if not share:
+            return np.zeros(6)
+        bodies, turn = self.bodies, motion[number, 3:7]
+        frame = so3.multiply(turn, so3.conjugate(bodies.axes[number]))
+        force, torque = np.array(push.force), np.array(push.torque)
+        if push.local:
+            force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
+        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[number])
+        return np.concatenate([force, torque + np.cross(arm, force)]) * share
+
+    def _woken(
+        self, motion: FloatArray, forces: FloatArray, t: float, dt: float
+    ) -> FloatArray:
+        """Return bodies, those awake whose forces change."""
+        sleeping = motion[:, 13] >= self._spec.sleep.time
+        if not sleeping.any():
+            return motion
+        later = self.forces(t + dt, t + 2 * dt, motion)
+        size = np.linalg.norm(forces, axis=1)
+        change = np.linalg.norm(later - forces, axis=1)
+        woken = sleeping & (change > CHANGES * size)
+        if not woken.any():
+            return motion
+        motion = motion.copy()
+        motion[woken, 13] = 0.0
+        return motion
+
+    @cached_property
+    def _particles(self) -> ParticleState:
+        bodies = self.bodies
+        count = len(bodies.dynamic)
+        return ParticleState(
+            np.arange(count),
+            bodies.masses,
+            np.zeros(count),
+            bodies.reaches,
+            np.full(count, self._begin),
+            np.full(count, np.inf),
+            bodies.start[:, :3],
+        )
+
+    def frame(self, state: RigidState, t: float) -> TransformsFrame:
+        """Return where bodies are."""
+        bodies, motion = self.bodies, state.motion
+        count = len(bodies.names)
+        points, velocities, spins = np.zeros((3, count, 3))
+        rotations = np.tile(so3.IDENTITY, (count, 1))
+        moved = bodies.dynamic
+        points[moved], rotations[moved] = bodies.placed(motion)
+        spins[moved] = bodies.spins(motion)
+        arms = points[moved] - motion[:, :3]
+        velocities[moved] = motion[:, 7:10] + np.cross(spins[moved], arms)
+        for i in np.flatnonzero(~bodies.moved).tolist():
+            row, step = bodies.poses[i].at(t), self._spec.step
+            before, after = (
+                bodies.poses[i].at(t - step / 2),
+                bodies.poses[i].at(t + step / 2),
+            )
+            points[i], rotations[i] = row[:3], row[3:]
+            velocities[i] = (after[:3] - before[:3]) / step
+            turn = so3.multiply(after[3:], so3.conjugate(before[3:]))
+            spins[i] = so3.log(turn) / step
+        meshes = tuple(kind.meshes[0] for kind in bodies.kinds)
+        return TransformsFrame(
+            np.arange(count),
+            points,
+            velocities,
+            rotations,
+            spins,
+            np.ones((count, 3)),
+            bodies.of,
+            meshes,
+        )
+
+    def energy(self, state: RigidState) -> Energy:
+        """Return the energy of a state, potential where forces have one."""
+        bodies, motion = self.bodies, state.motion
+        own = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
+        moments = bodies.moments
+        ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
+        kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
+        kinetic += 0.5 * float((own**2 * ease).sum())
+        potential = 0.0
+        for force in self._forces:
+            found = force.potential(motion[:, :3], self._particles)
+            potential += 0.0 if found is None else float(found.sum())
+        return Energy(kinetic, potential)
+
+    def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
+        """Return energy, contacts and how deep bodies have been in each other."""
+        values = {
+            "bodies": float(len(self.bodies.names)),
+            "awake": float(state.awake),
+            "contacts": float(state.pressing),
+            "deepest": float(state.deepest[0]),
+            "residual": state.residual,
+        }
+        return Diagnostics(self.energy(state), values, self._notices(state))
+
+    def _notices(self, state: RigidState) -> Sequence[Fault]:
+        found = [*self.joints.notices, *self._colliders.notices()]
+        for kind in self.bodies.kinds:
+            found += kind.notices
+        size = float(self.bodies.reaches.min(initial=np.inf))
+        if state.deepest[1] > DEEP * size:
+            message = f"bodies begin {state.deepest[1]:g} m inside each other or "
+            message += "colliders: they are moved apart no faster than 2 m/s"
+            hint = "begin with a little room between them"
+            fault = Fault("SIM126", message, hint=hint, severity=Severity.WARNING)
+            found.append(fault)
+        return found
