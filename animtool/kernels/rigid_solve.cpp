@@ -209,6 +209,8 @@ class Solver {
                            dot(p.arms_b[d], p.turns_b[d]);
         (d ? p.masses[d - 1] : p.mass) = k_d > 0 ? 1 / k_d : 0;
       }
+      // One for both, so that friction is straight against what slides.
+      p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
     }
     patch.end = points_.size();
     find_kept(patch);
@@ -456,7 +458,8 @@ class Solver {
     const auto gone = [&](std::size_t i) {
       State s = states_[i];
       s.at = s.at + speeds_[i].v * h_;
-      s.turn = unit(turn_of(speeds_[i].w * h_) * s.turn);
+      s.momentum = momentum_of(i);
+      turn_freely(i, s);
       return s;
     };
     const State on_b = gone(joint.b);
@@ -599,15 +602,19 @@ class Solver {
     const Speed& speed = speeds_[i];
     s.at = s.at + speed.v * h_;
     if (pushed_[i]) s.velocity = speed.v, s.momentum = momentum_of(i);
-    const Vec p = unrotate(s.turn, s.momentum);
-    Spin spin{s.turn, {p.x, p.y, p.z}};
-    spin_freely(spin, body.turning, h_, settings_.method);
-    s.turn = spin.q;
-    if (settings_.method != Method::SPLITTING)
-      s.momentum = rotate(s.turn, {spin.p[0], spin.p[1], spin.p[2]});
+    turn_freely(i, s);
     turns_[i] = pose_of(s);
     speeds_[i].w = spin_of(body, s);
     if (pushed_[i]) refresh(i);
+  }
+
+  void turn_freely(std::size_t i, State& s) const {
+    const Vec p = unrotate(s.turn, s.momentum);
+    Spin spin{s.turn, {p.x, p.y, p.z}};
+    spin_freely(spin, world_.bodies[i].turning, h_, settings_.method);
+    s.turn = spin.q;
+    if (settings_.method != Method::SPLITTING)
+      s.momentum = rotate(s.turn, {spin.p[0], spin.p[1], spin.p[2]});
   }
 
   Vec momentum_of(std::size_t i) const {

@@ -101,8 +101,8 @@ inline void composed(Spin& s, const Ease& ease, double h, const double (&shares)
 // The longest turns, in radians that differ between axes, of steps of order 2, 4 and 6: each
 // leaves less than about 1e-12 of the energy and 1e-9 of the attitude.
 constexpr double TURN_2 = 2e-4, TURN_4 = 4e-3, TURN_6 = 2e-2;
-// The longest of order 8; longer steps are cut.
-constexpr double TURN_8 = 0.2;
+// The longest of order 8; longer steps are cut, into so many at most: no shot spins faster.
+constexpr double TURN_8 = 0.2, MOST_PARTS = 64;
 
 inline void split(Spin& s, const Ease& ease, double h) {
   static constexpr double fourth[] = {0.41449077179437573714, 0.41449077179437573714,
@@ -126,7 +126,7 @@ inline void split(Spin& s, const Ease& ease, double h) {
   if (apart <= TURN_2) return split_step(s, ease, h);
   if (apart <= TURN_4) return composed(s, ease, h, fourth);
   if (apart <= TURN_6) return composed(s, ease, h, sixth);
-  const double parts = std::min(std::ceil(apart / TURN_8), 1e4);
+  const double parts = std::min(std::ceil(apart / TURN_8), MOST_PARTS);
   for (int i = 0; i < parts; ++i) composed(s, ease, h / parts, eighth);
 }
 

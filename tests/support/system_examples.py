@@ -99,6 +99,8 @@ SWIMMING = np.array(
     [[1.0, 0.1, 0.2], [1.2, -0.3, 0], [0.8, 0.2, 0.6], [1.1, 0, -0.4], [1.3, 0.2, 0.1]]
 )
 
+DOOR = np.add(OFFSET, [0.3, 0.6, 0.2])
+
 EXAMPLES = {
     "particles": Example(
         {
@@ -259,6 +261,102 @@ EXAMPLES = {
                     "speed": {"most": 9},
                 }
             ],
+        },
+    ),
+    "rigid": Example(
+        {
+            "bodies": [
+                {
+                    "name": "crate",
+                    "shapes": [
+                        {
+                            "shape": {
+                                "box": {"size": [Length(x) for x in (0.3, 0.2, 0.1)]}
+                            }
+                        },
+                        {
+                            "shape": {"sphere": {"radius": Length(0.05)}},
+                            "at": [Length(0.1), Length(0.15), 0],
+                        },
+                    ],
+                    "density": Length(500.0, -3),
+                    "at": Point(OFFSET),
+                    "rotate": TILTED,
+                    "pushes": [
+                        {
+                            "force": Vector([3.0, 20.0, -9.0]),
+                            "at": [Length(0.1), 0, Length(0.05)],
+                        }
+                    ],
+                },
+                {
+                    "name": "door",
+                    "shape": {"box": {"size": [Length(x) for x in (0.4, 0.02, 0.3)]}},
+                    "mass": 2,
+                    "at": Point(DOOR),
+                    "rotate": TILTED,
+                },
+                {
+                    "name": "stone",
+                    "shape": {"sphere": {"radius": Length(0.1)}},
+                    "mass": 1,
+                    "at": Point(np.add(OFFSET, [-0.5, -0.15, 0.3])),
+                },
+            ],
+            "joints": [
+                {
+                    "type": "ball",
+                    "body": "door",
+                    "at": Point(np.add(DOOR, [0.2, 0.1, 0])),
+                    "rotate": TILTED,
+                    "moves": MOVES,
+                    "swing": 70,
+                    "drive": {
+                        "stiffness": Length(2.0, 2),
+                        "damping": Length(0.1, 2),
+                        "rotation": [0.9, 0.2, 0.1, 0.3],
+                    },
+                }
+            ],
+            "forces": [
+                {"gravity": {"acceleration": GRAVITY}},
+                {"wind": {"velocity": Vector([1.0, 0.5, 2.0]), "drag": 0.5}},
+            ],
+            "colliders": [FLOOR],
+            "residual": Length(1e-13),
+            "iterations": 20,
+            "sleep": {"speed": Length(0.02)},
+            "step": 1 / 128,
+        },
+        few=(
+            (
+                {
+                    "bodies": [{"name": "dot", "shape": {"sphere": {"radius": 0.1}}}],
+                    "joints": [],
+                },
+                1,
+            ),
+        ),
+        wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e17}}]},
+        initial=np.stack([OFFSET, DOOR, np.add(OFFSET, [-0.5, -0.15, 0.3])]),
+        orders={"splitting": 2, "rk4": 2},
+        more=("symplectic_euler", "explicit_euler"),
+        smooth={
+            "bodies": [
+                {
+                    "name": "top",
+                    "shape": {"box": {"size": [0.4, 0.2, 0.1]}},
+                    "at": OFFSET.tolist(),
+                    "spin": [900, 400, -700],
+                    "velocity": np.cross(
+                        np.radians([900, 400, -700]), [-0.2, -0.2, -0.2]
+                    ).tolist(),
+                }
+            ],
+            "joints": [
+                {"type": "ball", "body": "top", "at": np.add(OFFSET, 0.2).tolist()}
+            ],
+            "colliders": [],
         },
     ),
     "rope": Example(

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, Severity, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
@@ -104,7 +104,7 @@ class RigidSimulation:
             spec.methods.index(spec.method),
             spec.substeps,
             spec.iterations,
-            spec.tolerance,
+            spec.residual,
             spec.sleep.speed,
             spec.sleep.time,
         )
@@ -127,8 +127,16 @@ class RigidSimulation:
         )
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return where bodies are a step [s] later."""
-        forces = self.forces(t, t + dt, state.motion)
+        """Return where bodies are a step [s] later.
+
+        Raises:
+            ToleranceError: Forces are not finite (SIM102).
+        """
+        with np.errstate(all="ignore"):
+            forces = self.forces(t, dt, state.motion)
+        if not np.isfinite(forces).all():
+            message = f"a force on rigid bodies is not finite at {t:g} s"
+            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         motion = self._woken(state.motion, forces, t, dt)
         stepped = _kernels.step_rigid(
             self._kernel,
@@ -171,20 +179,41 @@ class RigidSimulation:
             known = self._known = places, Colliders([*self._colliders, *moving])
         return known[1].arrays(t, end)
 
-    def forces(self, t: float, end: float, motion: FloatArray) -> FloatArray:
-        """Return forces [N] and torques [N m] through a step ``(N, 6)``."""
+    def forces(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return forces [N] and torques [N m] through a step ``(N, 6)``.
+
+        They are the mean of those at its beginning and at its end, where bodies come
+        that nothing touches, so that errors fall with the square of the step.
+        """
+        now = self._forces_at(t, (t, t + dt), motion)
+        masses, spins = self.bodies.masses[:, None], self.bodies.spins(motion)
+        then = motion.copy()
+        then[:, 7:10] += now[:, :3] * (dt / masses)
+        then[:, :3] += (motion[:, 7:10] + then[:, 7:10]) * (dt / 2)
+        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
+        return (now + self._forces_at(t + dt, (t, t + dt), then)) / 2
+
+    def _forces_at(
+        self, t: float, span: tuple[float, float], motion: FloatArray
+    ) -> FloatArray:
+        """Return forces and torques at a time ``(N, 6)``, pushes as in a span of it."""
         made = np.zeros((len(motion), 6))
         x, v = motion[:, :3], motion[:, 7:10]
         for force in self._forces:
             made[:, :3] += force.force(t, x, v, self._particles)
         for number, push in self._pushes:
-            made[number] += self._pushed(number, push, t, end, motion)
+            made[number] += self._pushed(number, push, span, motion)
         return made
 
     def _pushed(
-        self, number: int, push: PushModel, t: float, end: float, motion: FloatArray
+        self,
+        number: int,
+        push: PushModel,
+        span: tuple[float, float],
+        motion: FloatArray,
     ) -> FloatArray:
         """Return force and torque of a push ``(6,)``, less where it lasts less."""
+        t, end = span
         start = self._begin if push.start is None else push.start
         last = np.inf if push.end is None else push.end
         share = max(min(end, last) - max(t, start), 0.0) / (end - t)
@@ -205,7 +234,7 @@ class RigidSimulation:
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
-        later = self.forces(t + dt, t + 2 * dt, motion)
+        later = self.forces(t + dt, dt, motion)
         size = np.linalg.norm(forces, axis=1)
         change = np.linalg.norm(later - forces, axis=1)
         woken = sleeping & (change > CHANGES * size)

@@ -287,7 +287,7 @@ class RigidModel(SystemSpec):
         32,
         default=8,
     )
-    tolerance: Positive = key(
+    residual: Positive = key(
         "Corrections end when they change velocities by less [m/s, rad/s].",
         1e-5,
         default=1e-4,

@@ -46,7 +46,11 @@ def entry(kind: str, **changes: Any) -> list[dict[str, Any]]:
 
 def arrays(rows: list[Any], *names: str) -> list[np.ndarray]:
     """Return what each time has of all that is written, or of some of it."""
-    fields = [f.name for f in dataclasses.fields(rows[0]) if f.name != "primvars"]
+    fields = [
+        f.name
+        for f in dataclasses.fields(rows[0])
+        if f.name not in ("primvars", "meshes")
+    ]
     return [
         np.asarray(row.primvars[name] if name in row.primvars else getattr(row, name))
         for row in rows
@@ -169,7 +173,7 @@ def test_units_of_the_output_show_in_lengths_alone(
         values(simulator.baked(entry(kind), options)[0], 7, None)
         for options in (BakeOptions(), BakeOptions(to_units=LengthUnit.CM))
     )
-    lengths = {"points", "velocities", "widths", "extent", "accelerations"}
+    lengths = {"points", "positions", "velocities", "widths", "extent"}
     for name, value in one.items():
         factor = 100 if name in lengths else 1
         if value is None or isinstance(value, str):
