@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 
 from animtool.errors import Fault
@@ -44,6 +45,10 @@ class Option:
     flag: str  # as refusals name it on the command line
     label: str  # as refusals name it in a scene
     not_for: frozenset[str]  # uses that refuse it
+    over_layer: str  # why an animation layer refuses it; empty where it does not
+    # Other options that it excludes, and how a refusal says so, if not the usual way.
+    excludes: Mapping[str, str]
+    goes_with: str  # another option that it wants, or none
     scene: Key | None
     batch: Key | None
     help: str  # of the command line; empty where commands have another such option
@@ -55,6 +60,9 @@ class Option:
     short: str  # the flag of one letter
 
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
+
+
 def option(
     default: Any,
     kind: Kind,
@@ -63,6 +71,9 @@ def option(
     default_factory: Any = MISSING,
     label: str = "",
     not_for: tuple[str, ...] = (),
+    over_layer: str = "",
+    excludes: Mapping[str, str] = NOTHING,
+    goes_with: str = "",
     scene: Key | None = None,
     batch: Key | None = None,
     both: Key | None = None,
@@ -83,6 +94,9 @@ def option(
         flag,
         label,
         frozenset(not_for),
+        over_layer,
+        excludes,
+        goes_with,
         scene or both,
         batch or both,
         help,
@@ -174,14 +188,34 @@ def _arguments(records: tuple[Any, ...]) -> tuple[dict[str, str], re.Pattern[str
     return names, re.compile(rf"(?<![\w-])(?:{flags})(?![\w-])")
 
 
-def refused_options(record: Any, use: str) -> list[Option]:
-    """Return the options that are not for a use, of those that are not the defaults."""
+def given_options(record: Any) -> dict[str, Option]:
+    """Return the options that are not the defaults; of an answer, one that is no."""
     defaults = {entry.name: entry.default for entry in fields(record)}
-    return [
-        described
+    return {
+        name: described
         for name, described in options_of(record).items()
-        if use in described.not_for and getattr(record, name) != defaults[name]
-    ]
+        if (value := getattr(record, name)) != defaults[name]
+        and not (described.kind == "answer" and value)
+    }
+
+
+def refused_options(record: Any, use: str) -> list[Option]:
+    """Return the options that are not for a use, of those that are given."""
+    return [given for given in given_options(record).values() if use in given.not_for]
+
+
+def clashes(record: Any) -> list[str]:
+    """Return how options that are given exclude each other, or want another one."""
+    options, given = options_of(record), given_options(record)
+    messages = []
+    for one in given.values():
+        for other, message in one.excludes.items():
+            if other in given:
+                usual = f"{one.flag} and {given[other].flag} exclude each other"
+                messages.append(message or usual)
+        if one.goes_with and one.goes_with not in given:
+            messages.append(f"{one.flag} goes with {options[one.goes_with].flag}")
+    return messages
 
 
 # What a message says of a number of an entry in a file.

@@ -20,6 +20,7 @@ from animtool.ik.options import TakeOptions
 from animtool.options import (
     Key,
     as_arguments,
+    clashes,
     keys_of,
     option,
     options_of,
@@ -61,6 +62,43 @@ def test_a_use_refuses_what_is_not_the_default(
     given: Cut, use: str, flags: list[str]
 ) -> None:
     assert [refused.flag for refused in refused_options(given, use)] == flags
+
+
+@dataclass(frozen=True)
+class Bread:
+    """Bread."""
+
+    whole: bool = option(False, "switch", "--whole", excludes={"width": ""})
+    width: float | None = option(None, "length", "--width", goes_with="sliced")
+    sliced: bool = option(
+        False, "switch", "--sliced", excludes={"whole": "--sliced: no --whole"}
+    )
+    crust: bool | None = option(None, "answer", "--no-crust", goes_with="sliced")
+
+
+@pytest.mark.parametrize(
+    ("bread", "messages"),
+    [
+        (Bread(), []),
+        (Bread(width=1.0, sliced=True, crust=False), []),
+        (Bread(crust=True), []),
+        (Bread(crust=False), ["--no-crust goes with --sliced"]),
+        (Bread(whole=True, sliced=True), ["--sliced: no --whole"]),
+        (
+            Bread(whole=True, width=1.0),
+            ["--whole and --width exclude each other", "--width goes with --sliced"],
+        ),
+    ],
+)
+def test_what_options_exclude_and_want(bread: Bread, messages: list[str]) -> None:
+    assert clashes(bread) == messages
+
+
+def test_what_options_exclude_and_want_is_an_option() -> None:
+    for described in options_of(BakeOptions).values():
+        assert {*described.excludes, described.goes_with or "fps"} <= {
+            *options_of(BakeOptions)
+        }
 
 
 def test_a_text_calls_options_as_arguments() -> None:

@@ -16,6 +16,7 @@ from animtool.units import LengthUnit, UpAxis
 
 # Keys written for samples stay within it: under what anyone sees on a person.
 KEY_TOLERANCE = "0.5mm"
+_ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +139,7 @@ class BakeOptions:
         "--bones",
         label="bones",
         not_for=("systems", "library", "deform"),
+        over_layer="--bones never goes into a layer",
         both=Key("Add geometry that shows the joints.", True),
         help="Add light geometry that shows the joints.",
     )
@@ -154,6 +156,8 @@ class BakeOptions:
         "--rest frame:N",
         label="rest",
         not_for=("systems", "library", "deform"),
+        over_layer="--rest frame:N sets a skeleton's rest pose, which a layer does not "
+        "hold",
         metavar="offsets|frame:N",
         help="Where the rest pose comes from.  [default: offsets]",
     )
@@ -212,6 +216,7 @@ class BakeOptions:
         "--keep-samples",
         label="keep_samples",
         not_for=("systems",),
+        excludes={"samples": ""},
         help="Keep the source's own samples.",
     )
     to_units: LengthUnit | None = option(
@@ -219,6 +224,7 @@ class BakeOptions:
         "unit",
         "--to-units",
         not_for=("library",),
+        over_layer=_ADOPTED,
         batch=Key("Unit of the outputs. Not given: each source's.", "m"),
         help="Unit of the output.",
     )
@@ -227,6 +233,7 @@ class BakeOptions:
         "axis",
         "--to-up",
         not_for=("library",),
+        over_layer=_ADOPTED,
         batch=Key("Up axis of the outputs. Not given: each source's.", "Y"),
         help="Up axis of the output.",
     )
@@ -264,6 +271,10 @@ class BakeOptions:
         "--reduce",
         label="reduce",
         not_for=("systems", "deform"),
+        excludes={
+            "samples": "",
+            "root_motion": "--reduce measures joints: no --root-motion skelroot",
+        },
         scene=Key(
             "Leave out samples that the others give back within this length. "
             f"Not given: all stay; of keys: {KEY_TOLERANCE}.",
@@ -281,6 +292,7 @@ class BakeOptions:
         (),
         "lengths",
         "--reduce-at",
+        goes_with="reduce",
         both=Key("Other tolerances, by joint or pattern.", {"hand_*": "0.1mm"}),
         help="Another tolerance of --reduce for a joint, or for those that fit a "
         "pattern, such as 'hand_*=0.1mm'; can be given several times.",
@@ -304,6 +316,7 @@ class BakeOptions:
         False,
         "switch",
         "--velocities",
+        goes_with="deform",
         scene=Key("With `deform`: write how fast points move, per second, too.", True),
         help="With --deform, how fast points move too, per second, for motion blur.",
     )
@@ -311,6 +324,7 @@ class BakeOptions:
         None,
         "answer",
         "--no-normals",
+        goes_with="deform",
         scene=Key(
             "With `deform`: whether meshes keep normals. Not given: they do.", False
         ),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity
-from animtool.options import refused_options
+from animtool.options import clashes, given_options, refused_options
 from animtool.rates import rate_label
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of
@@ -128,38 +128,31 @@ def check_options(
         simulated: Whether systems are written.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
-    clashes = _layer_clashes(options, form)
+    wrong = _layer_clashes(options, form)
     if form == "library":
-        clashes += _library_clashes(options, to_stdout=to_stdout)
-    clashes.append(
+        wrong += _library_clashes(options, to_stdout=to_stdout)
+    wrong.append(
         (form == "split" and to_stdout, "--split writes three files, not stdout")
     )
-    clashes += _sample_clashes(options)
-    clashes += _shot_clashes(options, form)
-    clashes += _deform_clashes(options, form)
-    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
+    wrong += [(True, message) for message in clashes(options)]
+    wrong += _shot_clashes(options, form)
+    wrong += _deform_clashes(options, form)
+    wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    faults = [Fault("CLI002", message) for holds, message in wrong if holds]
     if faults:
         raise OptionError(faults)
 
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what animation over a rig layer does not go with, and whether it is so."""
+    refused = (given.over_layer for given in given_options(options).values())
     return [
         (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
         (
             form != "layer" and options.rig_layer is not None,
             "--rig-layer goes with --as layer",
         ),
-        (form == "layer" and options.bones, "--bones never goes into a layer"),
-        (
-            form == "layer" and options.rest_frame is not None,
-            "--rest frame:N sets a skeleton's rest pose, which a layer does not hold",
-        ),
-        (
-            form == "layer" and (options.to_units or options.to_up) is not None,
-            "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
-        ),
+        *((form == "layer", reason) for reason in dict.fromkeys(filter(None, refused))),
     ]
 
 
@@ -170,28 +163,6 @@ def _library_clashes(
     flags = ["-o -"] if to_stdout else []
     flags += [refused.flag for refused in refused_options(options, "library")]
     return [(True, f"a take of a library goes without {flag}") for flag in flags]
-
-
-def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
-    """Return what of samples excludes each other, and whether it is asked for."""
-    return [
-        (
-            options.keep_samples and bool(options.samples),
-            "--keep-samples and --samples exclude each other",
-        ),
-        (
-            options.reduce is not None and bool(options.samples),
-            "--reduce and --samples exclude each other",
-        ),
-        (
-            options.reduce is not None and options.root_motion,
-            "--reduce measures joints: no --root-motion skelroot",
-        ),
-        (
-            options.reduce is None and bool(options.reduce_at),
-            "--reduce-at goes with --reduce",
-        ),
-    ]
 
 
 def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
@@ -231,10 +202,7 @@ def _chunk_clashes(
 def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what does not go with point caches, and whether it is asked for."""
     if not options.deform:
-        return [
-            (options.velocities, "--velocities goes with --deform"),
-            (options.normals is False, "--no-normals goes with --deform"),
-        ]
+        return []
     joints = "--deform writes points, no joints"
     flags = ["--split"] if form == "split" else []
     flags += [refused.flag for refused in refused_options(options, "deform")]
