@@ -223,16 +223,16 @@ def _digits(number: object) -> str:
     return str(number) if is_rate else repr(number)
 
 
-def rate_option(fps: RateLike, code: str, option: str = "fps") -> Fraction:
-    """Return the rate of an option, see `parse_rate`; else a fault of that code.
+def rate_option(fps: RateLike) -> Fraction:
+    """Return the rate of the option ``fps``, see `parse_rate` (none: SCN022).
 
-    >>> rate_option("29.97", "SCN022")
+    >>> rate_option("29.97")
     Fraction(30000, 1001)
     """
     try:
         return parse_rate(fps)
     except ValueError as error:
-        raise OptionError(Fault(code, f"{option}: {error}")) from error
+        raise OptionError(Fault("SCN022", f"fps: {error}")) from error
 
 
 def rate_label(fps: Fraction) -> str:

@@ -57,7 +57,7 @@ class Shot:
         """Take the rate as it is written; timelines may have any fraction."""
         fps: Any = self.fps
         if not isinstance(fps, Fraction | None):
-            object.__setattr__(self, "fps", rate_option(fps, "SCN022"))
+            object.__setattr__(self, "fps", rate_option(fps))
 
     @property
     def start(self) -> int:

@@ -79,7 +79,7 @@ class Clip:
 
         Raises:
             FormatError: None, or more than 10 million (CLIP006).
-            OptionError: The rate is none (CLIP008).
+            OptionError: The rate is none (SCN022).
 
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
@@ -116,7 +116,7 @@ class Clip:
 
         Raises:
             OptionError: With every target that the rig has not (CLIP001 to CLIP003),
-                or a rate or step that is none (CLIP008).
+                a rate that is none (SCN022), or a step (CLIP021).
             FormatError: The range has no frame, or more than 10 million (CLIP006);
                 an expression of the rig has no value at some frame (CLIP015).
 
@@ -147,7 +147,7 @@ class Clip:
 
 
 def _rate(fps: RateLike | None, usual: Fraction) -> Fraction:
-    return usual if fps is None else rate_option(fps, "CLIP008")
+    return usual if fps is None else rate_option(fps)
 
 
 def _step(step: Fraction | float) -> Fraction:
@@ -158,7 +158,7 @@ def _step(step: Fraction | float) -> Fraction:
         each = Fraction(0)
     if each <= 0:
         message = f"step is {step}; it must be a positive number"
-        raise OptionError(Fault("CLIP008", message))
+        raise OptionError(Fault("CLIP021", message))
     return each
 
 

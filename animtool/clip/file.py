@@ -182,7 +182,7 @@ class _ClipReader:
         try:
             return parse_rate(self.model.fps)
         except ValueError as error:
-            self.document.add("CLIP008", ("fps",), str(error))
+            self.document.add("SCN022", ("fps",), str(error))
             return Fraction(24)
 
     def _range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:

@@ -220,7 +220,7 @@ def resampled(take: Take, fps: RateLike) -> Take:
         OptionError: It is no rate (SCN022), or there would be more than 10 million
             samples (SCN021).
     """
-    fps = rate_option(fps, "SCN022")
+    fps = rate_option(fps)
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
     times = plan_samples(take.clock, fps, take.clock.start)
     motion = Motion.concatenate([block for _, block in sample(take, times)])
@@ -255,7 +255,7 @@ def _checks(options: ResampleOptions) -> OptionChecks:
     if options.fps is None:
         return {}
     fps = options.fps
-    return {"fps": lambda: rate_option(fps, "SCN022")}
+    return {"fps": lambda: rate_option(fps)}
 
 
 PASS = Pass(

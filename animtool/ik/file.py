@@ -112,7 +112,7 @@ class _Reader:
         try:
             return parse_rate(self.model.fps)
         except ValueError as error:
-            self.document.add("TGT004", ("fps",), str(error))
+            self.document.add("SCN022", ("fps",), str(error))
             return None
 
     def _range(self) -> tuple[Fraction | None, Fraction | None]:

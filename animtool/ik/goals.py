@@ -352,7 +352,7 @@ def _value_faults(
     if bad.any():
         b, e = (int(i) for i in np.argwhere(bad)[0])
         message = f"weights[{b}, {e}] are no finite numbers from 0"
-        faults.append(Fault("IK011", message))
+        faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
         name = kind.targets
         if wanting[..., i].any():
@@ -367,5 +367,5 @@ def _value_faults(
         if bad.any():
             b, e = (int(i) for i in np.argwhere(bad)[0])
             what = "is no rotation" if _is_rotation(kind) else "are no finite numbers"
-            faults.append(Fault("IK011", f"{name}[{b}, {e}] {what}"))
+            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {what}"))
     return faults

@@ -156,10 +156,10 @@ class IkResult:
             start: Number of the first frame.
 
         Raises:
-            OptionError: The rate is none (IK014), or there is no pose (TAKE001).
+            OptionError: The rate is none (SCN022), or there is no pose (TAKE001).
         """
         clock = Clock(
-            rate_option(fps, "IK014"),
+            rate_option(fps),
             Fraction(start),
             Fraction(1),
             len(self.coordinates),

@@ -109,7 +109,7 @@ def solve(
 
     Raises:
         OptionError: Targets are missing, of another shape (IK010) or not finite
-            (IK011); a start is of another shape (IK012) or not finite (IK013); an
+            (TGT007); a start is of another shape (IK012) or not finite (IK013); an
             option makes no sense (IK014), or the method is not for this problem
             (IK015).
 

@@ -353,7 +353,7 @@ class BakeOptions:
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
         if self.fps is not None:
-            object.__setattr__(self, "fps", rate_option(self.fps, "SCN022"))
+            object.__setattr__(self, "fps", rate_option(self.fps))
         if self.shot is not None:
             if self.frame_range is None:
                 frames = FrameRange(self.shot.start, self.shot.end)

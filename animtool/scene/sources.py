@@ -103,7 +103,7 @@ class SourceOptions:
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
         if self.fps is not None:
-            object.__setattr__(self, "fps", rate_option(self.fps, "SCN022"))
+            object.__setattr__(self, "fps", rate_option(self.fps))
 
 
 def is_usd(path: Path) -> bool:

@@ -178,7 +178,7 @@ def test_a_bad_clip_writes_nothing(tmp_path: Path, rig: Rig) -> None:
     before = sorted(tmp_path.iterdir())
     done = animtool("bake", shot, "-o", tmp_path / "o.usda")
     assert done.code == 3
-    for code in ("CLIP008", "CLIP002", "CLIP004"):
+    for code in ("SCN022", "CLIP002", "CLIP004"):
         assert code in done.stderr
     assert sorted(tmp_path.iterdir()) == before
 

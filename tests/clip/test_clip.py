@@ -77,7 +77,7 @@ def test_a_rate_that_is_none(tmp_path: Path, fps: str | float) -> None:
     clip, rig = loaded(tmp_path, CURL)
     with pytest.raises(AnimtoolError) as caught:
         clip.sample(rig, fps)
-    assert caught.value.code == "CLIP008"
+    assert caught.value.code == "SCN022"
 
 
 @pytest.mark.parametrize("step", [0, -1, float("inf"), float("nan")])
@@ -85,7 +85,7 @@ def test_a_step_that_is_none(tmp_path: Path, step: float) -> None:
     clip, rig = loaded(tmp_path, CURL)
     with pytest.raises(AnimtoolError) as caught:
         clip.sample(rig, step=step)
-    assert caught.value.code == "CLIP008"
+    assert caught.value.code == "CLIP021"
 
 
 @pytest.mark.parametrize("last", [Fraction(0), Fraction(10**9)])
@@ -129,4 +129,4 @@ def test_a_range_is_not_counted_at_a_rate_that_is_none(fps: Any) -> None:
     clip = Clip("nod", Fraction(24), Fraction(1), Fraction(5), ())
     with pytest.raises(AnimtoolError) as caught:
         clip.frame_count(fps)
-    assert caught.value.code == "CLIP008"
+    assert caught.value.code == "SCN022"

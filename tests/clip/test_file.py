@@ -171,10 +171,10 @@ def test_a_planted_fault(
     [
         ("fps: 24\nrange: [9, 1]", "CLIP006"),
         ("fps: 24\nrange: [0, 2.0e9]", "CLIP006"),
-        ("\nfps: fast", "CLIP008"),
-        ("\nfps: 0", "CLIP008"),
-        ("\nfps: -24", "CLIP008"),
-        ("\nfps: 1/0", "CLIP008"),
+        ("\nfps: fast", "SCN022"),
+        ("\nfps: 0", "SCN022"),
+        ("\nfps: -24", "SCN022"),
+        ("\nfps: 1/0", "SCN022"),
         ("\nfps: .nan", "DOC022"),
     ],
 )
@@ -203,7 +203,7 @@ def test_all_faults_in_one_go(tmp_path: Path) -> None:
         for fault in PLANTED
         if fault[1].startswith("CLIP") and fault[1] not in {"CLIP010"}
     ]
-    text, expected, line = "", [("CLIP006", 3), ("CLIP008", 4)], 6
+    text, expected, line = "", [("CLIP006", 3), ("SCN022", 4)], 6
     for channels, code, at, _ in chosen:
         text += channels + "\n"
         expected.append((code, line + at - 5))
@@ -242,7 +242,7 @@ channels:
 - {target: control/grin, pre: hold, keys: [{t: 0, v: [x]}]}
 """
 MIXED_FAULTS = [
-    ("CLIP008", 3),
+    ("SCN022", 3),
     ("DOC022", 4),
     ("CLIP001", 6),
     ("CLIP004", 7),

@@ -103,7 +103,7 @@ def test_each_fault_has_its_line(folder: Path, code: str, goal: str) -> None:
     [
         ("targets: animtool/1\nrange: [9, 1]\n", "CLIP006", 2),
         ("targets: animtool/1\nrange: [1, 1e12]\n", "CLIP006", 2),
-        ("targets: animtool/1\nfps: fast\n", "TGT004", 2),
+        ("targets: animtool/1\nfps: fast\n", "SCN022", 2),
         ("targets: animtool/2\n", "DOC012", 1),
         ("clip: animtool/1\n", "DOC009", 1),
         ("targets: animtool/1\nunits: {length: ells}\n", "DOC022", 2),

@@ -33,7 +33,7 @@ def test_numbers_must_be_finite_and_rotations_not_zero(part: int, value: float) 
     parts[part][:] = value
     with pytest.raises(OptionError) as caught:
         pack(Targets(*parts), GOALS)
-    assert [fault.code for fault in caught.value.faults] == ["IK011"]
+    assert [fault.code for fault in caught.value.faults] == ["TGT007"]
 
 
 def test_what_is_not_asked_for_may_be_anything() -> None:
@@ -57,8 +57,8 @@ def test_weights_must_fit_the_goals_and_be_numbers_from_zero() -> None:
     for weights, code in [
         (np.ones((2, 2)), "IK010"),
         (np.ones((3, 2, len(KINDS))), "IK010"),
-        (np.full((2, 2, len(KINDS)), -1.0), "IK011"),
-        (np.full((2, 2, len(KINDS)), np.nan), "IK011"),
+        (np.full((2, 2, len(KINDS)), -1.0), "TGT007"),
+        (np.full((2, 2, len(KINDS)), np.nan), "TGT007"),
     ]:
         with pytest.raises(OptionError) as caught:
             pack(Targets(*parts, weights), GOALS)
@@ -78,4 +78,4 @@ def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None
     weights[1, 0, 0] = 0.5
     with pytest.raises(OptionError) as caught:
         pack(Targets(positions, rotations, aims, None, weights), GOALS)
-    assert caught.value.code == "IK011"
+    assert caught.value.code == "TGT007"

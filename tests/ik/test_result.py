@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from animtool.errors import OptionError
 from animtool.ik import Goal, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit
@@ -50,3 +51,13 @@ def test_poses_are_a_take() -> None:
     assert take.clock.times.tolist() == [1001.0, 1002.0, 1003.0]
     aims = so3.rotate(take.world().rotations[:, 0], np.array([0.0, 0.0, 1.0]))
     assert_allclose(aims, points, atol=1e-6)
+
+
+def test_poses_are_no_take_at_a_rate_that_is_none() -> None:
+    problem = build(
+        neck((3.0, 3.0), (-0.1, 0.1)), [Goal("neck", position=0.0, aim=1.0)]
+    )
+    result = solve(problem, None, Targets(aims=[[[0.0, 0.0, 1.0]]]))
+    with pytest.raises(OptionError) as caught:
+        result.take(fps=0)
+    assert caught.value.code == "SCN022"

@@ -62,7 +62,7 @@ def read_bvh(
         OptionError: fps is no rate (SCN022).
     """
     path = Path(path)
-    rate = None if fps is None else rate_option(fps, "SCN022")
+    rate = None if fps is None else rate_option(fps)
     with open_input(path, None) as file:
         try:
             lines = HeaderLines(file, path)
