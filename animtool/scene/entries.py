@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, TypeAlias
 
 from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location, spelled
@@ -17,9 +17,6 @@ from animtool.passes import Pass
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
-
-if TYPE_CHECKING:
-    from animtool.scene.systems.setups import SystemSetup
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +116,55 @@ class ScenePass:
     pass_: Pass  # what to do
     options: Any  # its own record
     place: Place  # of the entry
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFacts:
+    """A system in numbers, before it is simulated."""
+
+    counts: dict[str, int]  # what it is made of, by kind
+    method: str  # its solver, or its integrator
+    step: float | None  # the longest that it takes [s]; None leaves it to the method
+    # Of its own, meshes of files among them; those of characters are not counted.
+    colliders: int
+
+
+class SystemSetup(Protocol):
+    """What a system is made of, as its file says it."""
+
+    @property
+    def joined(self) -> tuple[tuple[str, Location], ...]:
+        """Names of systems that it is one with, and where they stand."""
+
+    @property
+    def needs(self) -> tuple[tuple[str, Location], ...]:
+        """Names of systems that are to be there before it, and where they stand."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read beside the scene."""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What acts on it, in words."""
+
+    @property
+    def makes(self) -> str:
+        """What becomes of it, in words."""
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What it is made of, in numbers."""
+
+    @property
+    def preroll(self) -> float:
+        """Time before 0 s that it begins in [s]."""
+
+
+# Where faults are noted, place and keys of the entry, and folders files may be in.
+SystemReader: TypeAlias = Callable[
+    [Document, Location, Any, Sequence[Path]], SystemSetup | None
+]
 
 
 @dataclass(frozen=True, slots=True)

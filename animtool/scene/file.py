@@ -29,6 +29,7 @@ from animtool.scene.entries import (
     SceneProp,
     SceneSource,
     SceneSystem,
+    SystemReader,
     kind_of,
     place_of_entry,
 )
@@ -40,7 +41,6 @@ from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceMode
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
-from animtool.scene.systems.setups import SystemReader
 from animtool.scene.tracks import TrackNames
 from animtool.shot import FrameRange, Shot
 from animtool.systems.kinds import SYSTEM_KINDS

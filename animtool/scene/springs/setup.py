@@ -14,7 +14,7 @@ from animtool._types import IntArray
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
-from animtool.scene.entries import SceneSystem
+from animtool.scene.entries import SceneSystem, SystemFacts
 from animtool.scene.springs.bodies import BodyEntry, SpringBody, families_of, mass_of
 from animtool.scene.springs.pins import Join, Pin, air_of, numbered, read_pins
 from animtool.scene.springs.shaped_bodies import (
@@ -24,7 +24,6 @@ from animtool.scene.springs.shaped_bodies import (
     volume_body,
 )
 from animtool.scene.systems.entries import EntryReader
-from animtool.scene.systems.setups import SystemFacts
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.springs import SelfContact, Solver, SpringOptions
 from animtool.systems.springs.checks import check_keeping_apart, check_options

@@ -1,7 +1,8 @@
-"""How particles move in a step, and whether their motion blows up."""
+"""The particles that live at a time: their equations, steps, and signs of a blow-up."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,21 +10,194 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
-from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch, collide
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.options import check_options
 from animtool.sim.run import Run
+from animtool.sim.system import Energy, FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.particles.system import (
-    ParticleFlow,
-    ParticleForces,
-    energies,
-    particle_system,
-)
 from animtool.systems.simulation import StoppedError
+
+
+class _Living:
+    """What particles under forces and in a field have in common."""
+
+    def __init__(
+        self,
+        setup: Particles,
+        colliders: Colliders,
+        particles: ParticleState,
+        state: FloatArray,
+    ) -> None:
+        self.setup, self.particles = setup, particles
+        self.settles = colliders.meet
+        self.contacts: Contacts | None = None
+        self._colliders = colliders
+        self._state = state
+
+    @property
+    def state(self) -> FloatArray:
+        """Where they start."""
+        return self._state
+
+
+class ParticleForces(_Living, SecondOrder):
+    """Particles that forces move."""
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²]."""
+        return accelerations(self.setup, self.particles, t, x, v)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return where colliders let a step end."""
+        x, v = after
+        done = collide(x, v, before, self._colliders, t - h, t, self.particles.radii)
+        self.contacts = done.contacts
+        if not done.contacts.any.any():
+            return after
+        return np.stack([done.points, done.velocities])
+
+    def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
+        """Return kinetic and potential energy, None where a force has none."""
+        found, known = energies(self.setup, self.particles, state)
+        if not known:
+            return None
+        kinetic, potential = found.sum(axis=1).tolist()
+        supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
+        return Energy(kinetic, potential, supply)
+
+    def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
+        """Return the fastest motions that forces bring about ``(M, 2)``."""
+        if not len(self.particles):
+            return None
+        forces, mass = self.setup.forces, float(self.particles.masses.min())
+        stiffness = sum(force.stiffness() for force in forces) / mass
+        damping = (
+            sum(force.damping(state[1], self.particles) for force in forces) / mass
+        )
+        turning = max((force.turning(self.particles) for force in forces), default=0.0)
+        rows = [(turning, 0.0)] if turning > 0 else []
+        if stiffness > 0:
+            omega = math.sqrt(stiffness)
+            rows.append((omega, damping / (2 * omega)))
+        elif damping > 0:
+            rows.append((damping, 1.0))
+        return np.array(rows) if rows else None
+
+    def suspect(self, t: float, state: FloatArray) -> str:
+        """Return which particle is accelerated most."""
+        pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
+        return (
+            f"particle {int(self.particles.ids[np.argmax(pulls)])} is accelerated most"
+        )
+
+
+class ParticleFlow(_Living, FirstOrder):
+    """Particles that go with a velocity field; the state is where they are."""
+
+    def rate(self, t: float, y: FloatArray) -> FloatArray:
+        """Return velocities ``(N, 3)`` [m/s]."""
+        assert self.setup.velocity is not None
+        return self.setup.velocity.velocity(t, y, self.particles)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return where colliders let a step end."""
+        speed = (after - before) / h
+        start = np.stack([before, speed])
+        done = collide(
+            after, speed, start, self._colliders, t - h, t, self.particles.radii
+        )
+        self.contacts = done.contacts
+        return done.points if done.contacts.any.any() else after
+
+
+def particle_system(
+    setup: Particles, colliders: Colliders, particles: ParticleState, state: FloatArray
+) -> ParticleForces | ParticleFlow:
+    """Return particles in a state ``(2, N, 3)`` as a system."""
+    if setup.velocity is not None:
+        return ParticleFlow(setup, colliders, particles, state[0])
+    return ParticleForces(setup, colliders, particles, state)
+
+
+def energies(
+    setup: Particles, particles: ParticleState, state: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return kinetic and potential energies ``(2, N)`` [J], and whether that is all.
+
+    What forces without a potential do is left out.
+    """
+    x, v = state
+    kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
+    potentials = [force.potential(x, particles) for force in setup.forces]
+    known = [found for found in potentials if found is not None]
+    potential = np.sum(known, axis=0) if known else np.zeros(len(particles))
+    return np.stack([kinetic, potential]), len(known) == len(potentials)
+
+
+def accelerations(
+    setup: Particles,
+    particles: ParticleState,
+    t: float | FloatArray,
+    x: FloatArray,
+    v: FloatArray,
+) -> FloatArray:
+    """Return what all forces do ``(N, 3)`` [m/s²]; times may be one each."""
+    whole = np.zeros_like(x)
+    for force in setup.forces:
+        whole += force.force(t, x, v, particles)
+    return whole / particles.masses[:, None]
+
+
+def spawned(
+    setup: Particles,
+    colliders: Colliders,
+    particles: ParticleState,
+    born: FloatArray,
+    t0: float,
+    t1: float,
+) -> FloatArray:
+    """Return particles at the end of the step that they are born in.
+
+    Each begins at a time of its own, so that streams have no lumps at every step. They
+    go by the classical method of Runge and Kutta whatever the method of the others is,
+    and do not act on others before the next step.
+
+    ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
+    """
+    done = _moved_classically(setup, particles, born, t1 - particles.births)
+    if not colliders.meet:
+        return done
+    found = collide(
+        done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
+    )
+    return np.stack([found.points, found.velocities])
+
+
+def _moved_classically(
+    setup: Particles, particles: ParticleState, born: FloatArray, spans: FloatArray
+) -> FloatArray:
+    h = spans[:, None]
+
+    def rate(share: float, state: FloatArray) -> FloatArray:
+        times = particles.births + share * spans
+        if setup.velocity is not None:
+            speed = setup.velocity.velocity(times, state[0], particles)
+            return np.stack([speed, np.zeros_like(speed)])
+        return np.stack([state[1], accelerations(setup, particles, times, *state)])
+
+    k1 = rate(0.0, born)
+    k2 = rate(0.5, born + h / 2 * k1)
+    k3 = rate(0.5, born + h / 2 * k2)
+    k4 = rate(1.0, born + h * k3)
+    return np.asarray(born + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
 
 
 class DivergenceCheck:
@@ -34,10 +208,6 @@ class DivergenceCheck:
     colliders may bring in what particles have at their speed. Where a force has no
     potential, energy tells only what is known to be in steps too long; what particles
     give each other without one is not for it to judge.
-
-    Args:
-        setup: Whose particles they are.
-        colliders: What they run into.
     """
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
@@ -109,19 +279,7 @@ class Moved:
 
 
 class Mover:
-    """Takes particles over steps, by one method.
-
-    Attributes:
-        notices: Of steps that are too long.
-        taken: Steps of the method so far.
-
-    Args:
-        setup: What moves them.
-        colliders: What they run into.
-
-    Raises:
-        OptionError: The method is not for such particles (SIM006).
-    """
+    """Takes particles over steps by one method, refused if not for them (SIM006)."""
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
@@ -132,8 +290,8 @@ class Mover:
         check_fit(Equations(none), self._integrator)
         self._watch = DivergenceCheck(setup, colliders)
         self._fastest: FloatArray | None = None
-        self.notices: list[Fault] = []
-        self.taken = 0
+        self.notices: list[Fault] = []  # of steps that are too long
+        self.taken = 0  # steps of the method so far
 
     def moved(
         self,

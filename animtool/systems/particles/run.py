@@ -1,9 +1,4 @@
-"""Particles taken through time: who is born, moves, is stopped and removed.
-
-Each begins at a time of its own, so that streams have no lumps at every step. They go
-by the classical method of Runge and Kutta whatever the method of the others is, and do
-not act on others before the next step.
-"""
+"""Particles taken through time: who is born, moves, is stopped and removed."""
 
 from __future__ import annotations
 
@@ -15,21 +10,21 @@ from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity
 from animtool.frames import PointsFrame
 from animtool.sim.checks import check_start
-from animtool.sim.colliders.colliding import Colliders, Contacts, Touch, collide
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import Before
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.system import Energy
-from animtool.systems.particles.moving import Mover
-from animtool.systems.particles.setup import Particles
-from animtool.systems.particles.state import ParticleState
-from animtool.systems.particles.system import (
+from animtool.systems.particles.moving import (
+    Mover,
     ParticleFlow,
     ParticleForces,
-    accelerations,
     particle_system,
+    spawned,
 )
+from animtool.systems.particles.setup import Particles
+from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
     Diagnostics,
     Reached,
@@ -37,47 +32,6 @@ from animtool.systems.simulation import (
     growing,
     later,
 )
-
-
-def spawned(
-    setup: Particles,
-    colliders: Colliders,
-    particles: ParticleState,
-    born: FloatArray,
-    t0: float,
-    t1: float,
-) -> FloatArray:
-    """Return particles at the end of the step that they are born in.
-
-    ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
-    """
-    done = _moved(setup, particles, born, t1 - particles.births)
-    if not colliders.meet:
-        return done
-    found = collide(
-        done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
-    )
-    return np.stack([found.points, found.velocities])
-
-
-def _moved(
-    setup: Particles, particles: ParticleState, born: FloatArray, spans: FloatArray
-) -> FloatArray:
-    h = spans[:, None]
-
-    def rate(share: float, state: FloatArray) -> FloatArray:
-        times = particles.births + share * spans
-        if setup.velocity is not None:
-            speed = setup.velocity.velocity(times, state[0], particles)
-            return np.stack([speed, np.zeros_like(speed)])
-        return np.stack([state[1], accelerations(setup, particles, times, *state)])
-
-    k1 = rate(0.0, born)
-    k2 = rate(0.5, born + h / 2 * k1)
-    k3 = rate(0.5, born + h / 2 * k2)
-    k4 = rate(1.0, born + h * k3)
-    return np.asarray(born + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-
 
 _NONE = np.zeros((2, 0, 3))
 
@@ -164,12 +118,13 @@ class ParticleSimulation:
         made = len(particles) + beyond
         missed = max(made - room, 0)
         if missed and not state.missed:
-            self._say_full(until)
+            most = self.setup.max_particles
+            message = f"there is room for {most} particles, from {until:g} s on for "
+            hint = "raise max_particles, or lower rates or lifetimes"
+            self._warn("SIM121", f"{message}no more", hint)
         state = replace(state, born=state.born + made, missed=state.missed + missed)
-        particles, born = (
-            particles.select(np.arange(len(particles))[:room]),
-            born[:, :room],
-        )
+        kept = np.arange(len(particles))[:room]
+        particles, born = particles.select(kept), born[:, kept]
         if not len(particles):
             return state
         if until > now:
@@ -230,35 +185,14 @@ class ParticleSimulation:
             *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
             *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
         ][which]
-        message = (
-            f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at once"
-        )
-        hint = (
-            "particles begin inside, or colliders close in on them from several sides"
-        )
-        self._notices.append(
-            Fault(
-                "SIM123",
-                message,
-                where=self.setup.name,
-                hint=hint,
-                severity=Severity.WARNING,
-            )
-        )
+        message = f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at "
+        hint = "particles begin inside, or colliders close in on them from several "
+        self._warn("SIM123", f"{message}once", f"{hint}sides")
 
-    def _say_full(self, t: float) -> None:
-        room = self.setup.max_particles
-        message = f"there is room for {room} particles, from {t:g} s on for"
-        hint = "raise max_particles, or lower rates or lifetimes"
-        self._notices.append(
-            Fault(
-                "SIM121",
-                f"{message} no more",
-                where=self.setup.name,
-                hint=hint,
-                severity=Severity.WARNING,
-            )
-        )
+    def _warn(self, code: str, message: str, hint: str) -> None:
+        name, severity = self.setup.name, Severity.WARNING
+        fault = Fault(code, message, where=name, hint=hint, severity=severity)
+        self._notices.append(fault)
 
     def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
         kept: BoolArray = state.particles.deaths > t

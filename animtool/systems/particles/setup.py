@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.options import Range, range_faults
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.colliding import Colliders
 from animtool.sim.colliders.sheets import Sheet
@@ -65,7 +66,7 @@ class Particles:
     options: IntegrateOptions = field(
         default_factory=lambda: IntegrateOptions("midpoint", step=STEP)
     )
-    max_particles: int = 1_000_000
+    max_particles: Annotated[int, Range("1 or more", "SIM024", 1, finite=True)] = 10**6
     name: str = "particles"
     sheets: Sequence[Sheet] = ()
 
@@ -88,9 +89,7 @@ class Particles:
         if self.options.step is None:
             message = "particles need a step: those who are born begin within one"
             found.append(Fault("SIM024", message, where="step"))
-        if not 1 <= self.max_particles < math.inf:
-            message = f"max_particles must be 1 or more, not {self.max_particles}"
-            found.append(Fault("SIM024", message, where="max_particles"))
+        found += range_faults(self)
         if not self.emitters:
             message = "there is no emitter, so nothing is ever born"
             found.append(Fault("SIM024", message, where="emitters"))
@@ -101,9 +100,7 @@ class Particles:
         return found
 
     def _parts(self) -> list[Fault]:
-        found: list[Fault] = []
-        for i, emitter in enumerate(self.emitters):
-            found += emitter.faults(emitter.name or f"emitters[{i}]")
+        found = _faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
             found += [
                 Fault("SIM022", f"its {option} {why}", where=f"{_named(force)}[{i}]")
@@ -111,15 +108,15 @@ class Particles:
             ]
         if self.velocity is not None:
             found += self.velocity.faults("velocity")
-        for what, given in (
-            ("colliders", self.colliders),
-            ("kills", [kill.region for kill in self.kills]),
-        ):
-            for i, collider in enumerate(given):
-                found += collider.faults(collider.name or f"{what}[{i}]")
-        for i, sheet in enumerate(self.sheets):
-            found += sheet.faults(sheet.name or f"sheets[{i}]")
-        return found
+        found += _faults("colliders", self.colliders)
+        found += _faults("kills", [kill.region for kill in self.kills])
+        return found + _faults("sheets", self.sheets)
+
+
+def _faults(what: str, records: Sequence[Emitter | Collider | Sheet]) -> list[Fault]:
+    """Return what of records makes no sense, each by its name or number."""
+    named = [(one, one.name or f"{what}[{i}]") for i, one in enumerate(records)]
+    return [fault for one, name in named for fault in one.faults(name)]
 
 
 def _named(force: Force) -> str:

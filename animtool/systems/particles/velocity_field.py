@@ -18,8 +18,21 @@ VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
 _OF_PLACE = ("x", "y", "z", "t", "age")
 
 
+class Expressions:
+    """What has three expressions, one along each axis."""
+
+    x: str
+    y: str
+    z: str
+
+    @cached_property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The three, ready to be evaluated."""
+        return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
+
+
 @dataclass(frozen=True)
-class VelocityField(Checked):
+class VelocityField(Expressions, Checked):
     """Velocities by place and time, as expressions of x, y, z [m], t and age [s].
 
     Attributes:
@@ -33,11 +46,6 @@ class VelocityField(Checked):
     x: str = "0"
     y: str = "0"
     z: str = "0"
-
-    @cached_property
-    def expressions(self) -> tuple[Expression, ...]:
-        """The three, ready to be evaluated."""
-        return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
     def velocity(
         self, t: float | FloatArray, x: FloatArray, particles: ParticleState

@@ -9,7 +9,6 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.options import at_least
-from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.forces.force import (
     Force,
     NotNegative,
@@ -28,23 +26,19 @@ from animtool.systems.particles.forces.force import (
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.particles.velocity_field import (
     VARIABLES,
+    Expressions,
     evaluated,
     expression_faults,
 )
 
 
 @dataclass(frozen=True)
-class Field(Force):
+class Field(Expressions, Force):
     """Forces as expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
 
     x: str = "0"  # [N]
     y: str = "0"  # [N]
     z: str = "0"  # [N]
-
-    @cached_property
-    def expressions(self) -> tuple[Expression, ...]:
-        """The three, ready to be evaluated."""
-        return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
