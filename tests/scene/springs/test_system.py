@@ -752,7 +752,7 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     # Keys of the kinds, and those that they share, are part of the schema of scenes.
     keys = ["springs", "springs.records", "springs.spec", "springs.spec_parts"]
     others = ["fields", "flocks", "flocks.spec", "kinds"]
-    others += ["particles", "particles.spec"]
+    others += ["particles", "particles.spec", "rigid", "rigid.spec"]
     assert nothing == [f"animtool.systems.{name}" for name in (*others, *keys)]
     assert "animtool.systems.springs.system" in springs
     assert "animtool.systems.particles.run" not in springs
