@@ -16,6 +16,7 @@ from animtool.clip.points import SHELL, attached_points
 from animtool.errors import Fault, OptionError
 from animtool.motion import Motion
 from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Rig
 from animtool.scene.bake import plan_bake
 from animtool.scene.entries import Place, ScenePass
 from animtool.scene.options import BakeOptions
@@ -131,7 +132,7 @@ def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     return times[inside] if inside.any() else times
 
 
-def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial]]:
+def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, Trial]]:
     """Return the attachments that passes of a scene simulate, at their entries.
 
     Raises:
@@ -140,65 +141,59 @@ def _attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial
     """
     measured = [i for i, entry in enumerate(scene.passes) if _simulates(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
-    found = []
+    trials = []
     for entry, (take, _) in zip(scene.passes, scene.steps(), strict=False):
         if not _simulates(entry):
             continue
         with entry.place.located():
             bodies = bodies_of(take.rig, entry.options.what)
-        found += [
-            (entry.place, AttachTrial(scene, entry, take, body, instants))
-            for body in bodies
-        ]
-    return found
+        for body in bodies:
+            options = replace(entry.options, what=(body.name,))
+            own = replace(entry, options=options)
+            trials.append(
+                (entry.place, _attach_trial(scene, own, take, body, instants))
+            )
+    return trials
 
 
 def _simulates(entry: ScenePass) -> bool:
     return isinstance(entry.options, SimulateOptions) and moves(entry.options)
 
 
-class AttachTrial:
-    """An attachment, in the way of its pass and in others: in more or fewer steps."""
+def _attach_trial(
+    scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
+) -> Trial:
+    """Return an attachment in the steps of its pass, and in more or fewer."""
+    clock = take.clock
+    spread = np.linspace(0, clock.count - 1, min(clock.count, instants))
+    frames = np.unique(spread.astype(np.int64))
 
-    def __init__(
-        self, scene: Scene, entry: ScenePass, take: Take, body: Body, instants: int
-    ) -> None:
-        """Find out how many steps the pass would take of a take before it."""
-        self.name, self.kind = body.name, str(body.kind)
-        self.span = float(take.clock.duration)
-        self._scene, self._take, self._body = scene, take, body
-        options = replace(entry.options, what=(body.name,))
-        self._entry = replace(entry, options=options)
-        count = take.clock.count
-        self._frames = np.unique(
-            np.linspace(0, count - 1, min(count, instants)).astype(np.int64)
-        )
-        _, report = self._passed(options, take.motion.select(slice(0, 1)))
-        self._rate = float(take.clock.rate) * report["steps"]
-        self.chosen = Setting.of(METHOD, rate=self._rate)
+    def passed(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
+        """Return what the pass with some options makes of a motion, and its report."""
+        stream = replace(TakeStream.of(take), blocks=iter([motion]))
+        changed = replace(entry.options, **options)
+        done = scene.passed(stream, replace(entry, options=changed))
+        simulated = Motion.concatenate(list(done.blocks))
+        (report,) = done.simulated
+        return simulated, report
 
-    def settings(self) -> list[Setting]:
-        """Return several numbers of steps a second."""
-        return self._settings((COARSEST, *COARSER))
+    _, report = passed(take.motion.select(slice(0, 1)))
+    frame_rate = float(clock.rate)
+    rate = frame_rate * report["steps"]
 
-    def references(self) -> list[list[Setting]]:
-        """Return more and more steps a second."""
-        return [self._settings(FINER)]
-
-    def _settings(self, shares: Sequence[float]) -> list[Setting]:
-        rate = float(self._take.clock.rate)
+    def settings(shares: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        steps = [math.ceil(self._rate / share / rate - 1e-9) for share in shares]
-        return [Setting.of(METHOD, rate=count * rate) for count in dict.fromkeys(steps)]
+        steps = [math.ceil(rate / share / frame_rate - 1e-9) for share in shares]
+        counts = dict.fromkeys(steps)
+        return [Setting.of(METHOD, rate=count * frame_rate) for count in counts]
 
-    def run(self, setting: Setting) -> Outcome:
-        """Simulate the attachment in so many steps."""
-        options = replace(self._entry.options, rate=setting["rate"])
+    def run(setting: Setting) -> Outcome:
         began = time.perf_counter()
-        motion, report = self._passed(options, self._take.motion)
+        motion, report = passed(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - began
-        shots = [Shot(points) for points in self._points(motion.select(self._frames))]
-        sound = all(np.isfinite(shot.points).all() for shot in shots)
+        points = _attached(take.rig, body, motion.select(frames))
+        shots = [Shot(each) for each in points]
+        sound = bool(np.isfinite(points).all())
         return Outcome(
             seconds,
             report["steps"] * motion.frames,
@@ -208,25 +203,25 @@ class AttachTrial:
             stretch=report["stretch"],
         )
 
-    def _passed(
-        self, options: SimulateOptions, motion: Motion
-    ) -> tuple[Motion, dict[str, Any]]:
-        """Return what a pass with some options makes of a motion, and its report."""
-        stream = replace(TakeStream.of(self._take), blocks=iter([motion]))
-        done = self._scene.passed(stream, replace(self._entry, options=options))
-        made = Motion.concatenate(list(done.blocks))
-        (report,) = done.simulated
-        return made, report
+    return Trial(
+        body.name,
+        str(body.kind),
+        float(clock.duration),
+        Setting.of(METHOD, rate=rate),
+        lambda: settings((COARSEST, *COARSER)),
+        lambda: [settings(FINER)],
+        run,
+    )
 
-    def _points(self, motion: Motion) -> FloatArray:
-        """Return the points of the attachment that are compared ``(F, N, 3)`` [m]."""
-        body, rig = self._body, self._take.rig
-        if isinstance(body, SurfaceBody):
-            return motion.points[body.mesh.name].dense()
-        assert isinstance(body, ChainBody)
-        world = forward(rig, *motion.dense())
-        shell = attached_points(rig, SHELL)[body.joints, :, None]
-        turned = world.linear[:, body.joints, None] * shell
-        points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
-        whole: FloatArray = points.reshape(motion.frames, -1, 3)
-        return whole
+
+def _attached(rig: Rig, body: Body, motion: Motion) -> FloatArray:
+    """Return the points of an attachment that are compared ``(F, N, 3)`` [m]."""
+    if isinstance(body, SurfaceBody):
+        return motion.points[body.mesh.name].dense()
+    assert isinstance(body, ChainBody)
+    world = forward(rig, *motion.dense())
+    shell = attached_points(rig, SHELL)[body.joints, :, None]
+    turned = world.linear[:, body.joints, None] * shell
+    points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
+    whole: FloatArray = points.reshape(motion.frames, -1, 3)
+    return whole

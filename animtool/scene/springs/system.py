@@ -34,11 +34,12 @@ from animtool.scene.springs.setup import (
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
+from animtool.sim.trials.trial import Trial
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.systems.springs.drawing import Faces, TornMesh
 from animtool.systems.springs.run import SpringRun, Watched
 from animtool.systems.springs.spec_parts import FaceWindModel
-from animtool.systems.springs.trial import SpringTrial
+from animtool.systems.springs.trial import trial_of
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
@@ -82,7 +83,7 @@ def open_springs(
 
 def spring_trial(
     members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
-) -> SpringTrial:
+) -> Trial:
     """Return systems that are joined, or one alone, to be simulated in several ways.
 
     Raises:
@@ -99,7 +100,7 @@ def spring_trial(
     if options.error is not None:
         run = SpringRun(whole.system, options, whole.begin, opening.last)
         options = run.options
-    return SpringTrial(
+    return trial_of(
         " + ".join(names), " + ".join(kinds), whole.system, options, whole.begin, times
     )
 

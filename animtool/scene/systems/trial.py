@@ -19,7 +19,15 @@ from animtool.sim.integrators import INTEGRATORS, find_integrator
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.options import TOLERANCE
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder, stepwise
+from animtool.sim.trials.trial import (
+    FINER,
+    Outcome,
+    Setting,
+    Shot,
+    Trial,
+    ladder,
+    stepwise,
+)
 from animtool.systems.simulation import SimulationRun, StoppedError
 
 # What the exact method has over the step of the file, where that is not enough.
@@ -37,103 +45,50 @@ MAX_EVALUATIONS = 1000
 
 def spec_trial(
     members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
-) -> SpecTrial:
-    """Return a system that can be simulated in several ways."""
+) -> Trial:
+    """Return a system with the method and the step of its file, and with others."""
     (member,) = members
-    return SpecTrial(member, rebuild, times)
+    setup = cast(SpecSetup, member.setup)
+    spec, own = setup.spec, setup.method
+    tolerance = getattr(spec, "tolerance", None)
+    usual = TOLERANCE if tolerance is None else tolerance
+    options = {} if _is_fixed(own) else {"tolerance": usual}
+    most = 0  # points at once in any run so far
 
-
-class SpecTrial:
-    """A system with the method and the step of its file, and with others."""
-
-    def __init__(
-        self, member: SceneSystem, rebuild: Callable[[], Opening], times: FloatArray
-    ) -> None:
-        setup = cast(SpecSetup, member.setup)
-        spec = self._spec = setup.spec
-        self.name, self.kind = member.name, member.kind
-        self.span = float(times[-1]) + spec.preroll
-        self._member, self._rebuild, self._times = member, rebuild, times
-        tolerance = getattr(spec, "tolerance", None)
-        self._usual = TOLERANCE if tolerance is None else tolerance
-        own = {} if _is_fixed(setup.method) else {"tolerance": self._usual}
-        self.chosen = Setting.of(setup.method, step=spec.step, **own)
-        self._most = 0  # points at once in any run so far
-
-    def settings(self) -> list[Setting]:
+    def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
-        methods, step = self._spec.methods, self._spec.step
-        found = []
-        for method in INTEGRATORS if methods is None else methods or [self._method]:
+        tried: list[Setting] = []
+        for method in INTEGRATORS if spec.methods is None else spec.methods or [own]:
             if _is_fixed(method):
-                found += stepwise(method, step)
+                tried += stepwise(method, spec.step)
                 continue
-            own = method == self._method
-            longest, usual = (step, self._usual) if own else (LONGER * step, TOLERANCE)
-            found += [
-                Setting.of(method, step=longest, tolerance=value)
-                for value in ladder(usual, TOLERANCES)
-            ]
-        return found
+            longest = spec.step if method == own else LONGER * spec.step
+            values = ladder(usual if method == own else TOLERANCE, TOLERANCES)
+            tried += [Setting.of(method, step=longest, tolerance=v) for v in values]
+        return tried
 
-    def references(self) -> list[list[Setting]]:
+    def references() -> list[list[Setting]]:
         """Return finer and finer steps of the exact method, else of that of the file.
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
-        exact, own = self._spec.exact, self._method
+        exact = spec.exact
         shares = [(exact, 1.0), (exact, MUCH_FINER)] if exact else []
         if own != exact and _is_fixed(own):
             shares.insert(1, (own, 1.0))
-        step = self._spec.step
-        return [stepwise(method, share * step, FINER) for method, share in shares]
+        return [stepwise(method, share * spec.step, FINER) for method, share in shares]
 
-    def run(self, setting: Setting) -> Outcome:
-        """Simulate it in one way.
+    def begun(setting: Setting) -> SimulationRun:
+        """Return it at its beginning, in one way.
 
         Raises:
             OptionError: The method is not for it (SIM006), or for so much (SIM024).
         """
-        run = self._begun(setting)
-        began = time.perf_counter()
-        shots: list[Shot] = []
-        energies, status, reason, stable = [], Status.OK, "", None
-        try:
-            for t in self._times.tolist():
-                shots.append(_shot(run.at(t)))
-                energies.append(run.diagnostics.energy)
-        except ToleranceError as error:
-            status, reason = Status.UNSTABLE, error.faults[0].message
-            if isinstance(error, StoppedError):
-                stats = error.stats
-                status, reason, stable = stats.status, stats.reason, stats.stable_step
-        seconds = time.perf_counter() - began
-        self._most = max([self._most, *(len(shot.points) for shot in shots)])
-        last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
-        known = [energy for energy in energies if energy is not None]
-        whole = len(known) == len(shots) and _same(shots)
-        return Outcome(
-            seconds,
-            run.taken if last.steps is None else last.steps,
-            shots,
-            status,
-            reason,
-            last.stable_step() if stable is None else stable,
-            known if whole else None,
-        )
-
-    @property
-    def _method(self) -> str:
-        return self.chosen.method
-
-    def _begun(self, setting: Setting) -> SimulationRun:
-        """Return it at its beginning, in one way."""
         changes: dict[str, Any] = dict(setting.options)
         budget = None
         if setting.method in INTEGRATORS:
-            integrator, own = find_integrator(setting.method), self._method
-            unknowns = 3 * self._most
-            other = setting.method != own
+            integrator, other = find_integrator(setting.method), setting.method != own
+            unknowns = 3 * most
             if other and integrator.implicit and unknowns > MAX_UNKNOWNS:
                 message = f"{setting.method} would solve for {unknowns} unknowns at "
                 raise OptionError(Fault("SIM024", f"{message}once", where="method"))
@@ -141,12 +96,56 @@ class SpecTrial:
                 # What it takes to import is no part of the simulation.
                 load_object(integrator.solver)
             budget = MAX_EVALUATIONS if other else None
-        fields = type(self._spec).model_fields
-        changes |= {"method": setting.method} if "method" in fields else {}
-        if "tolerance" in fields:
+        keys = type(spec).model_fields
+        changes |= {"method": setting.method} if "method" in keys else {}
+        if "tolerance" in keys:
             changes.setdefault("tolerance", None)
-        spec = self._spec.model_copy(update=changes)
-        return run_spec(self._member, self._rebuild(), spec, budget)
+        return run_spec(member, rebuild(), spec.model_copy(update=changes), budget)
+
+    def run(setting: Setting) -> Outcome:
+        nonlocal most
+        outcome = _outcome(begun(setting), times)
+        most = max([most, *(len(shot.points) for shot in outcome.shots)])
+        return outcome
+
+    return Trial(
+        member.name,
+        member.kind,
+        float(times[-1]) + spec.preroll,
+        Setting.of(own, step=spec.step, **options),
+        settings,
+        references,
+        run,
+    )
+
+
+def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
+    """Return what a simulation comes to, at times ``(F,)`` [s]."""
+    began = time.perf_counter()
+    shots: list[Shot] = []
+    energies, status, reason, stable = [], Status.OK, "", None
+    try:
+        for t in times.tolist():
+            shots.append(_shot(run.at(t)))
+            energies.append(run.diagnostics.energy)
+    except ToleranceError as error:
+        status, reason = Status.UNSTABLE, error.faults[0].message
+        if isinstance(error, StoppedError):
+            stats = error.stats
+            status, reason, stable = stats.status, stats.reason, stats.stable_step
+    seconds = time.perf_counter() - began
+    last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))
+    known = [energy for energy in energies if energy is not None]
+    whole = len(known) == len(shots) and _same(shots)
+    return Outcome(
+        seconds,
+        run.taken if last.steps is None else last.steps,
+        shots,
+        status,
+        reason,
+        last.stable_step() if stable is None else stable,
+        known if whole else None,
+    )
 
 
 def _is_fixed(method: str) -> bool:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -84,39 +83,21 @@ class Outcome:
     stretch: float | None = None
 
 
-class Trial(Protocol):
-    """What is simulated, in the way that its file chooses and in others.
-
-    Attributes:
-        name: What it is called.
-        kind: What it is: ``particles``, ``cloth``.
-        span: How long it is simulated [s], with what comes before the first frame.
-        chosen: The way of the file.
-    """
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What is simulated, in the way that its file chooses and in others."""
 
     name: str
-    kind: str
-    span: float
-    chosen: Setting
-
-    def settings(self) -> list[Setting]:
-        """Return ways to try, the coarsest of each method first."""
-        ...
-
-    def references(self) -> list[list[Setting]]:
-        """Return what others can be compared with, the first that works to be taken.
-
-        Of a method each, its steps being half of those before.
-        """
-        ...
-
-    def run(self, setting: Setting) -> Outcome:
-        """Simulate it in one way.
-
-        Raises:
-            OptionError: The method is not for it.
-        """
-        ...
+    kind: str  # `particles`, `cloth`
+    span: float  # how long, with what comes before the first frame [s]
+    chosen: Setting  # of the file
+    # Ways to try, the coarsest of each method first.
+    settings: Callable[[], list[Setting]]
+    # What others can be compared with, the first that works to be taken: of a method
+    # each, its steps being half of those before.
+    references: Callable[[], list[list[Setting]]]
+    # Simulates it in one way; `OptionError` where the method is not for it.
+    run: Callable[[Setting], Outcome]
 
 
 def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:

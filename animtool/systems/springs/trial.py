@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.system import Energy
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, stepwise
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, Trial, stepwise
 from animtool.systems.springs.motion import SpringMotion
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulating import simulate_springs
@@ -22,62 +22,54 @@ EXACT = Solver.BDF2
 EXPLICIT = Solver.SYMPLECTIC_EULER
 
 
-class SpringTrial:
-    """Springs, in the way of their file and in others.
+def trial_of(
+    name: str,
+    kind: str,
+    system: SpringSystem,
+    options: SpringOptions,
+    begin: float,
+    times: FloatArray,
+) -> Trial:
+    """Return springs in the way of their file and in others.
 
     Times are when to look, ascending ``(F,)``, not before the beginning [s]. Where the
     file keeps an error, options have the solver and the step that this came to.
     """
+    own = replace(options, error=None)
+    free = replace(own, step=None)
 
-    def __init__(
-        self,
-        name: str,
-        kind: str,
-        system: SpringSystem,
-        options: SpringOptions,
-        begin: float,
-        times: FloatArray,
-    ) -> None:
-        self.name, self.kind = name, kind
-        self.span = float(times[-1]) - begin
-        self._system, self._own = system, replace(options, error=None)
-        self._begin, self._times = begin, times
-        self.chosen = self._usual(Solver(options.solver), self._own)
+    def usual(solver: Solver, options: SpringOptions = free) -> Setting:
+        """Return a solver with the step that options come to."""
+        choice = choose(system, options, solver, begin, system.state)
+        return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    def settings(self) -> list[Setting]:
+    chosen = usual(Solver(options.solver), own)
+
+    def settings() -> list[Setting]:
         """Return each solver in several steps, about those that it takes itself."""
-        settings = []
-        for solver in Solver:
-            if solver is Solver.AUTO:
-                continue
-            usual = self._usual(solver, replace(self._own, step=None))
-            if solver == self.chosen.method:
-                usual = self.chosen
-            settings += stepwise(usual.method, usual["step"])
-        return settings
+        each = [usual(solver) for solver in Solver if solver is not Solver.AUTO]
+        each = [chosen if one.method == chosen.method else one for one in each]
+        return [
+            setting for one in each for setting in stepwise(one.method, one["step"])
+        ]
 
-    def references(self) -> list[list[Setting]]:
+    def references() -> list[list[Setting]]:
         """Return shorter and shorter steps of backward differences.
 
         Where these cannot be solved, of semi-implicit Euler.
         """
-        least = replace(self._own, step=None)
-        step = min(self.chosen["step"], self._usual(EXACT, least)["step"])
-        explicit = self._usual(EXPLICIT, least)
+        step = min(chosen["step"], usual(EXACT)["step"])
         return [
             stepwise(EXACT, step, FINER),
-            stepwise(EXPLICIT, explicit["step"], FINER),
+            stepwise(EXPLICIT, usual(EXPLICIT)["step"], FINER),
         ]
 
-    def run(self, setting: Setting) -> Outcome:
-        """Simulate the springs in one way."""
-        options = self._own
-        if setting != self.chosen:
-            options = replace(options, solver=setting.method, step=setting["step"])
+    def run(setting: Setting) -> Outcome:
+        options = own
+        if setting != chosen:
+            options = replace(own, solver=setting.method, step=setting["step"])
         began = time.perf_counter()
-        motion = simulate_springs(
-            self._system, [self._begin, *self._times.tolist()], options
-        )
+        motion = simulate_springs(system, [begin, *times.tolist()], options)
         seconds = time.perf_counter() - began
         return Outcome(
             seconds,
@@ -86,39 +78,37 @@ class SpringTrial:
             motion.stats.status,
             motion.stats.reason,
             motion.stats.stable_step,
-            self._energies(motion),
-            self._stretch(motion),
+            _energies(system, motion),
+            _stretch(system, motion),
         )
 
-    def _usual(self, solver: Solver, options: SpringOptions) -> Setting:
-        """Return a solver with the step that options come to."""
-        choice = choose(self._system, options, solver, self._begin, self._system.state)
-        return Setting.of(choice.solver, step=choice.cell / choice.substeps)
+    span = float(times[-1]) - begin
+    return Trial(name, kind, span, chosen, settings, references, run)
 
-    def _energies(self, motion: SpringMotion) -> list[Energy] | None:
-        """Return energies, where nothing takes or brings any."""
-        system = self._system
-        slowed = [system.drags, system.body.springs.damping, system.draws.damping]
-        slowed.append(np.array(system.pressures))
-        if (
-            any(values.any() for values in slowed)
-            or motion.torn.any()
-            or system.colliders.meet
-        ):
-            return None
-        energies = [
-            system.energy(t, state)
-            for t, state in zip(motion.times[1:], motion.states[1:], strict=True)
-        ]
-        return None if any(energy.supply for energy in energies) else energies
 
-    def _stretch(self, motion: SpringMotion) -> float | None:
-        """Return the most that a whole spring is longer than at rest [1]."""
-        system = self._system
-        whole = system.without_springs(motion.torn) if motion.torn.any() else system
-        ratios = [
-            ratio
-            for t, state in zip(motion.times, motion.states, strict=True)
-            if (ratio := whole.stretch(t, state)) is not None
-        ]
-        return max(max(ratios) - 1, 0.0) if ratios else None
+def _energies(system: SpringSystem, motion: SpringMotion) -> list[Energy] | None:
+    """Return energies, where nothing takes or brings any."""
+    slowed = [system.drags, system.body.springs.damping, system.draws.damping]
+    slowed.append(np.array(system.pressures))
+    if (
+        any(values.any() for values in slowed)
+        or motion.torn.any()
+        or system.colliders.meet
+    ):
+        return None
+    energies = [
+        system.energy(t, state)
+        for t, state in zip(motion.times[1:], motion.states[1:], strict=True)
+    ]
+    return None if any(energy.supply for energy in energies) else energies
+
+
+def _stretch(system: SpringSystem, motion: SpringMotion) -> float | None:
+    """Return the most that a whole spring is longer than at rest [1]."""
+    whole = system.without_springs(motion.torn) if motion.torn.any() else system
+    ratios = [
+        ratio
+        for t, state in zip(motion.times, motion.states, strict=True)
+        if (ratio := whole.stretch(t, state)) is not None
+    ]
+    return max(max(ratios) - 1, 0.0) if ratios else None

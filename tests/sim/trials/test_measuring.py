@@ -11,7 +11,7 @@ from animtool.errors import Fault, OptionError
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import measure
-from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, Trial, ladder
 
 
 def setting(method: str, step: float) -> Setting:
@@ -37,6 +37,17 @@ class Known:
             for share in (1.0, 0.125)
         ]
 
+    def trial(self) -> Trial:
+        return Trial(
+            self.name,
+            self.kind,
+            self.span,
+            self.chosen,
+            self.settings,
+            self.references,
+            self.run,
+        )
+
     def run(self, given: Setting) -> Outcome:
         self.ran.append(given)
         step = dict(given.options)["step"]
@@ -57,7 +68,7 @@ def converging(method: str, step: float) -> float:
 
 
 def test_errors_are_those_that_settings_make() -> None:
-    table = measure(Known(converging))
+    table = measure(Known(converging).trial())
     assert (table.name, table.kind, table.span) == ("known", "points", 1.0)
     assert (table.instants, table.points) == (3, 1)
     assert table.reference is not None
@@ -80,7 +91,7 @@ def test_errors_are_those_that_settings_make() -> None:
 
 def test_every_setting_is_run_often_enough_and_shows_progress() -> None:
     trial, shares = Known(converging), []
-    measure(trial, progress=shares.append)
+    measure(trial.trial(), progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1
     assert len({*trial.ran}) == len(shares) == 11
@@ -89,12 +100,12 @@ def test_every_setting_is_run_often_enough_and_shows_progress() -> None:
 def test_a_chosen_setting_that_is_not_on_the_ladder_is_a_row() -> None:
     trial = Known(converging)
     trial.chosen = setting("second", 0.03)
-    rows = measure(trial).rows
+    rows = measure(trial.trial()).rows
     assert [row.setting for row in rows if row.chosen] == [trial.chosen]
 
 
 def test_what_does_not_converge_is_called_sensitive() -> None:
-    table = measure(Known(lambda _, step: float(np.sin(1e5 * step))))
+    table = measure(Known(lambda _, step: float(np.sin(1e5 * step))).trial())
     assert table.reference is not None
     assert table.reference.sensitive
     assert [notice.code for notice in table.notices] == ["SIM055"]
@@ -103,7 +114,7 @@ def test_what_does_not_converge_is_called_sensitive() -> None:
 
 
 def test_what_does_not_move_is_not_sensitive() -> None:
-    table = measure(Known(lambda *_: 0.0))
+    table = measure(Known(lambda *_: 0.0).trial())
     assert table.reference is not None
     assert (table.reference.order, table.reference.sensitive) == (None, False)
 
@@ -112,7 +123,7 @@ def test_what_is_nowhere_near_has_blown_up() -> None:
     def off(method: str, step: float) -> float:
         return 1e6 if method == "second" and step > 0.05 else converging(method, step)
 
-    table = measure(Known(off))
+    table = measure(Known(off).trial())
     lost = [row for row in table.rows if row.status is Status.UNSTABLE]
     assert [dict(row.setting.options)["step"] for row in lost] == [0.4, 0.2, 0.1]
     assert all(row.error is None and row.reason for row in lost)
@@ -137,13 +148,13 @@ class Unfit(Known):
 
 
 def test_what_a_method_is_not_for_is_left_out() -> None:
-    rows = measure(Unfit(converging)).rows
+    rows = measure(Unfit(converging).trial()).rows
     left = [row for row in rows if row.setting.method == "first"]
     assert all(row.status is None and "not for" in row.reason for row in left)
 
 
 def test_the_reference_is_refined_until_it_is_stable() -> None:
-    table = measure(Unfit(converging))
+    table = measure(Unfit(converging).trial())
     assert table.reference is not None
     (_, step), *_ = table.reference.setting.options
     assert step == pytest.approx(0.0125 / 8)
@@ -152,7 +163,7 @@ def test_the_reference_is_refined_until_it_is_stable() -> None:
 def test_without_a_reference_there_are_no_errors() -> None:
     trial = Unfit(converging)
     trial.limit = 0.0
-    table = measure(trial)
+    table = measure(trial.trial())
     assert table.reference is None
     assert [notice.code for notice in table.notices] == ["SIM056"]
     assert all(row.error is None for row in table.rows)

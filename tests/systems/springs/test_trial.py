@@ -9,9 +9,9 @@ import pytest
 
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialRow, measure
-from animtool.sim.trials.trial import Setting
+from animtool.sim.trials.trial import Setting, Trial
 from animtool.systems.springs import Family, Pins, SpringOptions, SpringSystem, rope
-from animtool.systems.springs.trial import SpringTrial
+from animtool.systems.springs.trial import trial_of
 
 
 @pytest.fixture(autouse=True)
@@ -25,9 +25,9 @@ def hanging(stiffness: float = 200.0, drag: float = 0.0) -> SpringSystem:
     return SpringSystem(body, pins=Pins([0]), drag=drag)
 
 
-def trial(system: SpringSystem, options: SpringOptions | None = None) -> SpringTrial:
+def trial(system: SpringSystem, options: SpringOptions | None = None) -> Trial:
     times = np.linspace(0, 0.25, 7)
-    return SpringTrial("lead", "rope", system, options or SpringOptions(), -0.1, times)
+    return trial_of("lead", "rope", system, options or SpringOptions(), -0.1, times)
 
 
 def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
