@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError, OptionError, listed
-from animtool.output import replacing
-from animtool.placing import output_error
+from animtool.errors import Fault, OptionError, listed
+from animtool.systems.saved import open_saved, write_saved
 from animtool.systems.simulation import Reached
 
 FORMAT = "animtool-system/1"
@@ -39,19 +38,11 @@ def write_state(path: Path, clocked: Clocked, reached: Reached[Any]) -> None:
         OutputError: It cannot be written.
     """
     head = [clocked.begin, clocked.step, float(reached.steps)]
-    arrays: _Arrays = {
-        "format": np.array(FORMAT),
-        "kind": np.array(clocked.kind),
-        "clock": np.array(head),
-    }
+    arrays: _Arrays = {"kind": np.array(clocked.kind), "clock": np.array(head)}
     state = _arrays(reached.state)
     arrays["state"] = np.array(_listed(state))
     arrays |= {f"state/{name}": rows for name, rows in state.items()}
-    try:
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-    except OSError as error:
-        raise output_error(path, error) from error
+    write_saved(path, FORMAT, arrays)
 
 
 def read_state(path: Path, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
@@ -62,11 +53,8 @@ def read_state(path: Path, clocked: Clocked, start: Reached[Any]) -> Reached[Any
         OptionError: It is of another system: of another kind or size, or other steps
             (SIM035).
     """
-    try:
-        with Archives() as archives:
-            return _read(archives, path, clocked, start)
-    except ValueError as error:
-        raise FormatError(Fault("SIM035", f"{error}", str(path))) from error
+    with open_saved(path, FORMAT, "a state that a system") as archives:
+        return _read(archives, path, clocked, start)
 
 
 def _read(
@@ -75,10 +63,6 @@ def _read(
     def other(message: str, hint: str | None = None) -> OptionError:
         return OptionError(Fault("SIM035", message, str(path), (), hint))
 
-    known = archives.has(path, "format")
-    if not known or archives.text(path, "format") != FORMAT:
-        message = "is no file of a state that a system saved"
-        raise FormatError(Fault("SIM035", message, str(path)))
     kind = archives.text(path, "kind")
     if kind != clocked.kind:
         raise other(f"it has the state of {kind}, not of {clocked.kind}")

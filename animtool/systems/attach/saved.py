@@ -11,10 +11,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError, OptionError
-from animtool.output import replacing
-from animtool.placing import output_error
+from animtool.errors import Fault, OptionError
 from animtool.systems.attach.stepping import State, nowhere
+from animtool.systems.saved import open_saved, write_saved
 
 FORMAT = "animtool-simulate/1"
 # What a simulation of any size has.
@@ -38,8 +37,7 @@ def write_states(path: Path, saved: list[Saved]) -> None:
         OutputError: It cannot be written.
     """
     arrays: dict[str, Any] = {
-        "format": np.array(FORMAT),
-        "frames": np.array([one.frame for one in saved], np.float64),
+        "frames": np.array([one.frame for one in saved], np.float64)
     }
     for i, one in enumerate(saved):
         for name, state in one.states.items():
@@ -48,11 +46,7 @@ def write_states(path: Path, saved: list[Saved]) -> None:
             arrays[f"{i}/{name}/steps"] = np.array(float(one.steps[name]))
             if len(state.passages):
                 arrays[f"{i}/{name}/passages"] = state.passages
-    try:
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)
-    except OSError as error:
-        raise output_error(path, error) from error
+    write_saved(path, FORMAT, arrays)
 
 
 def read_states(path: Path, sizes: Mapping[str, int]) -> Saved:
@@ -62,11 +56,8 @@ def read_states(path: Path, sizes: Mapping[str, int]) -> Saved:
         FormatError: It cannot be read, or is none of states (SIM035).
         OptionError: It is of other attachments (SIM035).
     """
-    try:
-        with Archives() as archives:
-            return _latest(_SavedArrays(path, archives), sizes)
-    except ValueError as error:
-        raise FormatError(Fault("SIM035", f"{error}", str(path))) from error
+    with open_saved(path, FORMAT, "states that simulate") as archives:
+        return _latest(_SavedArrays(path, archives), sizes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +88,6 @@ class _SavedArrays:
 def _latest(arrays: _SavedArrays, sizes: Mapping[str, int]) -> Saved:
     """Return the states of the latest frame; see `read_states`."""
     path = str(arrays.path)
-    known = arrays.has("format")
-    if not known or arrays.archives.text(arrays.path, "format") != FORMAT:
-        message = "is no file of states that simulate saved"
-        raise FormatError(Fault("SIM035", message, path))
     frames = arrays.load("frames", (None,)).tolist()
     if not frames:
         raise OptionError(Fault("SIM035", "it has no state of any frame", path))
