@@ -96,7 +96,7 @@ def _described(
     if not is_usd(path):
         return describe(path, source_options_record(given)), info_summary.take_text
     if given["prim_path"] is None and given["take"] is None:
-        from animtool.report.describe import describe_points
+        from animtool.usd.simulated_read import describe_points
 
         points = describe_points(path)
         if points is not None:

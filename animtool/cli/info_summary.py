@@ -11,14 +11,14 @@ from animtool.quantities import plain
 from animtool.rates import rate_label
 
 if TYPE_CHECKING:
-    from animtool.report.describe import PointsDescription, TakeDescription
+    from animtool.report.describe import TakeDescription
     from animtool.report.describe_rig import RigDescription, TargetsDescription
     from animtool.report.describe_scene import (
         OutputDescription,
         SceneDescription,
         SystemDescription,
     )
-    from animtool.usd.simulated_read import PointPrim
+    from animtool.usd.simulated_read import PointPrim, PointsDescription
 
 # Of a set with many prims, those that have a line each.
 MAX_PRIMS = 20

@@ -50,11 +50,7 @@ def compare_weights(
         alone = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
         lost = [names[column][s] for s in sorted(alone) if weights[:, s].any()]
         if lost:
-            are = "is" if len(lost) == 1 else "are"
-            mismatches.append(
-                f"{counted(len(lost), 'shape')} {are} not in the {other}: "
-                f"{listed(lost)}"
-            )
+            mismatches.append(lost_text("shape", lost, other))
     mine, theirs = [s for s, _ in pairs], [s for _, s in pairs]
     apart = np.abs(a[:frames, mine] - b[:frames, theirs])
     if not apart.size:
@@ -66,6 +62,12 @@ def compare_weights(
         float(first.clock.times[frame]),
     )
     return largest, len(pairs), mismatches
+
+
+def lost_text(noun: str, lost: Sequence[str], other: str) -> str:
+    """Say what is not in the other of two."""
+    are = "is" if len(lost) == 1 else "are"
+    return f"{counted(len(lost), noun)} {are} not in the {other}: {listed(lost)}"
 
 
 def _weights(take: Take) -> FloatArray:
@@ -254,11 +256,7 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
         matched = {pair[column] for pair in pairs}
         missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
         if missing:
-            are = "is" if len(missing) == 1 else "are"
-            found.append(
-                f"{counted(len(missing), 'joint')} {are} not in the {other}: "
-                f"{listed(missing)}"
-            )
+            found.append(lost_text("joint", missing, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
         found.append(f"{frames} against {second.clock.count}")

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import counted, listed
+from animtool.errors import counted
 from animtool.maths import so3
-from animtool.report.compare import SCALE_TOLERANCE
+from animtool.report.compare import SCALE_TOLERANCE, lost_text
 from animtool.units import unit_name, up_from_up
 
 if TYPE_CHECKING:
-    from animtool.usd.simulated_read import PointSample, PointSource
+    from animtool.usd.point_reader import PointSample, PointSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         FormatError: A file cannot be read, its arrays do not fit each other, or they
             hold what is no number.
     """
-    from animtool.usd.simulated_read import open_points
+    from animtool.usd.point_reader import open_points
 
     one = open_points(first)
     two = None if one is None else open_points(second)
@@ -112,9 +112,7 @@ def _lost(one: PointSource, two: PointSource) -> list[str]:
     for mine, theirs, other in ((one, two, "second"), (two, one, "first")):
         lost = [name for name in mine.names if name not in theirs.names]
         if lost:
-            are = "is" if len(lost) == 1 else "are"
-            prims = counted(len(lost), "prim")
-            found.append(f"{prims} {are} not in the {other}: {listed(lost)}")
+            found.append(lost_text("prim", lost, other))
     return found
 
 

@@ -18,6 +18,7 @@ from animtool.usd.faults import Spot
 from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands
 from animtool.usd.point_based import PointSpace
+from animtool.usd.point_reader import PointReader
 from animtool.usd.skinned import MAX_NAMED
 from animtool.usd.target import RigTarget, compose_check
 
@@ -144,12 +145,10 @@ def open_cache_target(
 
 
 def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
-    points = mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ()
-    if len(points) == count:
+    points = PointReader(mesh.GetPrim()).count()
+    if points == count:
         return []
-    message = (
-        f"mesh {name!r} has {len(points)} points here, and {count} in the take's rig"
-    )
+    message = f"mesh {name!r} has {points} points here, and {count} in the take's rig"
     hint = "the cache would not fit its faces"
     return [Spot.of(rig.path, mesh).fault("USD041", message, hint)]
 

@@ -26,6 +26,7 @@ from animtool.units import UpAxis
 from animtool.usd.faults import Spot, bind_transforms
 from animtool.usd.layers import usd_errors
 from animtool.usd.meshes import SUBDIVISION
+from animtool.usd.point_reader import PointReader, transformed
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
@@ -117,7 +118,7 @@ def _mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = floats(mesh.GetPointsAttr(), 3, at)
+    points = floats(PointReader(prim).attr, 3, at)
     if not len(points):
         at.fail("USD017", "the mesh has no points")
     normals = None
@@ -148,10 +149,7 @@ def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
 
 def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
     """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
-    counts, indices = (
-        integers(attr)
-        for attr in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
-    )
+    counts, indices = PointReader(mesh.GetPrim()).faces(None)
     if not len(counts):
         at.fail("USD017", "the mesh has no faces")
     if (counts < 3).any():
@@ -318,14 +316,13 @@ def _points(curves: Any, query: Any, at: Spot) -> FloatArray | None:
     counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = floats(curves.GetPointsAttr(), 3, at)
+    values = floats(PointReader(curves.GetPrim()).attr, 3, at)
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
     if not np.isfinite(matrix).all():
         at.fail("USD017", "geomBindTransform is not finite")
-    placed = values @ matrix[:3, :3] + matrix[3, :3]
-    return np.asarray(placed.reshape(len(counts), -1, 3))
+    return transformed(values, matrix).reshape(len(counts), -1, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,8 @@ from animtool.similar import similar
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
-from animtool.usd.rig_prims import decompose, integers, numbers, open_stage, up_axis
+from animtool.usd.point_reader import PointReader, transformed
+from animtool.usd.rig_prims import decompose, open_stage, up_axis
 
 # Whose names are compared with one that there is not.
 MAX_COMPARED = 20_000
@@ -132,11 +133,11 @@ class MeshSource:
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
         # A prim lives no longer than its stage.
-        self._stage, self._mesh = stage, UsdGeom.Mesh(prim)
+        self._stage, self._reader = stage, PointReader(prim)
         self._unit = UsdGeom.GetStageMetersPerUnit(stage)
         self._turn = up_from_up(up, up_axis(stage))
         self.fps = float(stage.GetTimeCodesPerSecond())
-        times = set(self._mesh.GetPointsAttr().GetTimeSamples())
+        times = set(self._reader.times)
         while prim and not prim.IsPseudoRoot():
             if UsdGeom.Xformable(prim):
                 times |= set(UsdGeom.Xformable(prim).GetTimeSamples())
@@ -152,13 +153,10 @@ class MeshSource:
             OptionError: It makes no sense (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
-        mesh = self._mesh
-        points = numbers(mesh.GetPointsAttr(), 3, time)
-        counts = integers(mesh.GetFaceVertexCountsAttr(), time)
-        indices = integers(mesh.GetFaceVertexIndicesAttr(), time)
-        world = np.array(mesh.ComputeLocalToWorldTransform(time), np.float64)
-        _check(points, counts, indices, str(mesh.GetPath()))
-        placed = (points @ world[:3, :3] + world[3, :3]) * self._unit
+        points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
+        _check(points, counts, indices, str(self._reader.prim.GetPath()))
+        world = self._reader.world_from_prim(time)
+        placed = transformed(points, world) * self._unit
         if self._turn is not None:
             placed = so3.rotate(np.array(self._turn), placed)
         return StillMesh(np.asarray(placed, np.float64), counts, indices)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.report.describe import PointsDescription, TakeDescription
+from animtool.report.describe import TakeDescription
 from animtool.report.describe_rig import (
     GoalDescription,
     MeshDescription,
@@ -22,7 +22,7 @@ from animtool.report.describe_scene import (
     SceneDescription,
     SystemDescription,
 )
-from animtool.usd.simulated_read import ChunkSet, PointPrim
+from animtool.usd.simulated_read import ChunkSet, PointPrim, PointsDescription
 
 TABLES = {
     "A take:": TakeDescription,

@@ -11,7 +11,7 @@ from pxr import UsdGeom
 from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
-from animtool.usd.simulated_read import UNIT_TOLERANCE
+from animtool.usd.point_reader import UNIT_TOLERANCE
 
 # Arrays with an entry a copy.
 _EACH = (

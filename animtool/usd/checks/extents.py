@@ -19,6 +19,7 @@ from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.faults import joint_parents, own_matrices, tokens
+from animtool.usd.point_reader import PointReader
 from animtool.usd.rig_prims import decompose
 
 # Of the diagonal: text files with four digits are within.
@@ -79,7 +80,7 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
             )
         ]
     if prim.IsA(UsdGeom.PointBased):
-        attr = UsdGeom.PointBased(prim).GetPointsAttr()
+        attr = PointReader(prim).attr
         # Points that move are checked as they are read, and a mesh's extent with them.
         apart = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
         return [attr] if attr.HasAuthoredValue() and not apart else None

@@ -16,12 +16,13 @@ from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.extents import bounds_apart
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
+from animtool.usd.point_reader import PointReader, codes_of
 
 
 def check_points(subject: Subject) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""
     for geometry in subject.of_type(UsdGeom.PointBased):
-        attr = geometry.GetPointsAttr()
+        attr = PointReader(geometry.GetPrim()).attr
         if not attr.HasAuthoredValue():
             continue
         points, bounds = _survey(subject, attr)
@@ -34,7 +35,7 @@ def check_points(subject: Subject) -> Iterator[Fault]:
 def _survey(subject: Subject, attr: Any) -> tuple[Sampled, FloatArray]:
     """Return the samples of points without their arrays, and their bounds."""
     times = subject.times(attr)
-    codes = [Usd.TimeCode(t) for t in times] or [Usd.TimeCode.Default()]
+    codes = codes_of(times)
     query = Usd.AttributeQuery(attr)
     counts = np.full(len(codes), -1, np.int64)
     bounds = np.full((len(codes), 2, 3), np.nan)

@@ -13,6 +13,7 @@ from animtool.errors import Fault, excerpt, listed
 from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import duplicates, singular, tokens
+from animtool.usd.point_reader import PointReader
 
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3
@@ -111,8 +112,7 @@ def point_count(prim: Any) -> int | None:
     """Return how many points a prim has; None where it is no kind that has some."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
-    attr = UsdGeom.PointBased(prim).GetPointsAttr()
-    return len(attr.Get(Usd.TimeCode.EarliestTime()) or ())
+    return PointReader(prim).count()
 
 
 def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
