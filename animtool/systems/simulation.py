@@ -183,9 +183,9 @@ class SimulationRun:
         arrays = [frame.points]
         if isinstance(frame, TransformsFrame):
             arrays += [frame.rotations, frame.scales]
-        finite = np.isfinite(np.concatenate(arrays, axis=1))
-        (bad,) = np.nonzero(~finite.all(axis=1))
-        if len(bad):
+        if not all(np.isfinite(array).all() for array in arrays):
+            finite = np.isfinite(np.concatenate(arrays, axis=1))
+            (bad,) = np.nonzero(~finite.all(axis=1))
             message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
             hint = "take shorter steps"
             raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
