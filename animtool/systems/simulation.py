@@ -111,9 +111,9 @@ class Reached(Generic[State]):
 
 
 class StoppedError(ToleranceError):
-    """A method that could not go on, and what it took until then."""
+    """A method that could not go on, and what it took; None from another process."""
 
-    def __init__(self, faults: Sequence[Fault], stats: Stats) -> None:
+    def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)
         self.stats = stats
 

@@ -72,10 +72,12 @@ def spec_trial(
 
         Where the exact one is not stable, those of the file's own, or far shorter ones.
         """
-        exact = spec.exact
-        shares = [(exact, 1.0), (exact, MUCH_FINER)] if exact else []
-        if own != exact and _is_fixed(own):
-            shares.insert(1, (own, 1.0))
+        exact = spec.exact or own
+        shares = [(exact, 1.0)]
+        if own != exact:
+            shares += [(own, 1.0)] if _is_fixed(own) else []
+        if spec.exact:
+            shares.append((exact, MUCH_FINER))
         return [stepwise(method, share * spec.step, FINER) for method, share in shares]
 
     def begun(setting: Setting) -> SimulationRun:
@@ -99,7 +101,7 @@ def spec_trial(
         keys = type(spec).model_fields
         changes |= {"method": setting.method} if "method" in keys else {}
         if "tolerance" in keys:
-            changes.setdefault("tolerance", None)
+            changes.setdefault("tolerance", tolerance if setting.method == own else None)
         return run_spec(member, rebuild(), spec.model_copy(update=changes), budget)
 
     def run(setting: Setting) -> Outcome:
@@ -130,8 +132,8 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
             energies.append(run.diagnostics.energy)
     except ToleranceError as error:
         status, reason = Status.UNSTABLE, error.faults[0].message
-        if isinstance(error, StoppedError):
-            stats = error.stats
+        stats = error.stats if isinstance(error, StoppedError) else None
+        if stats is not None:
             status, reason, stable = stats.status, stats.reason, stats.stable_step
     seconds = time.perf_counter() - began
     last = run.simulation.diagnostics(run.state.state, run.time(run.state.steps))

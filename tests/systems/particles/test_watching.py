@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,7 @@ def test_a_slow_blow_up_is_seen_before_particles_are_removed(
         run.at(20.0)
     codes = [fault.code for fault in error.value.faults]
     assert codes == ["SIM101", "SIM102"]
+    assert pickle.loads(pickle.dumps(error.value)).faults == error.value.faults
     assert [notice.code for notice in run.notices] == ["SIM101"]
     hint = error.value.faults[-1].hint
     assert hint is not None
