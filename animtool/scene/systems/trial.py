@@ -101,7 +101,8 @@ def spec_trial(
         keys = type(spec).model_fields
         changes |= {"method": setting.method} if "method" in keys else {}
         if "tolerance" in keys:
-            changes.setdefault("tolerance", tolerance if setting.method == own else None)
+            stated = tolerance if setting.method == own else None
+            changes.setdefault("tolerance", stated)
         return run_spec(member, rebuild(), spec.model_copy(update=changes), budget)
 
     def run(setting: Setting) -> Outcome:

@@ -140,3 +140,14 @@ def test_what_cannot_serve_them_is_left_out(tmp_path: Path) -> None:
     stopped = trial(tmp_path, orbits(colliders=FLOOR))
     with pytest.raises(OptionError, match="cannot stop for contacts"):
         stopped.run(Setting("dop853", (("step", 0.02), ("tolerance", 1e-6))))
+
+
+def test_the_tolerance_of_a_file_is_for_its_own_method(tmp_path: Path) -> None:
+    keys = {"name": "fish", "species": [{"name": "fish", "count": 3}]}
+    keys |= {"method": "rk45", "tolerance": 1e-4}
+    ours = Simulator(tmp_path).trial([{"flocks": keys}], [0.0, 0.02])
+    assert ours.chosen == Setting.of("rk45", step=0.01, tolerance=1e-4)
+    (finer,) = ours.references()
+    assert {setting.method for setting in finer} == {"rk45"}
+    for setting in (ours.chosen, ours.settings()[0], finer[0]):
+        assert ours.run(setting).status is Status.OK
