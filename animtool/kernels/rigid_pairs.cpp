@@ -274,6 +274,7 @@ class Finder {
     if (gap > most + skin) return;
     Contact made;
     made.motion = motion;
+    made.radius = p.core->radius, made.other_radius = q.core->radius;
     // Who is near, or slow, is met where it is; who comes from afar where it arrives.
     if (gap <= skin + std::min(most, size * NEAR)) {
       const Manifold manifold = meet(p, q, skin + most);
@@ -329,6 +330,7 @@ class Finder {
     const Collider& collider = colliders_[c];
     made.first = s, made.second = static_cast<std::int64_t>(shapes() + c);
     made.a = world_.shapes[s].body, made.b = -1;
+    made.radius = world_.shapes[s].core.radius;
     made.take(manifold, poses_[made.a], collider.motion.at(0));
     made.motion = &collider.motion;
     made.depenetration = collider.depenetration;

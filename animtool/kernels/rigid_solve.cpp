@@ -22,6 +22,8 @@ constexpr double PUSH = 2;
 constexpr double SAME = 0.1;
 // Islands of fewer points than these are corrected more often, and at most so much more.
 constexpr std::size_t SMALL = 512, MOST = 32;
+// Arms of contacts follow bodies that turn by more than this share of their size.
+constexpr double TURNED = 1e-3;
 // Rounds in which bounces of several points settle.
 constexpr int BOUNCES = 8;
 
@@ -42,6 +44,8 @@ struct Patch {
   std::size_t a, b;
   Vec normal, tangents[2];
   double friction, restitution, push;
+  double skin = 0;    // of both together [m]
+  double turned = 0;  // square of how far arms may be off [m²]
   std::size_t begin, end;  // points
   const Contact* contact;
 };
@@ -193,28 +197,45 @@ class Solver {
     patch.friction = c.material.friction, patch.restitution = c.material.restitution;
     patch.push = c.depenetration > 0 ? c.depenetration : PUSH;
     patch.begin = points_.size();
+    patch.skin = c.radius + c.other_radius;
+    const double size = TURNED * world_.bodies[c.a].reach;
+    patch.turned = size * size;
     const Pose& pose_a = turns_[c.a];
     const Pose still = c.b < 0 ? c.motion->at(0) : turns_[patch.b];
-    const Speed &sa = speeds_[patch.a], &sb = speeds_[patch.b];
     for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
       Point& p = points_.emplace_back();
       p.own = c.own[k], p.other = c.other[k], p.gap = c.gaps[k];
-      p.arm_a = pose_a.rotated(p.own);
-      p.arm_b = c.b < 0 ? still.rotated(p.other) : turns_[patch.b].rotated(p.other);
-      const Vec lines[3] = {n, patch.tangents[0], patch.tangents[1]};
-      for (int d = 0; d < 3; ++d) {
-        p.arms_a[d] = cross(p.arm_a, lines[d]), p.arms_b[d] = cross(p.arm_b, lines[d]);
-        p.turns_a[d] = sa.turned(p.arms_a[d]), p.turns_b[d] = sb.turned(p.arms_b[d]);
-        const double k_d = sa.ease + sb.ease + dot(p.arms_a[d], p.turns_a[d]) +
-                           dot(p.arms_b[d], p.turns_b[d]);
-        (d ? p.masses[d - 1] : p.mass) = k_d > 0 ? 1 / k_d : 0;
-      }
-      // One for both, so that friction is straight against what slides.
-      p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
+      const Pose& pose_b = c.b < 0 ? still : turns_[patch.b];
+      set_arms(patch, p, touching_point(patch, pose_a.to_world(p.own), pose_b.to_world(p.other)));
     }
     patch.end = points_.size();
     find_kept(patch);
     patches_.push_back(patch);
+  }
+
+  // One point for both, so that no angular momentum is lost: halfway, or on what is round.
+  static Vec touching_point(const Patch& patch, Vec own, Vec other) {
+    const Contact& c = *patch.contact;
+    if (c.radius > 0) return own + patch.normal * c.radius;
+    if (c.other_radius > 0) return other - patch.normal * c.other_radius;
+    return (own + other) * 0.5;
+  }
+
+  // What there is of a point of contact where it is now.
+  void set_arms(const Patch& patch, Point& p, Vec at) {
+    const Vec at_a = p.arm_a = at - states_[patch.a].at;
+    const Vec at_b = p.arm_b = patch.b < count_ ? at - states_[patch.b].at : Vec{};
+    const Speed &sa = speeds_[patch.a], &sb = speeds_[patch.b];
+    const Vec lines[3] = {patch.normal, patch.tangents[0], patch.tangents[1]};
+    for (int d = 0; d < 3; ++d) {
+      p.arms_a[d] = cross(at_a, lines[d]), p.arms_b[d] = cross(at_b, lines[d]);
+      p.turns_a[d] = sa.turned(p.arms_a[d]), p.turns_b[d] = sb.turned(p.arms_b[d]);
+      const double k = sa.ease + sb.ease + dot(p.arms_a[d], p.turns_a[d]) +
+                       dot(p.arms_b[d], p.turns_b[d]);
+      (d ? p.masses[d - 1] : p.mass) = k > 0 ? 1 / k : 0;
+    }
+    // One for both, so that friction is straight against what slides.
+    p.masses[0] = p.masses[1] = std::min(p.masses[0], p.masses[1]);
   }
 
   // Begins with the forces of the step before.
@@ -299,7 +320,10 @@ class Solver {
       for (std::size_t k = patch.begin; k < patch.end; ++k) {
         Point& p = points_[k];
         const Vec own = at + pose.rotated(p.own), far = other.to_world(p.other);
-        p.now = p.gap + dot(patch.normal, far - own);
+        p.now = p.gap + dot(patch.normal, far - own) - patch.skin;
+        const Vec mid = touching_point(patch, own, far), off = mid - at - p.arm_a;
+        const Vec far_off = fixed ? Vec{} : mid - states_[patch.b].at - p.arm_b;
+        if (dot(off, off) + dot(far_off, far_off) > patch.turned) set_arms(patch, p, mid);
         if (fixed && motion->moves()) p.slide = motion->displacement(far, other) * (1 / step_);
         p.given = dot(p.slide, patch.normal);
       }
@@ -527,7 +551,9 @@ class Solver {
       Point& p = points_[k];
       double bias = 0, mass = 1, leak = 0;
       if (p.now > 0) {
-        bias = p.now / h;
+        // Who is on the way has not arrived: only places count.
+        if (!pushing && p.force == 0) continue;
+        bias = pushing ? p.now / h : 0;
       } else if (pushing) {
         bias = std::max(contact_.bias * p.now, -patch.push);
         mass = contact_.mass, leak = contact_.leak;
@@ -605,7 +631,7 @@ class Solver {
     turn_freely(i, s);
     turns_[i] = pose_of(s);
     speeds_[i].w = spin_of(body, s);
-    if (pushed_[i]) refresh(i);
+    if (!patches_.empty() || !rows_.empty()) refresh(i);
   }
 
   void turn_freely(std::size_t i, State& s) const {

@@ -78,15 +78,19 @@ struct Contact {
   const collide::Motion* motion = nullptr;  // of a collider
   Vec normal;                   // from the first to the second
   int count = 0;
-  // Where both have each point, in their frames, and how far they are apart there.
+  // Where both have each point, in their frames, and how far they are apart there. What rolls
+  // touches with another point at once: of the first these are points of its core, and the
+  // surface is a radius ahead.
   std::array<Vec, MOST_POINTS> own, other;
   std::array<double, MOST_POINTS> gaps;
+  double radius = 0, other_radius = 0;
 
   void take(const Manifold& manifold, const Pose& pose_a, const Pose& pose_b) {
     normal = manifold.normal, count = manifold.count;
     for (std::size_t k = 0; k < static_cast<std::size_t>(count); ++k) {
-      own[k] = pose_a.to_local(manifold.points[k].at);
-      other[k] = pose_b.to_local(manifold.points[k].at);
+      const Vec at = manifold.points[k].at;
+      own[k] = pose_a.to_local(at - normal * radius);
+      other[k] = pose_b.to_local(at + normal * other_radius);
       gaps[k] = manifold.points[k].gap;
     }
   }
