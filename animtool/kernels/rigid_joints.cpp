@@ -44,7 +44,6 @@ class Writing {
     const double give = h_ * (joint.damping + h_ * joint.stiffness);
     row.leak = 1 / give;
     row.bias = h_ * joint.stiffness / give;
-    row.mass = 1 / (1 / row.mass + row.leak);
     row.most = joint.most < 0 ? ANY : joint.most * h_;
     row.least = -row.most;
   }

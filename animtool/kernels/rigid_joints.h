@@ -67,7 +67,7 @@ struct Row {
   double bend = 0;    // how much more the error changes in a small step, over its time
   double mass = 0, impulse = 0, half = 0;
   double least = 0, most = 0;  // of the impulse
-  double leak = 0, bias = 0;   // of a drive, over the mass
+  double leak = 0, bias = 0;   // of a drive, in a whole small step
   enum { LOCK, LIMIT, DRIVE } kind = LOCK;
   int slot = 0;
 };

@@ -187,7 +187,7 @@ class Finder {
     for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
       for (std::size_t c = 0; c < colliders_.size(); ++c) {
         if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
-        if (colliders_[c].shape == Shape::MESH && !colliders_[c].container) {
+        if (colliders_[c].shape == Shape::MESH) {
           meet_mesh(s, c);
         } else {
           meet_field(s, c);
@@ -338,6 +338,17 @@ class Finder {
     found_.push_back(made);
   }
 
+  // One of the six walls of a container, seen from inside.
+  static collide::Sample from_wall(const Collider& c, const Pose& pose, Vec point, double radius,
+                                   int wall) {
+    const Vec local = pose.to_local(point);
+    const double at[3] = {local.x, local.y, local.z}, sign = wall % 2 ? -1 : 1;
+    double inward[3] = {0, 0, 0};
+    inward[wall / 2] = -sign;
+    return {c.size[wall / 2] - sign * at[wall / 2] - c.margin - radius,
+            pose.rotated(load(inward))};
+  }
+
   // Planes and what bodies are to stay in: their points are looked at, each with the normal
   // that it has there.
   void meet_field(std::size_t s, std::size_t c) {
@@ -351,11 +362,16 @@ class Finder {
     const double away = length(p.centre - poses_[world_.shapes[s].body].origin) + p.core->reach;
     if (collide::sample(collider, pose, p.centre, away, reach).distance > reach) return;
     fields_.clear();
-    for (std::size_t i = 0; i < p.core->points.size(); ++i) {
-      const auto found = collide::sample(collider, pose, p.points[i], p.core->radius, reach);
+    const int sides = collider.shape == Shape::BOX ? 6 : 1;
+    for (std::size_t i = 0; i < sides * p.core->points.size(); ++i) {
+      const Vec point = p.points[i / static_cast<std::size_t>(sides)];
+      const auto found = sides == 1
+                             ? collide::sample(collider, pose, point, p.core->radius, reach)
+                             : from_wall(collider, pose, point, p.core->radius,
+                                         static_cast<int>(i) % sides);
       if (found.distance > reach) continue;
       const Vec n = -found.normal;
-      const Touching touching{p.points[i] + n * (p.core->radius + found.distance / 2),
+      const Touching touching{point + n * (p.core->radius + found.distance / 2),
                               found.distance};
       auto same = std::find_if(fields_.begin(), fields_.end(), [&](const auto& one) {
         return dot(one.first, n) > 1 - 1e-9;
@@ -410,7 +426,10 @@ class Finder {
     const Placed& p = placings_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
-    for (int k = 0; k < 3; ++k) core.points.push_back(mesh.point(mesh.triangles[3 * t + k]));
+    // A container is met from behind.
+    const bool turned = colliders_[c].container;
+    for (int k = 0; k < 3; ++k)
+      core.points.push_back(mesh.point(mesh.triangles[3 * t + (turned ? (3 - k) % 3 : k)]));
     core.loops = {0, 1, 2, 0, 2, 1};
     core.starts = {0, 3, 6};
     core.radius = colliders_[c].margin;
@@ -422,7 +441,7 @@ class Finder {
     if (dot(p.centre - q.points[0], face) < 0) return;
     Manifold made = meet(q, p, reach);
     if (!made.count) return;
-    if (!faces_out(mesh, t, pose, made, q)) made = on_face(q, p, reach);
+    if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach);
     if (!made.count) return;
     made.normal = -made.normal;
     add(s, c, made);
@@ -430,8 +449,8 @@ class Finder {
 
   // Whether a normal is one that the surface has there: at an edge between the normals of its
   // two faces, so that a body that slides over inner edges does not stumble.
-  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, const Pose& pose,
-                        const Manifold& manifold, const Placed& q) {
+  static bool faces_out(const collide::Mesh& mesh, std::int32_t t, bool turned,
+                        const Pose& pose, const Manifold& manifold, const Placed& q) {
     const Vec n = manifold.normal, face = q.normals[0];
     const double lean = dot(n, face);
     if (lean > 1 - 1e-6) return true;
@@ -445,7 +464,9 @@ class Finder {
       const Vec off = at - a - along * share;
       if (dot(off, off) < least) least = dot(off, off), side = k;
     }
-    const Vec sum = pose.rotated(load(mesh.edge_normals + 9 * t + 3 * side));
+    const Vec out_there =
+        pose.rotated(load(mesh.edge_normals + 9 * t + 3 * (turned ? 2 - side : side)));
+    const Vec sum = turned ? -out_there : out_there;
     if (dot(sum, sum) == 0) return true;  // a rim
     const Vec other = direction(direction(sum, face) * (2 * dot(direction(sum, face), face)) - face, face);
     const Vec along = q.points[(side + 1) % 3] - q.points[side];

@@ -602,7 +602,10 @@ class Solver {
       const double speed = speed_of(joint, row) + (pushing ? row.bend : 0);
       double change = 0;
       if (row.kind == Row::DRIVE) {
-        change = -row.mass * (speed + row.bias * row.error + row.leak * row.impulse);
+        // In the first half of a small step a spring has done half of what it does.
+        const double leak = pushing ? 2 * row.leak : row.leak;
+        const double share = 1 / (1 / row.mass + leak);
+        change = -share * (speed + row.bias * row.error + leak * row.impulse);
       } else if (row.kind == Row::LIMIT && row.error > 0) {
         change = -row.mass * (speed + row.error / h_);
       } else if (pushing) {
@@ -611,7 +614,8 @@ class Solver {
       } else {
         change = -row.mass * speed;
       }
-      const double to = std::clamp(row.impulse + change, row.least, row.most);
+      const double half = row.kind == Row::DRIVE && pushing ? 0.5 : 1;
+      const double to = std::clamp(row.impulse + change, row.least * half, row.most * half);
       const double by = to - row.impulse;
       row.impulse = to;
       if (by == 0) continue;
