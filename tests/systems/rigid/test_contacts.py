@@ -123,7 +123,7 @@ def test_shapes_of_all_kinds_come_to_rest_in_a_container(tmp_path: Path) -> None
         places = row[:3] + so3.rotate(row[3:7], core.points)
         assert (np.abs(places[:, [0, 2]]) < 0.7 - core.radius + 1e-3).all()
         assert places[:, 1].min() > core.radius - 1e-3
-    assert found.codes() == ["SIM125"]
+    assert "SIM125" in found.codes()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
