@@ -49,6 +49,12 @@ class OptionalRate:
 NO_RATE: Any = None  # the default of such a field
 
 
+class RateError(ValueError):
+    """What should be a frame rate is none."""
+
+    code = "SCN022"
+
+
 class RateKind(StrEnum):
     """How a rate was found."""
 
@@ -193,7 +199,7 @@ def parse_rate(text: RateLike) -> Fraction:
     A fraction is taken as it is.
 
     Raises:
-        ValueError: It is not a positive number.
+        RateError: It is not a positive number.
 
     >>> parse_rate("29.97")
     Fraction(30000, 1001)
@@ -206,12 +212,12 @@ def parse_rate(text: RateLike) -> Fraction:
     try:
         rate = exact_number(text)
     except (ValueError, ArithmeticError) as error:
-        raise ValueError(
+        raise RateError(
             f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
     if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
         shown = excerpt(text).strip("'")
-        raise ValueError(f"a frame rate is between 0.001 and 100000, not {shown}")
+        raise RateError(f"a frame rate is between 0.001 and 100000, not {shown}")
     return rate
 
 
@@ -231,8 +237,8 @@ def rate_option(fps: RateLike) -> Fraction:
     """
     try:
         return parse_rate(fps)
-    except ValueError as error:
-        raise OptionError(Fault("SCN022", f"fps: {error}")) from error
+    except RateError as error:
+        raise OptionError(Fault(error.code, f"fps: {error}")) from error
 
 
 def rate_label(fps: Fraction) -> str:

@@ -382,7 +382,7 @@ class _BatchReader:
         try:
             return parse(given)
         except ValueError as error:
-            self.document.add("BAT002", at, str(error))
+            self.document.add(getattr(error, "code", "BAT002"), at, str(error))
             return None
 
     def read_file(self, at: Location, name: str) -> Path:

@@ -19,7 +19,7 @@ from animtool.documents.fields import MAX_FRAME
 from animtool.documents.references import missing_hint, referred
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.files import is_there
-from animtool.rates import parse_rate
+from animtool.rates import RateError, parse_rate
 from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
@@ -181,8 +181,8 @@ class _ClipReader:
     def _fps(self) -> Fraction:
         try:
             return parse_rate(self.model.fps)
-        except ValueError as error:
-            self.document.add("SCN022", ("fps",), str(error))
+        except RateError as error:
+            self.document.add(error.code, ("fps",), str(error))
             return Fraction(24)
 
     def _range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:

@@ -22,7 +22,7 @@ from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Still, Value, ValueReader
-from animtool.rates import parse_rate
+from animtool.rates import RateError, parse_rate
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
@@ -111,8 +111,8 @@ class _Reader:
             return None
         try:
             return parse_rate(self.model.fps)
-        except ValueError as error:
-            self.document.add("SCN022", ("fps",), str(error))
+        except RateError as error:
+            self.document.add(error.code, ("fps",), str(error))
             return None
 
     def _range(self) -> tuple[Fraction | None, Fraction | None]:

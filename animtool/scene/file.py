@@ -429,7 +429,7 @@ class _SceneReader:
         try:
             return parse(given)
         except ValueError as error:
-            self.document.add("SCN003", at, str(error))
+            self.document.add(getattr(error, "code", "SCN003"), at, str(error))
             return None
 
     def _pass(self, at: Location, name: str, given: dict[str, Any]) -> ScenePass | None:

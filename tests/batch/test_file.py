@@ -52,7 +52,7 @@ def test_what_it_asks_for(tmp_path: Path) -> None:
     ("text", "code", "where"),
     [
         ("scene: a.scene.yaml\noptions: {}\n", "BAT001", "options"),
-        ("options: {fps: fast}\n", "BAT002", "options.fps"),
+        ("options: {fps: fast}\n", "SCN022", "options.fps"),
         ("options: {range: [9, 1]}\n", "BAT002", "options.range"),
         ("options: {reduce: 1}\n", "DOC022", "options.reduce"),
         ("options: {reduce: one}\n", "BAT002", "options.reduce"),

@@ -168,7 +168,7 @@ SCENES = {
     "an option that is not": ("SCN001", "passes: [{trim: {frist: 5}}]"),
     "an option of another kind": ("SCN002", "passes: [{trim: {last: [x]}}]"),
     "a range that is reversed": ("SCN003", "range: [9, 1]"),
-    "a rate that is none": ("SCN003", "fps: fast"),
+    "a rate that is none": ("SCN022", "fps: fast"),
     "a file outside the project": ("DOC014", "output: {file: ../../out.usda}"),
     "a take outside the project": ("DOC014", "passes: [{blend: {take: ../../a.bvh}}]"),
     "a file that is not there": ("DOC015", "passes: [{layer: {take: no.bvh}}]"),

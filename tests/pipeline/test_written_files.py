@@ -69,7 +69,7 @@ SCENES = [
     ("last: 8", "lats: 8", "SCN001", 6),
     ("last: 8", "last: soon", "SCN002", 6),
     ("range: [1001, 1007]", "range: [9, 1]", "SCN003", 3),
-    ("fps: 24", "fps: 0", "SCN003", 2),
+    ("fps: 24", "fps: 0", "SCN022", 2),
     ("file: good.clip.yaml", "file: /good.clip.yaml", "DOC014", 4),
     ("file: shot.usda", "file: ../shot.usda", "DOC014", 8),
     ("loop: {}", "layer: {take: no.bvh}", "DOC015", 7),

@@ -108,7 +108,7 @@ def test_each_fault_has_its_line(shot: Path, code: str) -> None:
 
 @pytest.mark.parametrize(
     ("line", "code"),
-    [("range: [9, 1]", "SCN003"), ("fps: fast", "SCN003")],
+    [("range: [9, 1]", "SCN003"), ("fps: fast", "SCN022")],
 )
 def test_time_that_makes_no_sense(shot: Path, line: str, code: str) -> None:
     shot.write_text(GOOD + line + "\n", "utf-8")
@@ -169,7 +169,7 @@ output: {file: shot.usda, start: now}
 MIXED_FAULTS = [
     ("DOC020", 2),
     ("DOC015", 2),
-    ("SCN003", 3),
+    ("SCN022", 3),
     ("SCN003", 4),
     ("DOC014", 5),
     ("DOC022", 5),

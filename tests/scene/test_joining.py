@@ -357,7 +357,7 @@ def test_a_bvh_meets_the_rig_that_the_scene_names(place: Path) -> None:
         ("face.clip.yaml,", "face.clip.yaml, tracks: {shapes: [x]},", "SCN037", 4),
         ("face.clip.yaml,", "face.clip.yaml, track: {shapes: [x]},", "DOC020", 4),
         ("body.clip.yaml,", "body.clip.yaml, tracks: {joints: [x]},", "SCN038", 3),
-        ("face.clip.yaml,", "face.clip.yaml, timecode_fps: fast,", "SCN003", 4),
+        ("face.clip.yaml,", "face.clip.yaml, timecode_fps: fast,", "SCN022", 4),
     ],
 )
 def test_faults_have_the_place_of_their_source(
