@@ -24,7 +24,7 @@ from animtool.usd.names import RigPaths, legal_name
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.scene.systems.character_watch import CharacterWatch
+    from animtool.scene.systems.character_motion import CharacterWatch
     from animtool.usd.author_props import PropSamples
     from animtool.usd.point_based import CachedMesh
     from animtool.usd.target import RigTarget

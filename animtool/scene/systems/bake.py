@@ -17,9 +17,8 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakePlan, BakeReport, Draft, Save, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
-from animtool.scene.systems.character_watch import CharacterWatch
-from animtool.scene.systems.job import system_job
-from animtool.scene.systems.run import SystemRun
+from animtool.scene.systems.character_motion import CharacterWatch
+from animtool.scene.systems.run import SystemRun, system_job
 from animtool.shot import FrameRange
 from animtool.units import UpAxis
 from animtool.usd.author_props import overlap, prop_paths

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import Clock, time_codes
 from animtool.documents.names import is_named, nearest
 from animtool.errors import Fault, OptionError
 from animtool.maths.faces import triangulated
@@ -237,3 +239,63 @@ def character_colliders(
         ones.setdefault((one.file, one.mesh), one)
     colliders = [each for one in ones.values() for each in one.colliders(characters)]
     return colliders, [each for one in ones.values() for each in one.sheets(characters)]
+
+
+class CharacterWatch:
+    """Keeps the time codes that are written of a take, and its motion if need be.
+
+    Frames are read once: by the writer, whose blocks it sees pass. Of a source that is
+    sampled as a function of time, and has no blocks read, it asks for its frames.
+
+    Attributes:
+        wanted: Whether the motion is kept.
+    """
+
+    def __init__(self, *, wanted: bool) -> None:
+        self.wanted = wanted
+        self._codes: list[FloatArray] = []
+        self._blocks: list[Motion] = []
+        self._stream: TakeStream | None = None
+
+    @property
+    def codes(self) -> FloatArray:
+        """Time codes that were written, ascending ``(F,)``."""
+        return np.concatenate(self._codes)
+
+    def read(self, stream: TakeStream) -> TakeStream:
+        """Return a take whose frames are seen as they are read."""
+        if not self.wanted:
+            return stream
+        self._stream = stream
+        return replace(stream, blocks=self._seen(stream.blocks))
+
+    def see(self, codes: FloatArray) -> None:
+        """Keep time codes of frames that are written ``(F,)``."""
+        self._codes.append(codes)
+
+    def motion(self, path: Path) -> CharacterMotion | None:
+        """Return the whole motion, when all is read; None where it is not wanted."""
+        stream = self._stream
+        if stream is None:
+            return None
+        motion = self._whole(stream)
+        start = Fraction(1) if stream.start is None else stream.start
+        clock = Clock(stream.fps, start, stream.step, motion.frames)
+        return motion_of(path, Take(stream.rig, clock, motion))
+
+    def _whole(self, stream: TakeStream) -> Motion:
+        if self._blocks:
+            return Motion.concatenate(self._blocks)
+        assert stream.curve is not None
+        start = Fraction(1) if stream.start is None else stream.start
+        return _bare(stream.curve(time_codes(start, stream.step, stream.count)))
+
+    def _seen(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self._blocks.append(_bare(block))
+            yield block
+
+
+def _bare(motion: Motion) -> Motion:
+    """Return joints and shapes alone."""
+    return replace(motion, controls=None, track_times=None, points={})

@@ -9,14 +9,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from animtool._types import BoolArray
-from animtool.errors import Fault, FormatError, Severity
+from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.job import named_alike
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import (
     SystemProgress,
@@ -25,7 +26,11 @@ from animtool.scene.systems.simulation import (
     open_systems,
 )
 from animtool.systems.simulation import ON_STEP, Reached, SimulationRun
+from animtool.units import UpAxis, up_from_up
+from animtool.usd.layers import StageMetadata
+from animtool.usd.names import distinct_names, legal_name
 from animtool.usd.point_based import CachedMesh
+from animtool.usd.simulated import SimulatedJob
 
 
 def predicted_tears(
@@ -249,3 +254,39 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
             faults.append(system.place.fault("SCN091", message, hint))
     if faults:
         raise FormatError(faults)
+
+
+def system_job(
+    systems: Sequence[SceneSystem],
+    model: str,
+    metadata: StageMetadata,
+    meters_per_unit: float,
+    up: UpAxis,
+) -> SimulatedJob:
+    """Return what is to be written of systems: ``meters_per_unit`` [m]."""
+    turn = up_from_up(up, UpAxis.Y)
+    written = [system for system in systems if system.written]
+    return SimulatedJob(
+        model,
+        _prim_names(written),
+        metadata,
+        meters_per_unit,
+        None if turn is None else np.array(turn),
+    )
+
+
+def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
+    """Return a warning for every system whose prim another's name has (SCN090)."""
+    said = []
+    for system, prim in zip(systems, _prim_names(systems), strict=True):
+        if prim != legal_name(system.name):
+            message = f"another system is named {excerpt(system.name)} before it: its "
+            message += f"prim is {excerpt(prim)}"
+            hint = "give each its own name"
+            said.append(system.place.fault("SCN090", message, hint, Severity.WARNING))
+    return said
+
+
+def _prim_names(systems: Sequence[SceneSystem]) -> list[str]:
+    names = [system.name for system in systems]
+    return distinct_names(names, names, names).names
