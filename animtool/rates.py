@@ -26,12 +26,12 @@ HIGHEST_RATE = 1000
 MAX_DIGITS = 100
 USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
-# Frames a second as people write them: 24, 23.976, "24000/1001", Fraction(24000, 1001).
-RateLike: TypeAlias = int | float | str | Fraction
+# A rate or frame as people write it: 24, 23.976, "24000/1001", Fraction(24000, 1001).
+FractionLike: TypeAlias = int | float | str | Fraction
 
 
-class OptionalRate:
-    """Type of a record's field that takes any rate, or None, and holds a fraction.
+class OptionalFraction:
+    """Type of a record's field that takes a number or text and holds a fraction.
 
     Type checkers alone know it as a descriptor; `__post_init__` of the record makes
     the fraction.
@@ -43,10 +43,10 @@ class OptionalRate:
             self, record: object, owner: type | None = None
         ) -> Fraction | None: ...
 
-        def __set__(self, record: object, rate: RateLike | None) -> None: ...
+        def __set__(self, record: object, value: FractionLike | None) -> None: ...
 
 
-NO_RATE: Any = None  # the default of such a field
+NO_FRACTION: Any = None  # the default of such a field
 
 
 class RateError(ValueError):
@@ -176,8 +176,8 @@ _BROADCAST = {
 }
 
 
-def exact_number(text: str) -> Fraction:
-    """Return the number that a text writes: ``24``, ``23.976``, ``24000/1001``.
+def exact_number(text: FractionLike) -> Fraction:
+    """Return the number that a person wrote: ``24``, ``23.976``, ``24000/1001``.
 
     Raises:
         ValueError: It is none, or has more digits than a number that anybody writes.
@@ -185,7 +185,7 @@ def exact_number(text: str) -> Fraction:
     >>> exact_number("1e-3")
     Fraction(1, 1000)
     """
-    text = text.strip()
+    text = (text if isinstance(text, str) else _digits(text)).strip()
     exponent = text.lower().partition("e")[2]
     # What has millions of digits takes hours to work out.
     if len(text) > MAX_DIGITS or len(exponent) > len("-300"):
@@ -193,7 +193,7 @@ def exact_number(text: str) -> Fraction:
     return Fraction(text)
 
 
-def parse_rate(text: RateLike) -> Fraction:
+def parse_rate(text: FractionLike) -> Fraction:
     """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is taken as it is.
@@ -229,7 +229,7 @@ def _digits(number: object) -> str:
     return str(number) if is_rate else repr(number)
 
 
-def rate_option(fps: RateLike) -> Fraction:
+def rate_option(fps: FractionLike) -> Fraction:
     """Return the rate of the option ``fps``, see `parse_rate` (none: SCN022).
 
     >>> rate_option("29.97")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
-from animtool.rates import NO_RATE, OptionalRate, rate_label, rate_option
+from animtool.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
 
 # The number of a shot's first frame where nothing states another.
 SHOT_START = 1001
@@ -49,7 +49,7 @@ class Shot:
     head: int = 0
     tail: int = 0
     name: str = ""
-    fps: OptionalRate = NO_RATE
+    fps: OptionalFraction = NO_FRACTION
     media_in: Fraction | None = None
     speed: Fraction = Fraction(1)
 

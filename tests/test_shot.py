@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.errors import OptionError
-from animtool.rates import RateLike
+from animtool.rates import FractionLike
 from animtool.shot import Shot, frame_spans, frames_within
 
 RATES = st.sampled_from(
@@ -105,7 +105,7 @@ def test_a_shot_that_places_no_media_has_no_seconds() -> None:
 
 
 @pytest.mark.parametrize("fps", [24, 24.0, "24", Fraction(24)])
-def test_a_shot_takes_its_rate_as_it_is_written(fps: RateLike) -> None:
+def test_a_shot_takes_its_rate_as_it_is_written(fps: FractionLike) -> None:
     found = Shot(1001, 1024, fps=fps).fps
     assert (found, type(found)) == (24, Fraction)
 

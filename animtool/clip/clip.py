@@ -24,7 +24,7 @@ from animtool.documents.names import flow, number, scaled, text
 from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.maths.curves import Extrapolation
 from animtool.plugins import load_object
-from animtool.rates import RateLike, rate_label, rate_option
+from animtool.rates import FractionLike, rate_label, rate_option
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.units import unit_name
@@ -69,7 +69,7 @@ class Clip:
         return cast("Clip", cast("Callable[..., object]", load)(path, rig))
 
     def frame_count(
-        self, fps: RateLike | None = None, step: Fraction = Fraction(1)
+        self, fps: FractionLike | None = None, step: Fraction = Fraction(1)
     ) -> int:
         """Return how many frames the range has.
 
@@ -96,7 +96,7 @@ class Clip:
     def sample(
         self,
         rig: Rig,
-        fps: RateLike | None = None,
+        fps: FractionLike | None = None,
         *,
         step: Fraction | float = 1,
         clamp: bool = False,
@@ -146,7 +146,7 @@ class Clip:
         )
 
 
-def _rate(fps: RateLike | None, usual: Fraction) -> Fraction:
+def _rate(fps: FractionLike | None, usual: Fraction) -> Fraction:
     return usual if fps is None else rate_option(fps)
 
 

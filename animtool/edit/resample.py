@@ -22,7 +22,7 @@ from animtool.passes import (
     PassContext,
     Scope,
 )
-from animtool.rates import RateLike, rate_option
+from animtool.rates import FractionLike, rate_option
 from animtool.shot import FrameRange
 from animtool.take import Take
 
@@ -207,7 +207,7 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
         yield times.codes[part], motion.map(at.blend)
 
 
-def resampled(take: Take, fps: RateLike) -> Take:
+def resampled(take: Take, fps: FractionLike) -> Take:
     """Return the take with a sample on every time code at another rate.
 
     What the take lasts after its last whole frame is left out, and noted (TAKE006).

@@ -15,7 +15,7 @@ from animtool.ik.goals import PARTS
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rates import RateLike, rate_option
+from animtool.rates import FractionLike, rate_option
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.take import Take
@@ -145,7 +145,7 @@ class IkResult:
 
     def take(
         self,
-        fps: RateLike = 24,
+        fps: FractionLike = 24,
         start: Fraction | int = 1,
     ) -> Take:
         """Return the poses as a take of B frames, one after the other.

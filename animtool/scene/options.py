@@ -6,10 +6,17 @@ import re
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
-from animtool.errors import excerpt
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.options import Key, option
-from animtool.rates import LARGEST_FRAME, OptionalRate, exact_number, rate_option
+from animtool.rates import (
+    LARGEST_FRAME,
+    FractionLike,
+    OptionalFraction,
+    exact_number,
+    rate_option,
+)
 from animtool.scene.sources import SourceOptions
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
@@ -40,7 +47,8 @@ class BakeOptions:
         frame_range: Frames to write.
         shot: The shot that is written: its frames, where there is no range, at its
             rate. The pose of frames that the take lacks is held.
-        start: Time code of the first frame of the take; None is where the shot has
+        start: Time code of the first frame of the take; a number or text becomes a
+            fraction. None is where the shot has
             it, the rig layer's, the project's, or 1.
         samples: Sub-frame samples around each frame, in frames.
         keep_samples: Keep the source's samples at fractional time codes.
@@ -62,7 +70,7 @@ class BakeOptions:
         overwrite: Replace outputs that exist.
 
     Raises:
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is no rate (SCN022), or start no frame (SCN026).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -161,7 +169,7 @@ class BakeOptions:
         metavar="offsets|frame:N",
         help="Where the rest pose comes from.  [default: offsets]",
     )
-    fps: OptionalRate = option(
+    fps: OptionalFraction = option(
         None,
         "rate",
         "--fps",
@@ -186,7 +194,7 @@ class BakeOptions:
         "them.",
     )
     shot: Shot | None = None
-    start: Fraction | None = option(
+    start: OptionalFraction = option(
         None,
         "frame",
         "--start",
@@ -351,15 +359,26 @@ class BakeOptions:
     overwrite: bool = option(False, "switch", "--overwrite")
 
     def __post_init__(self) -> None:
-        """Take the rate as it is written."""
+        """Take the rate and the start as they are written."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
+        start: Any = self.start
+        if not isinstance(start, Fraction | None):
+            object.__setattr__(self, "start", _frame_option(start))
         if self.shot is not None:
             if self.frame_range is None:
                 frames = FrameRange(self.shot.start, self.shot.end)
                 object.__setattr__(self, "frame_range", frames)
             if self.fps is None:
                 object.__setattr__(self, "fps", self.shot.fps)
+
+
+def _frame_option(start: FractionLike) -> Fraction:
+    """Return the frame of the option ``start``."""
+    try:
+        return parse_frame(start)
+    except ValueError as error:
+        raise OptionError(Fault("SCN026", f"start: {error}")) from error
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
@@ -419,7 +438,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     return tuple(sorted(offsets))
 
 
-def parse_frame(text: str) -> Fraction:
+def parse_frame(text: FractionLike) -> Fraction:
     """Return a time code such as ``1001`` or ``1000.5``.
 
     Raises:
@@ -431,7 +450,7 @@ def parse_frame(text: str) -> Fraction:
     try:
         frame = exact_number(text)
     except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"{excerpt(text)} is not a frame such as 1001") from error
+        raise ValueError(f"{excerpt(str(text))} is not a frame such as 1001") from error
     if abs(frame) > LARGEST_FRAME:
         raise ValueError(f"frame {text!r} is beyond {LARGEST_FRAME}")
     return frame

@@ -11,7 +11,7 @@ from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import note_input
 from animtool.options import option, options_of
-from animtool.rates import OptionalRate, rate_option
+from animtool.rates import OptionalFraction, rate_option
 from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.scene.progress import Progress
 from animtool.shot import Shot
@@ -61,7 +61,7 @@ class SourceOptions:
     up: UpAxis | None = option(
         None, "axis", "--up", reason=_OF_BVH, help="Up axis of a BVH.  [default: Y]"
     )
-    fps: OptionalRate = option(
+    fps: OptionalFraction = option(
         None,
         "rate",
         "--source-fps",

@@ -26,7 +26,7 @@ from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 from animtool.take import Take
 
 FEET = "- {effector: leg_l, hold: [[8, 20]]}\n- {effector: leg_r, hold: [[24, 36]]}\n"
-NO_RATE = "targets: animtool/1\nunits: {length: m}\n"
+NO_FRACTION = "targets: animtool/1\nunits: {length: m}\n"
 
 
 def held(folder: Path, take: Take, goals: str = FEET, head: str = HEAD) -> TakeIk:
@@ -410,7 +410,7 @@ def test_a_take_of_another_rate_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OptionError) as caught:
         held(tmp_path, other)
     assert caught.value.code == "TGT014"
-    assert held(tmp_path, other, head=NO_RATE).misses.max() < 2e-6
+    assert held(tmp_path, other, head=NO_FRACTION).misses.max() < 2e-6
 
 
 def test_arrays_that_end_before_the_take_are_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from animtool.errors import OptionError
+from animtool.rates import FractionLike
 from animtool.scene.options import (
     BakeOptions,
     merged,
@@ -169,3 +170,17 @@ def test_a_shot_gives_its_frames_and_rate_where_none_are_stated() -> None:
         shot=shot, frame_range=FrameRange(1010, 1012), fps=Fraction(50)
     )
     assert (stated.frame_range, stated.fps) == (FrameRange(1010, 1012), 50)
+
+
+@pytest.mark.parametrize("start", [1000.5, "1000.5", "2001/2", Fraction(2001, 2)])
+def test_a_start_becomes_a_fraction(start: FractionLike) -> None:
+    options = BakeOptions(start=start)
+    assert (options.start, type(options.start)) == (Fraction(2001, 2), Fraction)
+    assert BakeOptions(start=1001).start == Fraction(1001)
+
+
+@pytest.mark.parametrize("start", ["first", float("nan"), float("inf"), True, 1e12])
+def test_a_start_that_is_no_frame(start: FractionLike) -> None:
+    with pytest.raises(OptionError) as caught:
+        BakeOptions(start=start)
+    assert caught.value.code == "SCN026"

@@ -28,9 +28,10 @@ def bake(folder: Path) -> list[float]:
         *(BakeOptions(source=SourceOptions(fps=rate), fps=rate) for rate in rates),
         BakeOptions(fps=24),
         BakeOptions(fps="24000/1001", shot=shot),
-        replace(BakeOptions(fps=23.976), fps=None),
+        replace(BakeOptions(fps=23.976, start=1000.5), fps=None, start=1001),
     ]
     stored: Fraction | None = options[0].fps or options[0].source.fps or shot.fps
+    first: Fraction | None = options[-1].start
     for one in options:
         animtool.bake("samples/walk/walk.bvh", folder / "walk.usda", one)
     walk = animtool.read_bvh("samples/walk/walk.bvh", fps=stored or 29.97)
@@ -46,7 +47,12 @@ def bake(folder: Path) -> list[float]:
         animtool.Take(rig, clock, motion), folder / "walk.bvh", overwrite=True
     )
     result = animtool.usd.write(take, str(folder / "walk.usdc"), overwrite=True)
-    return [result.rounding.error, float(len(notices)), float(walk.fps)]
+    return [
+        result.rounding.error,
+        float(len(notices)),
+        float(walk.fps),
+        float(first or 1),
+    ]
 
 
 def reach(rig: animtool.Rig) -> animtool.Take:

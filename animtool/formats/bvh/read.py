@@ -18,7 +18,7 @@ from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
-from animtool.rates import RateLike, rate_option
+from animtool.rates import FractionLike, rate_option
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.similar import distinct
@@ -37,7 +37,7 @@ def read_bvh(
     *,
     unit: LengthUnit | None = None,
     up: UpAxis = UpAxis.Y,
-    fps: RateLike | None = None,
+    fps: FractionLike | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
     """Open a BVH file; its rows are read as the blocks are taken.
