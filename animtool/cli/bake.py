@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport
-    from animtool.scene.progress import StageCost
     from animtool.scene.scene import Scene
 
 
@@ -209,14 +208,7 @@ def _one(
     shown = console.progress(f"bake {label}", stdout=path is None)
     with all_named(), shown as progress:
         report = run_bake(opened, path, options, progress=progress)
-    scene = only_scene(opened)
-    stages = [] if scene is None else scene.meter.stages
-    _say_bake(
-        console,
-        report,
-        stages if given["stats"] else None,
-        as_json=given["report_format"] == "json",
-    )
+    _say_reports(console, [report], only_scene(opened), given, several=False)
 
 
 def _outputs(
@@ -240,59 +232,40 @@ def _several(
         return
     with all_named(), console.progress(f"bake {scene.path.name}") as progress:
         reports = bake_scene(scene, options, progress=progress)
-    _say_outputs(
-        console,
-        reports,
-        scene.meter.stages if given["stats"] else None,
-        as_json=given["report_format"] == "json",
-    )
+    _say_reports(console, reports, scene, given, several=True)
 
 
-def _say_bake(
-    console: Console,
-    report: BakeReport,
-    stages: Sequence[StageCost] | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Print the summary of a bake."""
-    from animtool.cli.plan_summary import stats_json, stats_text
-    from animtool.cli.summary import bake_details, bake_json, bake_text
-
-    console.faults(report.notices)
-    if as_json:
-        costs = {} if stages is None else {"stats": stats_json(stages, [report])}
-        console.result_json({**bake_json(report), **costs})
-        return
-    _say(console, bake_text(report))
-    for line in bake_details(report):
-        console.detail(line)
-    if stages is not None:
-        _say(console, stats_text(stages, [report]))
-
-
-def _say_outputs(
+def _say_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
-    stages: Sequence[StageCost] | None,
+    scene: Scene | None,
+    given: Mapping[str, Any],
     *,
-    as_json: bool,
+    several: bool,
 ) -> None:
-    """Print the summary of a scene with several outputs; arguments as `_say_bake`."""
-    from animtool.cli.plan_summary import stats_json, stats_text
-    from animtool.cli.summary import output_json, output_text
+    """Print the summaries of outputs: of one as it is, of several of a scene together.
 
-    # What the sources and passes say stands in every report.
+    No scene has no stages.
+    """
+    from animtool.cli.plan_summary import stats_json, stats_text
+    from animtool.cli.summary import bake_details, output_json, output_text
+
     notices = [notice for report in reports for notice in report.notices]
-    console.faults(dict.fromkeys(notices))
-    if as_json:
+    # What the sources and passes say stands in every report.
+    console.faults(dict.fromkeys(notices) if several else notices)
+    stages = [] if scene is None else scene.meter.stages
+    if given["report_format"] == "json":
+        costs = {"stats": stats_json(stages, reports)} if given["stats"] else {}
         written = [output_json(report) for report in reports]
-        costs = {} if stages is None else {"stats": stats_json(stages, reports)}
-        console.result_json({"bake": "animtool/1", "written": written, **costs})
+        whole = {"bake": "animtool/1", "written": written} if several else written[0]
+        console.result_json({**whole, **costs})
         return
     for report in reports:
         _say(console, output_text(report))
-    if stages is not None:
+    for report in () if several else reports:
+        for line in bake_details(cast("BakeReport", report)):
+            console.detail(line)
+    if given["stats"]:
         _say(console, stats_text(stages, reports))
 
 

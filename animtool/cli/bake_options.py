@@ -19,7 +19,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.documents.names import is_named
+from animtool.documents.names import check_given, is_named
 from animtool.options import options_of
 from animtool.scene.options import BakeOptions
 
@@ -44,8 +44,6 @@ def opened_sources(
         used |= scene.variables
         opened.append(scene)
     if variables:
-        from animtool.documents.names import check_given
-
         check_given(variables, used)
     return opened
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from animtool.batch.recipe import values_text
-from animtool.batch.run import BatchReport, ItemReport
+from animtool.batch.run import BatchReport, ItemReport, Listener
 from animtool.batch.work import Status
 from animtool.cli.console import Console
 from animtool.errors import AnimtoolError, counted
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from animtool.batch.recipe import Item
-    from animtool.batch.run import ItemReport, Listener
 
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
@@ -90,8 +89,6 @@ def report_json(
 
 def openjd_lines(other: Listener) -> Listener:
     """Return a listener that writes such lines to stdout, and tells another."""
-    from animtool.batch.run import Listener
-    from animtool.batch.work import Status
 
     class Lines(Listener):
         """Writes progress, status and failures."""
@@ -161,8 +158,6 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
 
 
 def _lines(console: Console, *, lines: bool) -> Listener:
-    from animtool.batch.run import Listener
-
     class Lines(Listener):
         """Says each item in a line."""
 
@@ -190,8 +185,6 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
     from rich.progress_bar import ProgressBar
     from rich.table import Table
     from rich.text import Text
-
-    from animtool.batch.run import Listener
 
     class Shown(Listener):
         """Knows how much is done, what failed, and what is being made since when."""

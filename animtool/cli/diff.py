@@ -21,6 +21,7 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.clock import frame_label
+from animtool.errors import ExitCode, counted
 from animtool.quantities import length_text, plain
 
 if TYPE_CHECKING:
@@ -90,32 +91,31 @@ def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     differ by more than the tolerances, or one has joints, moving shapes, prims, frames
     or a rate that the other has not.
     """
-    from animtool.errors import ExitCode
     from animtool.report.compare import compare
     from animtool.scene.sources import is_usd
 
+    found: Any = None
     if is_usd(first) and is_usd(second):
         from animtool.report.compare_points import compare_points
 
-        points = compare_points(first, second)
-        if points is not None:
-            same = points.within(given["tol"], given["tol_degrees"])
-            if given["report_format"] == "json":
-                values = {"diff": "animtool/1", "same": same, **asdict(points)}
-                console.result_json(values)
-            else:
-                console.result(*_points_text(points, same=same))
-            code = ExitCode.OK if same else ExitCode.FINDINGS
-            click.get_current_context().exit(int(code))
-    found = compare(first, second, *_options(first, second, given))
-    same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
-    if given["report_format"] == "json":
-        notices = [notice.as_dict() for notice in found.notices]
-        values = {**asdict(found), "notices": notices}
-        console.result_json({"diff": "animtool/1", "same": same, **values})
+        found = compare_points(first, second)
+    if found is not None:
+        same = found.within(given["tol"], given["tol_degrees"])
+        text, notices = _points_text(found), []
     else:
-        console.result(*_text(found, same=same))
-        console.faults(found.notices)
+        found = compare(first, second, *_options(first, second, given))
+        same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
+        text, notices = _text(found), found.notices
+    if given["report_format"] == "json":
+        values = {"diff": "animtool/1", "same": same, **asdict(found)}
+        if "notices" in values:
+            values["notices"] = [notice.as_dict() for notice in notices]
+        console.result_json(values)
+    else:
+        text += [f"  {line}" for line in found.mismatches]
+        text += [f"  note: {line}" for line in found.notes]
+        console.result(*text, "same" if same else "different")
+        console.faults(notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
 
 
@@ -132,10 +132,8 @@ def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
     return options
 
 
-def _text(found: TakeDifference, *, same: bool) -> list[str]:
-    """Return what was compared, the largest differences, and what they come to."""
-    from animtool.errors import counted
-
+def _text(found: TakeDifference) -> list[str]:
+    """Return what was compared, and the largest differences."""
     compared = [counted(found.joints, "joint"), counted(found.frames, "frame")]
     if found.shapes:
         compared.insert(1, counted(found.shapes, "shape"))
@@ -152,15 +150,11 @@ def _text(found: TakeDifference, *, same: bool) -> list[str]:
         if weight.value:
             line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
         lines.append(line)
-    lines += [f"  {text}" for text in found.mismatches]
-    lines += [f"  note: {text}" for text in found.notes]
-    return [*lines, "same" if same else "different"]
+    return lines
 
 
-def _points_text(found: PointsDifference, *, same: bool) -> list[str]:
-    """Return what was compared of points, the largest differences, and the result."""
-    from animtool.errors import counted
-
+def _points_text(found: PointsDifference) -> list[str]:
+    """Return what was compared of points, and the largest differences."""
     prims, samples = counted(found.prims, "prim"), counted(found.samples, "sample")
     lines = [f"{prims}, {samples} compared"]
     sizes = {
@@ -175,9 +169,7 @@ def _points_text(found: PointsDifference, *, same: bool) -> list[str]:
             line += f"  {largest.prim!r}, point {largest.point}"
             line += f", time code {frame_label(largest.code)}"
         lines.append(line)
-    lines += [f"  {text}" for text in found.mismatches]
-    lines += [f"  note: {text}" for text in found.notes]
-    return [*lines, "same" if same else "different"]
+    return lines
 
 
 def _size(kind: str, value: float) -> str:

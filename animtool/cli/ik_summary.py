@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from animtool.cli.console import finite
 from animtool.cli.summary import channel_lines, channels_json
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
@@ -142,17 +143,12 @@ def _written_json(report: IkReport) -> dict[str, object]:
     )
 
 
-def _finite(value: float) -> float | None:
-    """Return the value, or None where JSON has no number for it."""
-    return value if math.isfinite(value) else None
-
-
 def _goal_json(goal: GoalReport) -> dict[str, object]:
     spans = [
         {
             **asdict(span),
-            "distance": _finite(span.distance),
-            "angle": _finite(span.angle),
+            "distance": finite(span.distance),
+            "angle": finite(span.angle),
             "status": str(span.status),
         }
         for span in goal.spans
@@ -169,9 +165,9 @@ def _miss_json(miss: Misses) -> dict[str, object]:
     return {
         "unit": "m" if miss.metric else "rad",
         "frames": miss.frames,
-        "mean": _finite(miss.mean),
-        "p95": _finite(miss.p95),
-        "max": _finite(miss.max),
+        "mean": finite(miss.mean),
+        "p95": finite(miss.p95),
+        "max": finite(miss.max),
         "frame": miss.frame,
     }
 
@@ -216,7 +212,7 @@ def ik_table_json(table: IkTable) -> dict[str, object]:
 
 
 def _row_json(row: IkTableRow) -> dict[str, object]:
-    misses = {"position": _finite(row.position), "angle": _finite(row.angle)}
+    misses = {"position": finite(row.position), "angle": finite(row.angle)}
     return {**asdict(row), **misses, "method": str(row.method)}
 
 

@@ -18,7 +18,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.documents.names import is_named
+from animtool.documents.names import check_given, is_named
 
 
 @click.command(
@@ -70,8 +70,6 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)
     if given["variables"] and not code:
-        from animtool.documents.names import check_given
-
         check_given(dict(given["variables"]), used)
     click.get_current_context().exit(code)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -15,10 +15,7 @@ from animtool.errors import Severity
 from animtool.options import Option, options_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
-from animtool.units import LengthUnit, UpAxis
-
-if TYPE_CHECKING:
-    pass
+from animtool.units import LengthUnit, UpAxis, parse_length
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -48,12 +45,6 @@ def _rate(text: str) -> Any:
     return parse_rate(text)
 
 
-def _length(text: str) -> float:
-    from animtool.units import parse_length
-
-    return parse_length(text)
-
-
 def _tolerance(text: str) -> float:
     value = float(text)
     # Nothing is within a tolerance that is no number.
@@ -67,7 +58,7 @@ def _distance(text: str) -> float:
     try:
         return _tolerance(text)
     except ValueError:
-        return _length(text)
+        return parse_length(text)
 
 
 def count_or_auto(text: str) -> int | None:
@@ -95,7 +86,7 @@ def _joint_length(text: str) -> tuple[str, float]:
     name, equals, length = text.rpartition("=")
     if not equals or not name:
         raise ValueError(f"{text!r} is not a joint and a length, such as hand_l=0.1mm")
-    return name, _length(length)
+    return name, parse_length(length)
 
 
 def _variable(text: str) -> tuple[str, str]:
@@ -131,7 +122,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
 RATE = Parsed("rate", _rate)
-LENGTH = Parsed("length", _length)
+LENGTH = Parsed("length", parse_length)
 DISTANCE = Parsed("length", _distance)
 TOLERANCE = Parsed("tolerance", _tolerance)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from animtool.cli.console import columns
 from animtool.clock import frame_label
 from animtool.errors import counted
 from animtool.quantities import duration_text, length_text, plain, size_text
@@ -139,14 +140,7 @@ def stats_text(
         name, seconds, error = _output(report)
         spent = "" if seconds is None else f"{seconds:.3f}"
         rows.append((name, spent, "", _length(error)))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return columns(rows, {0})
 
 
 def _length(meters: float | None) -> str:

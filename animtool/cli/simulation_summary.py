@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from animtool.cli.console import columns, finite
 from animtool.errors import listed
 from animtool.quantities import plain
 
@@ -57,20 +59,11 @@ def _grid(part: TrialTable) -> list[str]:
     heads = ["", "method", "setting", "seconds", "sim s/s", "steps"]
     heads += ["largest mm", "rms mm", "median mm"]
     optional = _optional(rows)
-    cells = [[*heads, *optional]]
+    lines = [[*heads, *optional, ""]]
     for i, row in enumerate(rows):
         own = [values[i] for values in optional.values()]
-        cells.append([*_cells(row, part.span), *own])
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = []
-    for i, line in enumerate(cells):
-        padded = [
-            cell.ljust(width) if k in {0, 1, 2} else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ]
-        end = _ending(rows[i - 1]) if i else ""
-        lines.append("  ".join([*padded, end]).rstrip())
-    return lines
+        lines.append([*_cells(row, part.span), *own, _ending(row)])
+    return columns(lines, {0, 1, 2, len(lines[0]) - 1})
 
 
 def _cells(row: TrialRow, span: float) -> list[str]:
@@ -215,28 +208,20 @@ def _row_json(row: TrialRow, span: float) -> dict[str, object]:
         **_setting_json(row.setting),
         "status": _status(row),
         "reason": row.reason,
-        "stable_step": _finite(row.stable_step),
+        "stable_step": finite(row.stable_step),
         "seconds": round(row.seconds, 6),
         "simulated_per_second": span / row.seconds if row.seconds else None,
         "steps": row.steps,
         "error": None if row.error is None else _distances_json(row.error),
-        "energy_drift": _finite(row.energy_drift),
-        "stretch": _finite(row.stretch),
+        "energy_drift": finite(row.energy_drift),
+        "stretch": finite(row.stretch),
         "chosen": row.chosen,
         "best": row.best,
         "recommended": row.recommended,
     }
 
 
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
 def _distances_json(error: Distances) -> dict[str, float]:
-    values = {
-        "largest": error.largest,
-        "rms": error.rms,
-        "median": error.median,
-        "apart": error.apart,
-    }
-    return values if error.angle is None else {**values, "angle": error.angle}
+    values = asdict(error)
+    angle = values.pop("angle")
+    return values if angle is None else {**values, "angle": angle}

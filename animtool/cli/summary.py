@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from animtool.cli.console import columns, finite
 from animtool.cli.plan_summary import mesh_json, mesh_text
 from animtool.clock import FrameSpan, frame_label
 from animtool.errors import counted, listed
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
 
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9
-
-
-def _finite(value: float) -> float | None:
-    """Return the value, or None where JSON has no number for it."""
-    return value if math.isfinite(value) else None
 
 
 def bake_text(report: BakeReport) -> list[str]:
@@ -210,8 +206,8 @@ def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
     rounding = take.written.rounding
     return {
         **({"take": take.written.name} if take.written.name else {}),
-        "meters": _finite(rounding.error),
-        "relative": _finite(rounding.error / (report.size or math.inf)),
+        "meters": finite(rounding.error),
+        "relative": finite(rounding.error / (report.size or math.inf)),
         "joint": take.error_joint,
         "frame": rounding.code,
         "half_scales": rounding.scales,
@@ -410,14 +406,7 @@ def table_text(table: BakeTable) -> list[str]:
         )
         for row in table.rows
     ]
-    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
-    lines = []
-    for cells in (heads, *rows):
-        padded = [
-            cell.ljust(width) if i in {0, 1, 6} else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        ]
-        lines.append("  ".join(padded).rstrip())
+    lines = columns([heads, *rows], {0, 1, 6})
     return [*lines, f"samples compared with the source at {table.instants} instants"]
 
 

@@ -136,7 +136,8 @@ def open_cache_target(
         raise FormatError(faults)
     missing = [name for name in wanted if name not in found]
     missing += [name for name in curves if name not in matched]
-    notices = _missing_notice(missing, rig.path)
+    what = "meshes or strands of the take are not in the rig layer"
+    notices = _notice("USD141", missing, what, "they are left out", rig.path)
     deformed = {found[mesh.name].GetPath() for mesh in meshes}
     deformed |= {matched[entry.name][1].GetPath() for entry in strands}
     notices += _left_notice(root, deformed, rig.path)
@@ -224,13 +225,14 @@ def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
     return tuple(blocked)
 
 
-def _missing_notice(missing: Sequence[str], path: Path) -> list[Fault]:
-    if not missing:
+def _notice(
+    code: str, names: Sequence[str], what: str, hint: str, path: Path
+) -> list[Fault]:
+    """Return a warning of how many of what there are, and their names; none of none."""
+    if not names:
         return []
-    message = f"{len(missing)} meshes or strands of the take are not in the rig layer: "
-    message += listed(missing, MAX_NAMED)
-    hint = "they are left out"
-    return [Fault("USD141", message, str(path), (), hint, Severity.WARNING)]
+    message = f"{len(names)} {what}: {listed(names, MAX_NAMED)}"
+    return [Fault(code, message, str(path), (), hint, Severity.WARNING)]
 
 
 def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
@@ -246,12 +248,8 @@ def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
         for query in binding.GetSkinningTargets()
         if query.GetPrim().GetPath() not in deformed
     ]
-    if not left:
-        return []
-    message = f"{len(left)} prims stop following their skeleton: "
-    message += listed(left, MAX_NAMED)
     hint = "the SkelRoot becomes an Xform, and the cache has no points of them"
-    return [Fault("USD142", message, str(path), (), hint, Severity.WARNING)]
+    return _notice("USD142", left, "prims stop following their skeleton", hint, path)
 
 
 def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:

@@ -94,13 +94,23 @@ def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolA
     return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
 
 
-def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
-    """Return where points ``(F, E, 3)`` hardly move around a frame ``(F, E)``."""
-    reach = max(1, round(0.5 * STILL_SECONDS / subject.interval))
-    count = len(points)
+def moves_over(
+    subject: MotionSubject, points: FloatArray, span: float
+) -> tuple[FloatArray, IntArray]:
+    """Return how far points ``(F, E, 3)`` go about each frame, and in how many frames.
+
+    span: about how long [s]. Distances ``(F, E)`` [m] and frames ``(F,)``.
+    """
+    count, reach = len(points), max(1, round(0.5 * span / subject.interval))
     before = np.clip(np.arange(count) - reach, 0, count - 1)
     behind = np.clip(np.arange(count) + reach, 0, count - 1)
     moves = np.linalg.norm(points[behind] - points[before], axis=2)
+    return moves, behind - before
+
+
+def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
+    """Return where points ``(F, E, 3)`` hardly move around a frame ``(F, E)``."""
+    moves, frames = moves_over(subject, points, STILL_SECONDS)
     # At low rates a frame is longer than the time to look at.
-    allowed = STILL * (behind - before) * subject.interval / STILL_SECONDS
+    allowed = STILL * frames * subject.interval / STILL_SECONDS
     return np.asarray(moves < allowed[:, None] * subject.size)

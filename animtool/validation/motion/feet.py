@@ -12,6 +12,7 @@ from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     Contacts,
     contacts_of,
+    moves_over,
 )
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import lies_along
@@ -110,13 +111,8 @@ def _travel(subject: MotionSubject) -> float:
 
 def _speeds(subject: MotionSubject, points: FloatArray) -> FloatArray:
     """Return the speeds of points ``(F, E, 3)`` over a short time ``(F, E)`` [m/s]."""
-    count = len(points)
-    reach = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
-    before = np.clip(np.arange(count) - reach, 0, count - 1)
-    behind = np.clip(np.arange(count) + reach, 0, count - 1)
-    seconds = (behind - before) * subject.interval
-    moves = np.linalg.norm(points[behind] - points[before], axis=2)
-    return np.asarray(moves / seconds[:, None])
+    moves, frames = moves_over(subject, points, SPEED_SECONDS)
+    return np.asarray(moves / (frames * subject.interval)[:, None])
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives
+from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -20,7 +21,6 @@ from animtool.validation.subjects.rig import RigSubject
 
 if TYPE_CHECKING:
     from animtool.validation.subjects.capture import TakeSubject
-    from animtool.validation.subjects.rig import RigSubject
 
 
 # Lists of a rig file whose names are names in USD.
@@ -108,45 +108,44 @@ def _acts(shape: Shape, archives: Archives) -> bool:
     return any(array.load(archives).any() for array in arrays if array is not None)
 
 
-def weight_sums(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins whose weights are not summed to 1 (RIG210)."""
+def _skins(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
+    """Yield meshes that have a skin, its weights ``(V, I)``, and where these are."""
     with Archives() as archives:
         for mesh in rig.rig.meshes:
-            if mesh.skin is None:
-                continue
-            off = np.abs(mesh.skin.weights.load(archives).sum(axis=1) - 1.0)
-            wrong = np.flatnonzero(off > WEIGHT_SLACK)
-            if not len(wrong):
-                continue
-            worst = int(off.argmax())
-            total = float(mesh.skin.weights.load(archives)[worst].sum())
-            points = counted(len(wrong), "point")
-            message = (
-                f"the weights of {points} of {mesh.name!r} are not summed to 1, most "
-                f"of all those of {worst}: {total:.4g}"
-            )
-            hint = "divide them by their sums, as every reader does"
-            at = (*rig.at("meshes", mesh.name), "skin", "weights")
-            yield rig.fault("RIG210", at, message, hint)
+            if mesh.skin is not None:
+                at = (*rig.at("meshes", mesh.name), "skin", "weights")
+                yield mesh, mesh.skin.weights.load(archives), at
+
+
+def weight_sums(rig: RigSubject) -> Iterator[Fault]:
+    """Yield skins whose weights are not summed to 1 (RIG210)."""
+    for mesh, weights, at in _skins(rig):
+        off = np.abs(weights.sum(axis=1) - 1.0)
+        wrong = np.flatnonzero(off > WEIGHT_SLACK)
+        if not len(wrong):
+            continue
+        worst = int(off.argmax())
+        message = (
+            f"the weights of {counted(len(wrong), 'point')} of {mesh.name!r} are not "
+            f"summed to 1, most of all those of {worst}: {weights[worst].sum():.4g}"
+        )
+        hint = "divide them by their sums, as every reader does"
+        yield rig.fault("RIG210", at, message, hint)
 
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
     """Yield skins with more joints a point than engines take (RIG211)."""
-    with Archives() as archives:
-        for mesh in rig.rig.meshes:
-            if mesh.skin is None:
-                continue
-            counts = np.count_nonzero(mesh.skin.weights.load(archives), axis=1)
-            wrong = np.flatnonzero(counts > MAX_INFLUENCES)
-            if not len(wrong):
-                continue
-            message = (
-                f"{counted(len(wrong), 'point')} of {mesh.name!r} follow more than "
-                f"{MAX_INFLUENCES} joints, point {wrong[0]} follows {counts[wrong[0]]}"
-            )
-            hint = f"keep the {MAX_INFLUENCES} largest weights"
-            at = (*rig.at("meshes", mesh.name), "skin", "weights")
-            yield rig.fault("RIG211", at, message, hint)
+    for mesh, weights, at in _skins(rig):
+        counts = np.count_nonzero(weights, axis=1)
+        wrong = np.flatnonzero(counts > MAX_INFLUENCES)
+        if not len(wrong):
+            continue
+        message = (
+            f"{counted(len(wrong), 'point')} of {mesh.name!r} follow more than "
+            f"{MAX_INFLUENCES} joints, point {wrong[0]} follows {counts[wrong[0]]}"
+        )
+        hint = f"keep the {MAX_INFLUENCES} largest weights"
+        yield rig.fault("RIG211", at, message, hint)
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
