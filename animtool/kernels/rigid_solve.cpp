@@ -24,6 +24,8 @@ constexpr double SAME = 0.1;
 constexpr std::size_t SMALL = 512, MOST = 32;
 // Arms of contacts follow bodies that turn by more than this share of their size.
 constexpr double TURNED = 1e-3;
+// Who is deeper in another than this share of his size does not fall asleep.
+constexpr double PARTING = 0.02;
 // Rounds in which bounces of several points settle.
 constexpr int BOUNCES = 8;
 
@@ -67,7 +69,7 @@ class Solver {
     speeds_.assign(count_ + 1, {});
     pushed_.assign(count_, 0);
     turns_.resize(count_);
-    for (const auto& island : islands_) solve(island);
+    for (auto& island : islands_) solve(island);
     keep();
     rest();
     return report_;
@@ -77,6 +79,7 @@ class Solver {
   struct Island {
     std::vector<std::size_t> bodies, joints;
     std::vector<std::size_t> contacts;
+    bool parting = false;  // somebody is still on the way out of another
   };
 
   // ---- who is awake
@@ -153,7 +156,7 @@ class Solver {
 
   // ---- one island
 
-  void solve(const Island& island) {
+  void solve(Island& island) {
     for (const std::size_t i : island.bodies) {
       turns_[i] = pose_of(states_[i]);
       speeds_[i].ease = world_.bodies[i].ease;
@@ -166,7 +169,12 @@ class Solver {
     for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
     rows_.assign(island.joints.size(), {});
     for (int s = 0; s < settings_.substeps; ++s) small_step(island, s);
-    for (const Patch& patch : patches_) save(patch);
+    for (const Patch& patch : patches_) {
+      save(patch);
+      const double slack = PARTING * world_.bodies[patch.a].reach;
+      for (std::size_t k = patch.begin; k < patch.end; ++k)
+        island.parting |= points_[k].now < -slack;
+    }
     for (std::size_t k = 0; k < island.joints.size(); ++k) {
       auto& slots = held_[island.joints[k]];
       slots.fill(0);
@@ -288,9 +296,12 @@ class Solver {
     const double end = static_cast<double>(s + 1) / settings_.substeps;
     const std::size_t joints = island.joints.size();
     for (const std::size_t i : island.bodies) pushed_[i] = 0;
-    look(begin);
+    // Later ones begin where the one before ended.
+    if (s == 0) {
+      look(begin);
+      for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, true);
+    }
     note_coming();
-    for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, s == 0);
     for (const std::size_t i : island.bodies) push(i);
     for (Patch& p : patches_) begin_warm(p);
     for (std::size_t k = 0; k < joints; ++k) begin_warm(world_.joints[island.joints[k]], rows_[k]);
@@ -737,7 +748,8 @@ class Solver {
         speed = std::max(speed, length(s.velocity) + turning);
       }
       for (const std::size_t i : island.bodies) {
-        states_[i].idle = speed < settings_.drowsy ? states_[i].idle + step_ : 0;
+        const bool slow = speed < settings_.drowsy && !island.parting;
+        states_[i].idle = slow ? states_[i].idle + step_ : 0;
         least = std::min(least, states_[i].idle);
       }
       for (const std::size_t i : island.bodies) {

@@ -10,13 +10,22 @@ import pytest
 from adapters.hard.attached import ATTACHED
 from adapters.hard.integrators import INTEGRATING
 from adapters.hard.particles import PARTICLES
+from adapters.hard.rigid import RIGID
 from adapters.hard.scenes import SCENES
 from adapters.hard.springs import BY_INTEGRATORS, BY_SOLVERS
 from adapters.hard.subsystem import Subsystem
 from support.data import data_files
 
-SUBSYSTEMS = [INTEGRATING, BY_SOLVERS, BY_INTEGRATORS, PARTICLES, ATTACHED, SCENES]
-# Of bodies that turn and pull each other: nothing here simulates these.
+SUBSYSTEMS = [
+    INTEGRATING,
+    BY_SOLVERS,
+    BY_INTEGRATORS,
+    PARTICLES,
+    RIGID,
+    ATTACHED,
+    SCENES,
+]
+# Of bodies that pull each other: nothing here simulates these.
 OPEN = {"degenerate_inertia", "close_encounter"}
 
 

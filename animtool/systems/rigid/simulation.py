@@ -24,6 +24,8 @@ from animtool.systems.simulation import Diagnostics, SimContext
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
+# What is that deep, over its size, is held from several sides.
+HELD = 0.25
 # A force that changes by more of itself in a step wakes who sleeps.
 CHANGES = 1e-9
 
@@ -327,4 +329,10 @@ class RigidSimulation:
             hint = "begin with a little room between them"
             fault = Fault("SIM126", message, hint=hint, severity=Severity.WARNING)
             found.append(fault)
+        elif state.deepest[0] > HELD * size:
+            message = f"a body came {state.deepest[0]:g} m into another one, or into "
+            message += "colliders: from several sides, or faster than it gets out"
+            hint = "leave room between what closes in; take shorter steps"
+            severity = Severity.WARNING
+            found.append(Fault("SIM123", message, hint=hint, severity=severity))
         return found
