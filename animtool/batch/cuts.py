@@ -42,23 +42,9 @@ from animtool.scene.sources import source_stem
 from animtool.shot import SHOT_START, Shot, frames_within
 
 SHOT_NAMES = (
-    "shot",
-    "clip",
-    "track",
-    "first",
-    "last",
-    "begin",
-    "end",
-    "head",
-    "tail",
-    "handles",
-    "fps",
-    "speed",
-    "media_in",
-    "media_out",
-    "media_first",
-    "media_last",
-    "media_fps",
+    *("shot", "clip", "track", "first", "last", "begin", "end", "head", "tail"),
+    *("handles", "fps", "speed", "media_in", "media_out", "media_first"),
+    *("media_last", "media_fps"),
 )
 # What names of files and of variables' users may hold everywhere.
 # What a person reads of a timeline of thousands of clips.

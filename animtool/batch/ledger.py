@@ -230,20 +230,17 @@ class Ledger:
         made = self.history.made
         kept = [item for item in made.items.values() if wanted(item)]
         recorded = {output.path for item in kept for output in item.outputs}
+        root = self._files.folder.parent
         known = [
             name
             for name in sorted(made.known | recorded)
-            if name in recorded or self._exists(name)
+            if name in recorded or FileState.of(place_of(name, root)) is not None
         ]
         rewrite_manifest(self._files.named(".jsonl"), kept, known)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
         for part in others:
             part.named(".jsonl").unlink(missing_ok=True)
             part.named(".failed.jsonl").unlink(missing_ok=True)
-
-    def _exists(self, name: str) -> bool:
-        place = place_of(name, self._files.folder.parent)
-        return FileState.of(place) is not None
 
 
 @contextmanager

@@ -117,7 +117,9 @@ class Planner:
             (Reason.OUTPUT, record.outputs, outputs),
         ):
             for file in files:
-                young = reason is Reason.INPUT and _as_young(file, record.at)
+                # What is as young may have changed after the record without a sign.
+                state = file.state if reason is Reason.INPUT else None
+                young = state is not None and state.changed >= record.at
                 same = self._same(file, young=young)
                 if same is None:
                     return Decision(item, reason, file.path)
@@ -152,11 +154,6 @@ class Planner:
                 # Whoever makes the item says why it cannot be read.
                 self._digests[path] = "unreadable"
         return self._digests[path]
-
-
-def _as_young(file: FileRecord, at: int) -> bool:
-    """Return whether a file may have changed after the record without a sign."""
-    return file.state is not None and file.state.changed >= at
 
 
 MAX_FAULTS = 50

@@ -221,12 +221,6 @@ def _by_kind(recipe: Recipe) -> Iterator[str]:
         yield from READING.get(reader, ()) if reader is not None else ()
 
 
-def import_needed(recipe: Recipe) -> None:
-    """Import what is needed, where it is not there yet."""
-    for name in needed_modules(recipe):
-        import_module(name)
-
-
 # What a worker sends once it can take items.
 READY = "ready"
 
@@ -246,7 +240,8 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
     # What is imported before the first item takes none of its time.
-    import_needed(maker.recipe)
+    for name in needed_modules(maker.recipe):
+        import_module(name)
     from animtool.usd.layers import compute_alone
 
     compute_alone()

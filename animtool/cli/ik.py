@@ -44,22 +44,9 @@ FIRST = "first"
 # Options of the command that a match heeds, beside those of its source.
 _HEEDED = frozenset(
     {
-        "rig",
-        "start",
-        "match",
-        "chains",
-        "pose",
-        "output",
-        "reduce",
-        "overwrite",
-        "skip_existing",
-        "strict",
-        "report_format",
-        "units",
-        "up",
-        "source_fps",
-        "source_prim",
-        "take",
+        *("rig", "start", "match", "chains", "pose", "output", "reduce"),
+        *("overwrite", "skip_existing", "strict", "report_format", "units", "up"),
+        *("source_fps", "source_prim", "take"),
     }
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.errors import Fault
+from animtool.quantities import Description
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.take import Take
@@ -23,7 +24,7 @@ FRAMES_AT_ONCE = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class TakeDescription:
+class TakeDescription(Description):
     """A take in numbers."""
 
     path: str  # the file
@@ -51,20 +52,6 @@ class TakeDescription:
     notices: list[Fault]  # what is odd
     # The shot that a USD layer states, as reports of bakes have it; None for none.
     shot: dict[str, object] | None = None
-
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values for a JSON report; rates also as exact text."""
-        values = asdict(self)
-        values.update(
-            fps=float(self.fps),
-            step=float(self.step),
-            rate=str(self.fps),
-            start=float(self.start),
-            end=float(self.end),
-            duration=float(self.duration),
-            notices=[notice.as_dict() for notice in self.notices],
-        )
-        return values
 
 
 def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.errors import Fault
 from animtool.ik.file import load_targets
+from animtool.quantities import Description
 from animtool.rates import rate_label
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import arkit_name
@@ -30,7 +31,7 @@ class MeshDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class RigDescription:
+class RigDescription(Description):
     """A rig in numbers."""
 
     path: str  # the file
@@ -49,10 +50,6 @@ class RigDescription:
     units: str  # unit of the file
     up: str  # up axis
     notices: list[Fault]  # what is odd
-
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values for a JSON report."""
-        return {**asdict(self), "notices": [n.as_dict() for n in self.notices]}
 
 
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
@@ -102,7 +99,7 @@ class GoalDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class TargetsDescription:
+class TargetsDescription(Description):
     """A targets file, its effectors not compared with a rig."""
 
     path: Path  # the file
@@ -111,11 +108,6 @@ class TargetsDescription:
     last: float  # last frame
     goals: tuple[GoalDescription, ...]  # its goals
     notices: tuple[Fault, ...]  # what is odd about it
-
-    def as_dict(self) -> dict[str, object]:
-        """Return it as plain values for a JSON report."""
-        notices = [notice.as_dict() for notice in self.notices]
-        return {**asdict(self), "path": str(self.path), "notices": notices}
 
 
 def describe_targets(path: Path) -> TargetsDescription:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from animtool.errors import Fault
+from animtool.quantities import Description
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
 from animtool.scene.reading import default_output, form_of, output_files
@@ -65,7 +66,7 @@ class OutputDescription:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneDescription:
+class SceneDescription(Description):
     """A scene as its file says it; nothing that it names is read."""
 
     path: str  # the file
@@ -85,10 +86,6 @@ class SceneDescription:
     def notices(self) -> list[Fault]:
         """Nothing: what is odd about a scene is for `animtool validate`."""
         return []
-
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values for a JSON report."""
-        return {**asdict(self), "notices": []}
 
 
 def describe_scene(scene: Scene) -> SceneDescription:

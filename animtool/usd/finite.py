@@ -49,11 +49,7 @@ class Labels:
 
 @cache
 def largest(type_name: Any) -> str:
-    """Return the letter of an attribute's type, h, f or d; empty if it has no floats.
-
-    Args:
-        type_name: One of ``Sdf.ValueTypeNames``.
-    """
+    """Return the letter of one of ``Sdf.ValueTypeNames``: h, f, d; empty of others."""
     name = str(type_name.scalarType.cppTypeName)
     if name in _SCALARS:
         return _SCALARS[name]

@@ -23,7 +23,7 @@ from animtool.rates import LARGEST_FRAME
 from animtool.similar import similar
 from animtool.usd.layers import find_layer, new_layer, usd_errors
 from animtool.usd.names import TAKE_SET, RigPaths
-from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below
+from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below, upwards
 
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (
@@ -35,9 +35,7 @@ STRONGER_HINT = (
 def take_paths(paths: RigPaths, name: str) -> RigPaths:
     """Return where a take has its prims: what binds it is inside of its variant.
 
-    Args:
-        paths: The character's prims.
-        name: Of the take; empty where the file holds one, without variants.
+    An empty name is of a file that holds one, without variants.
 
     >>> take_paths(RigPaths.below("/hero"), "run").binding
     '/hero{take=run}Rig'
@@ -101,13 +99,11 @@ def find_take_set(start: Any) -> TakeSet | None:
 
     Prims inside of instances cannot choose and are passed over.
     """
-    prim = start
-    while prim and not prim.IsPseudoRoot():
+    for prim in upwards(start):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
             found = prim.GetVariantSet(TAKE_SET)
             names = tuple(found.GetVariantNames())
             return TakeSet(prim, names, str(found.GetVariantSelection()))
-        prim = prim.GetParent()
     return None
 
 

@@ -20,7 +20,7 @@ from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.point_reader import PointReader, transformed
-from animtool.usd.rig_prims import decompose, open_stage, up_axis
+from animtool.usd.rig_prims import decompose, open_stage, up_axis, upwards
 
 # Whose names are compared with one that there is not.
 MAX_COMPARED = 20_000
@@ -138,10 +138,8 @@ class MeshSource:
         self._turn = up_from_up(up, up_axis(stage))
         self.fps = float(stage.GetTimeCodesPerSecond())
         times = set(self._reader.times)
-        while prim and not prim.IsPseudoRoot():
-            if UsdGeom.Xformable(prim):
-                times |= set(UsdGeom.Xformable(prim).GetTimeSamples())
-            prim = prim.GetParent()
+        for one in filter(UsdGeom.Xformable, upwards(prim)):
+            times |= set(UsdGeom.Xformable(one).GetTimeSamples())
         self.span: tuple[float, float] | None = None
         if times:
             self.span = float(min(times)), float(max(times))

@@ -22,7 +22,7 @@ from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
-from animtool.usd.rig_prims import decompose, open_stage, up_axis
+from animtool.usd.rig_prims import decompose, open_stage, up_axis, upwards
 
 # What float64 rounds along a hierarchy is a smaller share of a transform than this.
 ROUNDED = 1e-11
@@ -272,14 +272,12 @@ class _Sampler:
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
                 yield attribute
-        prim = self.prim
-        while self.placed and prim and not prim.IsPseudoRoot():
+        for prim in upwards(self.prim) if self.placed else ():
             place = UsdGeom.Xformable(prim)
             if place and place.TransformMightBeTimeVarying():
                 yield place
             if place and place.GetResetXformStack():
                 return
-            prim = prim.GetParent()
 
     def at(self, times: FloatArray) -> Transforms:
         """Return the prim at time codes ``(F,)``.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence, Sized
+from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,13 @@ def _check_metadata(stage: Any, where: Spot) -> None:
         if not abs(code) <= LARGEST_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     where.refuse(units_and_axis(stage))
+
+
+def upwards(prim: Any) -> Iterator[Any]:
+    """Yield a prim and those above it, the nearest first, without the pseudo-root."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:

@@ -91,19 +91,10 @@ def chunk_simulated(
 ) -> tuple[list[Path], list[CachedMesh]]:
     """Write samples of prims in files of some each, and let a layer join them.
 
-    Args:
-        job: What to write.
-        rows: Of each frame its time code, and what each prim is then.
-        layer: In memory, with the prim above the others. It gets these, without
-            samples.
-        files: How the files are called.
-        size: Samples a file.
+    size: samples a file. The layer, in memory, has the prim above the others, and gets
+    these without samples.
 
-    Returns:
-        The files, and what was written of each prim.
-
-    Raises:
-        OutputError: A file cannot be written.
+    Returns the files, and what was written of each prim.
     """
     writers = job.writers()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom
 from animtool.clock import time_fraction
 from animtool.errors import Fault, Severity, listed
 from animtool.files import note_input
+from animtool.quantities import Description
 from animtool.rates import rate_from_float
 from animtool.units import unit_name
 from animtool.usd.layers import usd_errors
@@ -78,7 +79,7 @@ class ChunkSet:
 
 
 @dataclass(frozen=True, slots=True)
-class PointsDescription:
+class PointsDescription(Description):
     """A USD file of points in numbers."""
 
     path: str  # the file
@@ -94,19 +95,6 @@ class PointsDescription:
     units: str  # unit of the file
     up: str  # up axis of the file
     notices: list[Fault]  # what is odd
-
-    def as_dict(self) -> dict[str, object]:
-        """Return plain values for a JSON report; rates also as exact text."""
-        values = asdict(self)
-        values.update(
-            fps=float(self.fps),
-            rate=str(self.fps),
-            start=float(self.start),
-            end=float(self.end),
-            duration=float(self.duration),
-            notices=[notice.as_dict() for notice in self.notices],
-        )
-        return values
 
 
 def describe_points(path: Path) -> PointsDescription | None:

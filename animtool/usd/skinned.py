@@ -18,6 +18,7 @@ from animtool.usd.rig_prims import (
     find_skeletons,
     numbers,
     stored_data,
+    upwards,
 )
 
 
@@ -124,11 +125,10 @@ def character_paths(stage: Any) -> list[str]:
 
 def _character(skeleton: Any) -> str:
     root = UsdSkel.Root.Find(skeleton)
-    prim = top = root.GetPrim() if root else skeleton
-    while prim and not prim.IsPseudoRoot():
+    top = root.GetPrim() if root else skeleton
+    for prim in upwards(top):
         if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
             return str(prim.GetPath())
-        prim = prim.GetParent()
     return str(top.GetPath())
 
 

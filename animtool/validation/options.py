@@ -101,11 +101,7 @@ class ValidateOptions:
         return replace(self, levels=load_profile(self.profile))
 
     def with_profile(self, own: str | None) -> ValidateOptions:
-        """Return these options with the levels of the profile for a file.
-
-        Args:
-            own: Name of the profile that its content asks for, if any.
-        """
+        """Return these options with the levels of the profile that a file asks for."""
         if self.profile or own is None:
             return self
         return replace(self, levels=PROFILES[own].levels)

@@ -172,12 +172,7 @@ class Report:
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
-        """Return what a process that made the report returns.
-
-        Args:
-            strict: Warnings count as errors.
-            exit_zero: Findings do not count.
-        """
+        """Return the code of a process: strict counts warnings, exit_zero nothing."""
         if self.unreadable():
             return ExitCode.MALFORMED
         wrong = self.count(Severity.ERROR)

@@ -147,16 +147,15 @@ def inspect_layer(path: Path | str) -> Inspection:
 
     What cannot be opened has that as its one finding. USD's own warnings about the
     layer are not printed meanwhile: the findings say the same.
-
-    Args:
-        path: A USD file of any kind.
     """
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
             subject = Subject(open_composed(find_layer(path), path))
             found = [*_faults(subject), *_run(check_with_usd, subject)]
-            takes = [] if _unmeasured(found) else _takes(subject, path)
+            # Without a rate, a unit or an up axis, no motion has a size.
+            sized = not any(fault.code in {"USD253", "USD260"} for fault in found)
+            takes = _takes(subject, path) if sized else []
     except FormatError as error:
         return Inspection(list(error.faults))
     faults = [replace(fault, path=str(path)) for fault in _distinct(found)]
@@ -175,21 +174,12 @@ def check_stage(stage: Any) -> list[Fault]:
 
 def _faults(subject: Subject) -> list[Fault]:
     found = [fault for check in UNTIMED for fault in _run(check, subject)]
-    if not _untimed(found):
+    # Where a rate is none, samples have no time.
+    if all(fault.code != "USD253" for fault in found):
         found += [fault for check in TIMED for fault in _run(check, subject)]
     known = {fault.where for fault in found if fault.code in ALREADY}
     everywhere = _run(check_finite, subject)
     return found + [fault for fault in everywhere if fault.where not in known]
-
-
-def _untimed(found: list[Fault]) -> bool:
-    """Return whether a rate is none, so that samples have no time."""
-    return any(fault.code == "USD253" for fault in found)
-
-
-def _unmeasured(found: list[Fault]) -> bool:
-    """Return whether a rate, the unit or the up axis is none: no motion has a size."""
-    return any(fault.code in {"USD253", "USD260"} for fault in found)
 
 
 def _takes(subject: Subject, path: Path) -> list[AnimationTake]:

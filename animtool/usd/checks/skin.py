@@ -14,6 +14,7 @@ from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import duplicates, singular, tokens
 from animtool.usd.point_reader import PointReader
+from animtool.usd.rig_prims import upwards
 
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3
@@ -76,12 +77,8 @@ def _joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
 
 def _own_joints(prim: Any) -> list[str]:
     """Return skel:joints of a prim or the nearest prim above that has them."""
-    while prim and not prim.IsPseudoRoot():
-        attr = UsdSkel.BindingAPI(prim).GetJointsAttr()
-        if attr and attr.HasAuthoredValue():
-            return tokens(attr)
-        prim = prim.GetParent()
-    return []
+    attrs = (UsdSkel.BindingAPI(above).GetJointsAttr() for above in upwards(prim))
+    return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
 def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> str:

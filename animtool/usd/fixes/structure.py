@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from animtool.usd.fixes.target import (
     Target,
     rewrite,
 )
+from animtool.usd.rig_prims import upwards
 
 # Of a sum: float32 weights cannot do better.
 ROUNDING = 1e-6
@@ -176,12 +176,14 @@ def computed(target: Target, fault: Fault) -> Edit:
     prim = target.prim(fault)
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
-    if _own_spec(target, prim) is None and _varies(prim):
+    varies = any(above.HasVariantSets() for above in upwards(prim))
+    if varies and _own_spec(target, prim) is None:
         raise NotFixableError("a variant decides what moves; author it in each variant")
 
     def edit() -> Change:
         change = _author(target, prim)
-        for root in _roots_above(prim):
+        roots = (p for p in upwards(prim.GetParent()) if p.IsA(UsdSkel.Root))
+        for root in roots:
             # What UsdSkel adds to the joints comes of the extents below.
             if root.GetAttribute(NAME).HasAuthoredValue():
                 _author(target, root)
@@ -211,28 +213,11 @@ def _author(target: Target, prim: Any) -> Change:
     return _change(before, after)
 
 
-def _roots_above(prim: Any) -> Iterator[Any]:
-    """Yield the SkelRoots that a prim is in, the nearest first."""
-    above = prim.GetParent()
-    while above and not above.IsPseudoRoot():
-        if above.IsA(UsdSkel.Root):
-            yield above
-        above = above.GetParent()
-
-
 def _own_spec(target: Target, prim: Any) -> Any:
     """Return the extent's spec in the root layer where it is the strongest."""
     attr = prim.GetAttribute(NAME)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()
     return stack[0] if stack and stack[0].layer == target.layer else None
-
-
-def _varies(prim: Any) -> bool:
-    while prim and not prim.IsPseudoRoot():
-        if prim.HasVariantSets():
-            return True
-        prim = prim.GetParent()
-    return False
 
 
 def _over(target: Target, prim: Any) -> Any:

@@ -102,17 +102,9 @@ class Target:
 
 
 def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
-    """Replace the arrays of an attribute spec, those that differ only.
+    """Replace the arrays of an attribute spec that a change makes others of a shape.
 
-    Args:
-        spec: With array values, of time samples or else of the default.
-        change: From all arrays to as many others of the same shapes.
-
-    Returns:
-        How many arrays differ, of how many, and the largest change of a number.
-
-    Raises:
-        NotFixableError: A sample is blocked.
+    Returns how many arrays differ, of how many, and the largest change of a number.
     """
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
@@ -223,17 +215,7 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
 
     Relative asset paths are rewritten where the folder is another one. The bytes are
     the file's own where nothing changes.
-
-    Args:
-        source: The layer's file.
-        content: What to write in place of what it holds; None keeps that.
-        output: The file to write.
-
-    Returns:
-        What else the copy changes, in words.
-
-    Raises:
-        OutputError: It cannot be written.
+    No content keeps that of the source. Returns what else the copy changes, in words.
     """
     with edited_layer(source, content) as edited:
         layer = edited.content()

@@ -54,7 +54,9 @@ def unit(target: Target, fault: Fault) -> Edit:
                 lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
                 if not (lengths > MIN_LENGTH).all() or not np.isfinite(lengths).all():
                     raise NotFixableError("a quaternion has no direction")
-                wrong = np.abs(lengths - 1) > _rounding(array)
+                # A unit quaternion's length may be so far from one by rounding.
+                rounding = 4 * float(np.finfo(array.dtype).eps)
+                wrong = np.abs(lengths - 1) > rounding
                 off += int(wrong.sum())
                 rows = array / np.where(wrong, lengths, 1.0)[..., None]
                 new.append(rows.astype(array.dtype))
@@ -72,11 +74,6 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
     if len({array.shape for array in arrays}) != 1:
         raise NotFixableError("samples have different numbers of rotations")
     return np.stack(arrays)
-
-
-def _rounding(array: Any) -> float:
-    """Return how far from one a unit quaternion's length may be by rounding."""
-    return 4 * float(np.finfo(array.dtype).eps)
 
 
 # [frame] Further from a whole frame, a sample may be meant where it is.

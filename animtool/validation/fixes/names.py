@@ -107,18 +107,10 @@ def _has_names_of(other: Path, rig: Path) -> bool:
 # Where a rig file has the names of each list; * is every entry, {} every key.
 USES = {
     "joints": (
-        "joints/*/name",
-        "joints/*/parent",
-        "joints/*/mirror",
-        "joints/*/mimic/joint",
-        "bind/{}",
-        "meshes/*/skin/joints/*",
-        "controls/*/drives/*/joint",
-        "ik/*/root",
-        "ik/*/tip",
-        "attach/*/joints/*",
-        "attach/*/joint",
-        "colliders/*/joint",
+        *("joints/*/name", "joints/*/parent", "joints/*/mirror"),
+        *("joints/*/mimic/joint", "bind/{}", "meshes/*/skin/joints/*"),
+        *("controls/*/drives/*/joint", "ik/*/root", "ik/*/tip", "attach/*/joints/*"),
+        *("attach/*/joint", "colliders/*/joint"),
     ),
     "meshes": ("meshes/*/name", "shapes/*/mesh", "attach/*/mesh"),
     "shapes": ("shapes/*/name", "shapes/*/combine/*", "controls/*/drives/*/shape"),

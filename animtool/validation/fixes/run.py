@@ -37,12 +37,10 @@ class Fixes:
 def plan_files(report: Report, options: ValidateOptions) -> Iterator[FileMend]:
     """Yield what mending makes of the files of a report; nothing is written.
 
-    Args:
-        report: Of `validate_files`, with the same options.
-        options: Which codes count.
+    The report is that of `validate_files` with the same options.
     """
     options = options.resolved()
-    for path in _having_fixes(report):
+    for path in _with_fixes(report):
         yield _plan(path, options)
 
 
@@ -64,7 +62,7 @@ def fix_files(
     """
     options = (options or ValidateOptions()).resolved()
     report = validate_files(files, options)
-    named = _having_fixes(report)
+    named = _with_fixes(report)
     kept = [path for path in named if is_layer(path) and not overwrite]
     # A file and a link to it are one.
     own = {path.resolve(): path for path in reversed(named) if path not in kept}
@@ -75,7 +73,9 @@ def fix_files(
         for plan in plans:
             if plan.mended:
                 plan.after.write(plan.path)
-    notes = (*_kept(report, kept), *_packed(report))
+    unpack = "a package is not changed: unpack it, and fix its layers"
+    packages = [f"{path}: {unpack}" for path in _with_fixes(report, packed=True)]
+    notes = (*_kept(report, kept), *packages)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     mended = tuple(entry for plan in plans for entry in plan.mended)
@@ -121,19 +121,11 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
     return plan_file(path, options.within(settings_of(path)))
 
 
-def _having_fixes(report: Report) -> list[Path]:
+def _with_fixes(report: Report, *, packed: bool = False) -> list[Path]:
+    """Return files, or packages, with findings that a fix is known for."""
     named = {fault.path for fault in report.findings if has_fix(fault.code)}
-    return [
-        path for path in report.files if str(path) in named and not is_package(path)
-    ]
-
-
-def _packed(report: Report) -> Iterator[str]:
-    """Yield which packages have findings that a fix is known for."""
-    named = {fault.path for fault in report.findings if has_fix(fault.code)}
-    for path in report.files:
-        if str(path) in named and is_package(path):
-            yield f"{path}: a package is not changed: unpack it, and fix its layers"
+    fixable = (path for path in report.files if str(path) in named)
+    return [path for path in fixable if is_package(path) is packed]
 
 
 def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:

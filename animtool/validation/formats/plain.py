@@ -151,7 +151,10 @@ def _command(fault: Fault) -> str:
         if fault.column is not None:
             properties["col"] = fault.column
     properties["title"] = fault.code
-    listed = ",".join(f"{key}={_property(value)}" for key, value in properties.items())
+    listed = ",".join(
+        f"{key}={_data(str(value)).replace(':', '%3A').replace(',', '%2C')}"
+        for key, value in properties.items()
+    )
     where = f"{fault.where}: " if fault.where else ""
     hint = f", {fault.hint}" if fault.hint else ""
     text = _data(f"{where}{fault.message}{hint}")
@@ -160,10 +163,6 @@ def _command(fault: Fault) -> str:
 
 def _data(text: str) -> str:
     return escaped(text).replace("%", "%25")
-
-
-def _property(value: object) -> str:
-    return _data(str(value)).replace(":", "%3A").replace(",", "%2C")
 
 
 def json_report(report: Report) -> str:

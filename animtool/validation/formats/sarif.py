@@ -69,12 +69,13 @@ def _rule(rule: Rule) -> dict[str, Any]:
 
 
 def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
-    hint = f", {fault.hint}" if fault.hint else ""
+    text = f"{fault.message}, {fault.hint}" if fault.hint else fault.message
     found: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
         "level": _LEVELS[fault.severity],
-        "message": {"text": _literal(f"{fault.message}{hint}")},
+        # Doubled, no brace is that of a placeholder (3.11.5).
+        "message": {"text": text.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
         return {**found, "partialFingerprints": _fingerprint(fault, None)}
@@ -106,11 +107,6 @@ def _location(path: str) -> dict[str, str]:
     if pure.is_absolute():
         return {"uri": pure.as_uri()}
     return {"uri": quote(os.fsencode(pure.as_posix()))}
-
-
-def _literal(text: str) -> str:
-    """Return text of a message in which nothing is a placeholder (3.11.5)."""
-    return text.replace("{", "{{").replace("}", "}}")
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:

@@ -78,8 +78,7 @@ def changes(steps: FloatArray) -> FloatArray:
     A ball that bounces goes on another way, and a root that jumps goes on as before.
     As in `around`, of the ways to leave out a neighbour the best one counts.
 
-    Args:
-        steps: Vectors ``(S, N, 3)``.
+    ``steps`` ``(S, N, 3)``.
     """
     rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]

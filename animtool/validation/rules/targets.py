@@ -38,19 +38,28 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
         return
     low, high = float(first), float(last)
     for i, goal in enumerate(subject.targets.goals):
-        for part, value in goal.values.items():
-            if isinstance(value, Keyed):
-                outside = beyond(value.channel, low, high)
-                if len(outside):
-                    frames = listed([f"{t:g}" for t in value.channel.times[outside]])
-                    message = f"keys of the {part} of {goal.name!r} are never met: "
-                    message += f"{frames}"
-                    yield subject.outside(i, (part,), message, low, high)
-        for key, spans in (("hold", goal.spans), ("during", goal.during)):
-            for a, b in spans:
-                if b < low or a > high:
-                    message = f"{key} of {goal.name!r} from {a:g} to {b:g} is never met"
-                    yield subject.outside(i, (key,), message, low, high)
+        for key, times, keyed in _outside(goal, low, high):
+            message = f"{key} of {goal.name!r} from {times[0]:g} to {times[-1]:g} is "
+            message += "never met"
+            if keyed:
+                message = f"keys of the {key} of {goal.name!r} are never met: "
+                message += listed([f"{t:g}" for t in times])
+            yield subject.outside(i, (key,), message, low, high)
+
+
+def _outside(
+    goal: GoalTrack, first: float, last: float
+) -> Iterator[tuple[str, Sequence[float], bool]]:
+    """Yield keys of a goal with times outside of frames: those of keys, or a span's."""
+    for part, value in goal.values.items():
+        if isinstance(value, Keyed):
+            outside = beyond(value.channel, first, last)
+            if len(outside):
+                yield part, value.channel.times[outside].tolist(), True
+    for key, spans in (("hold", goal.spans), ("during", goal.during)):
+        for span in spans:
+            if span[1] < first or span[0] > last:
+                yield key, span, False
 
 
 def twice(subject: TargetsSubject) -> Iterator[Fault]:
@@ -299,22 +308,10 @@ def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
         times = asked.take.clock.times
         first, last = float(times[0]), float(times[-1])
         for e, track in enumerate(asked.tracks.goals):
-            for key, what in _late(track, first, last):
+            for key, at, keyed in _outside(track, first, last):
+                what = f"from {at[0]:g} to {at[-1]:g} is"
+                what = f"has a key at {at[0]:g}, which counts" if keyed else what
                 message = f"the {key} of {track.name!r} {what} in no frame of the take,"
                 message += f" which has {first:g} to {last:g}"
                 hint = "frames of targets count as the take does"
                 yield asked.fault("TGT207", e, key, message, hint)
-
-
-def _late(track: GoalTrack, first: float, last: float) -> Iterator[tuple[str, str]]:
-    """Yield keys of a goal that ask something outside of frames, and what."""
-    for part, value in track.values.items():
-        if isinstance(value, Keyed):
-            outside = beyond(value.channel, first, last)
-            if len(outside):
-                at = value.channel.times[outside[0]]
-                yield part, f"has a key at {at:g}, which counts"
-    for key, spans in (("hold", track.spans), ("during", track.during)):
-        for a, b in spans:
-            if b < first or a > last:
-                yield key, f"from {a:g} to {b:g} is"
