@@ -67,7 +67,9 @@ def test_particles_that_are_never_there_are_said(tmp_path: Path) -> None:
     for emitter in ("{speed: 2}", "{rate: 9, start: 5}"):
         systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
         assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == ["SIM188"]
-    assert said(baked(tmp_path, DUST, BakeOptions(overwrite=True))) == []
+    for emitter in ("{rate: 100}", "{bursts: [[0, 3]], lifetime: 0.01}"):
+        systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
+        assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == []
 
 
 def test_frames_without_particles_have_an_extent_like_others(tmp_path: Path) -> None:

@@ -166,13 +166,13 @@ def opened(folder: Path, **keys: Any) -> SimulationRun:
 
 
 @pytest.mark.parametrize(
-    ("method", "emitter"),
-    [("midpoint", STREAM), ("bdf2", BURST), ("rk45", BURST), ("rk45", STREAM)],
+    ("method", "emitter"), [("midpoint", STREAM), ("bdf2", BURST), ("rk45", BURST)]
 )
 def test_particles_that_come_and_go_are_gone_on_with(
     tmp_path: Path, method: str, emitter: dict[str, Any]
 ) -> None:
     keys = {"emitters": [emitter], "method": method}
+    keys |= {"tolerance": 1e-12} if method == "rk45" else {}
     whole = opened(tmp_path, **keys)
     rest = opened(tmp_path, **keys, resume="half.npz")
     assert rest.state.steps == 25

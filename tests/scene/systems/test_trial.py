@@ -95,6 +95,7 @@ def test_energy_is_told_where_nothing_takes_or_brings_it(tmp_path: Path) -> None
     for setup in (
         orbits(colliders=FLOOR),
         orbits(forces=[{"drag": {"linear": 0.1}}]),
+        orbits(emitters=[{"bursts": [[0, 1], [0.2, 1]], "mass": 1}], forces=[]),
         orbits(forces=[{"spring": {"anchor": [0, 0, 0], "k": 1, "kd": 0.5}}]),
     ):
         done = trial(tmp_path, setup).run(trial(tmp_path, setup).chosen)
@@ -116,6 +117,13 @@ def test_a_stiff_spring_blows_up_and_says_which_step_is_stable(tmp_path: Path) -
     assert [row.stable_step for row in lost] == [pytest.approx(0.02)] * 3
     calm = rows_of(table.rows, "implicit_euler")
     assert all(row.status is Status.OK for row in calm)
+
+
+def test_a_method_that_is_not_for_them_is_left_early(tmp_path: Path) -> None:
+    stiff = orbits(forces=[{"spring": {"k": 1e12}}], method="implicit_euler")
+    done = trial(tmp_path, stiff).run(Setting.of("rk45", step=0.08, tolerance=1e-6))
+    assert done.status is Status.OUT_OF_BUDGET
+    assert done.steps < 1000
 
 
 def test_particles_that_come_and_go_are_compared_by_their_ids(tmp_path: Path) -> None:
