@@ -143,18 +143,7 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, in the order of their names, or of a timeline.
-
-    Raises:
-        FormatError: A scene or a timeline is malformed.
-        NothingFoundError: There is no input (BAT005).
-        OptionError: The output has a name that there is none of (BAT004), or a
-            variable that nothing uses is given (SCN031), or both the batch and its
-            scene name outputs (SCN044), or outputs are of no kind of USD layer
-            (OUT004), or leave the folder that the pattern or the project states
-            (OUT006, DOC014); or the items of a scene would be the same (BAT060), or a
-            variant has a name of another meaning (BAT063).
-    """
+    """Return the items of a batch, in the order of their names, or of a timeline."""
     spec = _with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"

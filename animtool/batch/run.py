@@ -259,7 +259,8 @@ def run_batch(
         planned = [_planned(decision) for decision in planner.decisions(chosen)]
         seconds = time.perf_counter() - began
         return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
-    with held_ledger(batch.records, batch.name, _part(options)) as ledger:
+    part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
+    with held_ledger(batch.records, batch.name, part) as ledger:
         run = _Run(batch, options, listener, ledger)
         run.plan(items)
         run.make()
@@ -285,10 +286,6 @@ def _retried(
     if not options.retry_failed:
         return items
     return [item for item in items if planner.key(item) in history.failed]
-
-
-def _part(options: RunOptions) -> str:
-    return "" if options.numbers is None else "{}-{}".format(*options.numbers)
 
 
 def _planned(decision: Decision) -> ItemReport:

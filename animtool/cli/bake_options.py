@@ -18,6 +18,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
+    stacked,
 )
 from animtool.documents.names import check_given, is_named
 from animtool.options import options_of
@@ -108,13 +109,11 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
 _ELSEWHERE = {"strict", "overwrite", "take"}
 
 
-def bake_options(command: Command) -> Command:
-    """Add all options of `BakeOptions`, and what states the source."""
-    rest = [n for n in options_of(BakeOptions) if n not in {*_ORDER, *_ELSEWHERE}]
-    for entry in reversed((*_ORDER, *rest)):
-        add = bake_option(entry) if isinstance(entry, str) else entry
-        command = add(command)
-    return command
+_REST = [n for n in options_of(BakeOptions) if n not in {*_ORDER, *_ELSEWHERE}]
+# All options of `BakeOptions`, and what states the source.
+bake_options = stacked(
+    *(bake_option(n) if isinstance(n, str) else n for n in (*_ORDER, *_REST))
+)
 
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:

@@ -8,29 +8,46 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.options import FILE, Command
+from animtool.cli.options import FILE, stacked
 
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
 
-def cut_options(command: Command) -> Command:
-    """Give a command ``--cut`` and ``--handles``."""
-    command = click.option(
-        "--handles",
-        type=click.IntRange(0),
-        metavar="N",
-        help="Of a timeline: frames before and after each cut, at its rate.  [default: "
-        "as the batch file or the timeline says, else 0]",
-    )(command)
-    return click.option(
+cut_options = stacked(
+    click.option(
         "--cut",
         "cuts",
         type=FILE,
         metavar="FILE",
         help="A timeline that OpenTimelineIO reads: each clip is an item. A timeline "
         "among the inputs is the same; the others are where media is looked for.",
-    )(command)
+    ),
+    click.option(
+        "--handles",
+        type=click.IntRange(0),
+        metavar="N",
+        help="Of a timeline: frames before and after each cut, at its rate.  [default: "
+        "as the batch file or the timeline says, else 0]",
+    ),
+)
+variant_options = stacked(
+    click.option(
+        "--variants",
+        "table",
+        type=FILE,
+        metavar="FILE",
+        help="A CSV file of values: names in the first line, an item a line after it.",
+    ),
+    click.option(
+        "--vary",
+        "columns",
+        multiple=True,
+        metavar="NAME=VALUES",
+        help="Make an item for each value of ${NAME} in the scene: values with commas, "
+        "ranges such as 1..20 or 0..1/0.25. Given several times: every combination.",
+    ),
+)
 
 
 def with_cuts(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
@@ -40,25 +57,6 @@ def with_cuts(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
     if given["handles"] is not None:
         spec = replace(spec, handles=given["handles"])
     return spec
-
-
-def variant_options(command: Command) -> Command:
-    """Give a command ``--variants`` and ``--vary``."""
-    command = click.option(
-        "--vary",
-        "columns",
-        multiple=True,
-        metavar="NAME=VALUES",
-        help="Make an item for each value of ${NAME} in the scene: values with commas, "
-        "ranges such as 1..20 or 0..1/0.25. Given several times: every combination.",
-    )(command)
-    return click.option(
-        "--variants",
-        "table",
-        type=FILE,
-        metavar="FILE",
-        help="A CSV file of values: names in the first line, an item a line after it.",
-    )(command)
 
 
 def variant_words(given: Mapping[str, Any]) -> list[str]:

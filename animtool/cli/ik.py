@@ -16,7 +16,6 @@ from animtool.cli.options import (
     LENGTH,
     OUTPUT,
     TOLERANCE,
-    Command,
     Parsed,
     common_options,
     format_option,
@@ -27,6 +26,7 @@ from animtool.cli.options import (
     source_option,
     source_options,
     source_options_record,
+    stacked,
 )
 from animtool.cli.outputs import (
     all_named,
@@ -61,12 +61,6 @@ def _time_code(text: str) -> Any:
     return parse_frame(text)
 
 
-def _with_shot(command: Command) -> Command:
-    for option in reversed(SHOT_OPTIONS):
-        command = option(command)
-    return command
-
-
 @click.command(
     epilog="""\b
 Examples:
@@ -98,7 +92,7 @@ Examples:
     help="Motion to start from, a clip, BVH or USD file, or a shot of a timeline: each "
     "frame stays near its pose there.  [default: the rest pose]",
 )
-@_with_shot
+@stacked(*SHOT_OPTIONS)
 @click.option(
     "--match",
     is_flag=True,

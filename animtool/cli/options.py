@@ -136,47 +136,55 @@ def _set(name: str, value: Any) -> Callable[..., None]:
     return apply
 
 
-def common_options(command: Command) -> Command:
-    """Add the options of every command: how much to say, and how."""
-    for decorator in (
-        click.option(
-            "--debug",
-            is_flag=True,
-            expose_value=False,
-            is_eager=True,
-            envvar="ANIMTOOL_DEBUG",
-            callback=_set("debug", True),
-            help="Show Python tracebacks.",
-        ),
-        click.option(
-            "--log-format",
-            type=click.Choice(["text", "json"]),
-            default="text",
-            expose_value=False,
-            is_eager=True,
-            envvar="ANIMTOOL_LOG_FORMAT",
-            help="How lines on stderr are written.",
-            show_default=True,
-        ),
-        click.option(
-            "-v",
-            "--verbose",
-            is_flag=True,
-            expose_value=False,
-            callback=_set("verbosity", 1),
-            help="Say more.",
-        ),
-        click.option(
-            "-q",
-            "--quiet",
-            is_flag=True,
-            expose_value=False,
-            callback=_set("verbosity", -1),
-            help="Say nothing but errors.",
-        ),
-    ):
-        command = decorator(command)
-    return command
+def stacked(*added: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Return what adds several options to a command, in this order."""
+
+    def add(command: Command) -> Command:
+        for option in reversed(added):
+            command = option(command)
+        return command
+
+    return add
+
+
+# Of every command: how much to say, and how.
+common_options = stacked(
+    click.option(
+        "-q",
+        "--quiet",
+        is_flag=True,
+        expose_value=False,
+        callback=_set("verbosity", -1),
+        help="Say nothing but errors.",
+    ),
+    click.option(
+        "-v",
+        "--verbose",
+        is_flag=True,
+        expose_value=False,
+        callback=_set("verbosity", 1),
+        help="Say more.",
+    ),
+    click.option(
+        "--log-format",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        expose_value=False,
+        is_eager=True,
+        envvar="ANIMTOOL_LOG_FORMAT",
+        help="How lines on stderr are written.",
+        show_default=True,
+    ),
+    click.option(
+        "--debug",
+        is_flag=True,
+        expose_value=False,
+        is_eager=True,
+        envvar="ANIMTOOL_DEBUG",
+        callback=_set("debug", True),
+        help="Show Python tracebacks.",
+    ),
+)
 
 
 def _of_scene(name: str) -> Callable[[str], Any]:
@@ -284,13 +292,12 @@ def record_option(
         for entry in fields(record)
     }
 
-    def add(command: Command) -> Command:
-        for name in reversed(names or (*options,)):
-            dest = (called or {}).get(name, name)
-            command = declared(options[name], dest, defaults[name])(command)
-        return command
-
-    return add
+    return stacked(
+        *(
+            declared(options[name], (called or {}).get(name, name), defaults[name])
+            for name in names or options
+        )
+    )
 
 
 def read_values(record: type, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -337,36 +344,26 @@ rig_layer_options = bake_option("rig_layer", "prim_path", "force_fit")
 source_options = source_option("unit", "up", "fps")
 
 
-def set_option(command: Command) -> Command:
-    """Add ``--set``."""
-    return click.option(
-        "--set",
-        "variables",
-        type=Parsed("variable", _variable),
-        metavar="NAME=VALUE",
-        multiple=True,
-        help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
-        "several times.",
-    )(command)
-
-
-def strict_option(command: Command) -> Command:
-    """Add ``--strict``."""
-    return click.option(
-        "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-    )(command)
-
-
-def format_option(command: Command) -> Command:
-    """Add ``--format``."""
-    return click.option(
-        "--format",
-        "report_format",
-        type=click.Choice(["text", "json"]),
-        default="text",
-        show_default=True,
-        help="Report as text, or as JSON on stdout.",
-    )(command)
+set_option = click.option(
+    "--set",
+    "variables",
+    type=Parsed("variable", _variable),
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
+    "several times.",
+)
+strict_option = click.option(
+    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+)
+format_option = click.option(
+    "--format",
+    "report_format",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="Report as text, or as JSON on stdout.",
+)
 
 
 def source_options_record(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import OUTPUT, Command
+from animtool.cli.options import OUTPUT, stacked
 from animtool.output import once_named, together
 from animtool.signals import outlast_signals
 
@@ -18,15 +18,12 @@ if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
 
 
-def existing_options(command: Command) -> Command:
-    """Add ``--overwrite`` and ``--skip-existing``."""
-    skip = click.option(
+existing_options = stacked(
+    click.option("--overwrite", is_flag=True, help="Replace outputs that exist."),
+    click.option(
         "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
-    )
-    overwrite = click.option(
-        "--overwrite", is_flag=True, help="Replace outputs that exist."
-    )
-    return overwrite(skip(command))
+    ),
+)
 
 
 @contextmanager
@@ -72,15 +69,13 @@ def goes_to_stdout(output: Path | None, given: Mapping[str, Any]) -> bool:
     return True
 
 
-def plot_option(command: Command) -> Command:
-    """Add ``--plot``."""
-    return click.option(
-        "--plot",
-        type=OUTPUT,
-        metavar="FILE",
-        help="With --table, draw it too: error against time (.png, .svg, .pdf; needs "
-        "the extra preview).",
-    )(command)
+plot_option = click.option(
+    "--plot",
+    type=OUTPUT,
+    metavar="FILE",
+    help="With --table, draw it too: error against time (.png, .svg, .pdf; needs the "
+    "extra preview).",
+)
 
 
 def refuse_alone(given: dict[str, Any]) -> None:
@@ -103,11 +98,7 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
 def draw(
     console: Console, panels: Callable[[], list[Panel]], plot: Path | None
 ) -> None:
-    """Draw panels and say so, where a picture is asked for.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Draw panels and say so, where a picture is asked for."""
     if plot is None:
         return
     from animtool.preview.work_precision import draw_panels

@@ -62,10 +62,6 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     Prims are matched by their paths below the default prim. The second is turned to
     the up axis of the first, and lengths are compared in metres. None of files that
     hold no points, or a character.
-
-    Raises:
-        FormatError: A file cannot be read, its arrays do not fit each other, or they
-            hold what is no number.
     """
     from animtool.usd.point_reader import open_points
 

@@ -77,7 +77,9 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     root.SetInfo("upAxis", metadata.up.value)
     if metadata.shot is not None:
         data = dict(layer.customLayerData)
-        data["animtool"] = {**data.get("animtool", {}), "shot": _shot(metadata.shot)}
+        shot = metadata.shot.as_dict().items()
+        stated = {_SHOT_KEYS.get(key, key): value for key, value in shot}
+        data["animtool"] = {**data.get("animtool", {}), "shot": stated}
         layer.customLayerData = data
 
 
@@ -97,11 +99,6 @@ _SHOT_KEYS = {
     "media_in": "mediaIn",
     "media_out": "mediaOut",
 }
-
-
-def _shot(shot: Shot) -> dict[str, object]:
-    """Return what ``animtool:shot`` in a layer's customLayerData says."""
-    return {_SHOT_KEYS.get(key, key): value for key, value in shot.as_dict().items()}
 
 
 def layer_shot(layer: Any) -> dict[str, object] | None:

@@ -220,11 +220,7 @@ class PointSource:
 
 
 def open_points(path: Path) -> PointSource | None:
-    """Return a stage that has points and no character; None of others.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
+    """Return a stage that has points and no character; None of others."""
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         source = None if has_character(stage) else PointSource(path, stage)

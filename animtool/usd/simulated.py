@@ -70,11 +70,7 @@ def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
 
 
 def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
-    """Put prims into a layer, frame by frame; return what was written of each.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
+    """Put prims into a layer, frame by frame; return what was written of each."""
     writers = job.writers()
     for code, frames in _begun(job, writers, rows, growing.layer):
         size = 0

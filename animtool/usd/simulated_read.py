@@ -102,9 +102,6 @@ def describe_points(path: Path) -> PointsDescription | None:
 
     Arrays of crates are looked at, not read: only their lengths and the extents are
     taken of each sample.
-
-    Raises:
-        FormatError: The file cannot be read.
     """
     note_input(path)
     with usd_errors(path), without_usd_warnings():
@@ -138,11 +135,7 @@ def describe_points(path: Path) -> PointsDescription | None:
 
 
 def displaced_points(path: Path) -> list[PointPrim]:
-    """Return the prims of a stage whose points have samples.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
+    """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
         found = [_described(prim) for prim in point_prims(stage)]

@@ -34,9 +34,6 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
 
     See `animtool.files.files_meant`; folders are searched for all files that animtool
     knows by name.
-
-    Raises:
-        NothingFoundError: There is none (VAL006).
     """
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
     given = [text for path in paths if (text := str(path))]

@@ -119,17 +119,13 @@ def check_rates(subject: Subject) -> Iterator[Fault]:
     """Check that rates are stated, and the same in all layers of a stage."""
     root = subject.stage.GetRootLayer().pseudoRoot
     missing = [name for name in RATES if not root.HasInfo(name)]
-    if missing and _moves(subject):
+    if missing and any(
+        subject.times(attr) or attr.ValueMightBeTimeVarying()
+        for attr in subject.attributes
+    ):
         message = f"no {' and no '.join(missing)}, and there is motion"
         yield finding("USD252", ROOT, message)
     yield from _retimed(subject)
-
-
-def _moves(subject: Subject) -> bool:
-    return any(
-        subject.times(attr) or attr.ValueMightBeTimeVarying()
-        for attr in subject.attributes
-    )
 
 
 def _retimed(subject: Subject) -> Iterator[Fault]:

@@ -146,11 +146,7 @@ class EditedLayer:
         self.target = Target(open_composed(layer, path), layer)
 
     def edit_of(self, fault: Fault) -> Edit:
-        """Return the edit that fixes a finding.
-
-        Raises:
-            NotFixableError: It is not safe here.
-        """
+        """Return the edit that fixes a finding; else `NotFixableError`."""
         if fault.code not in EDITS:
             raise NotFixableError("it has no fix")
         fix = cast(Fix, load_object(EDITS[fault.code]))
@@ -165,11 +161,7 @@ class EditedLayer:
 
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
-    """Give a file's layer, with some content in place of the file's.
-
-    Raises:
-        FormatError: It cannot be read.
-    """
+    """Give a file's layer, with some content in place of the file's."""
     layer = find_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
@@ -182,11 +174,7 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
 
 
 def check_copy(source: Path, output: Path) -> None:
-    """Refuse a copy of another kind than a plain layer.
-
-    Raises:
-        OptionError: The source or the output is a package or no USD file (OUT004).
-    """
+    """Refuse a copy of another kind than a plain layer."""
     for path in (source, output):
         if path.suffix.lower() not in SUFFIXES:
             message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
@@ -195,11 +183,7 @@ def check_copy(source: Path, output: Path) -> None:
 
 
 def spare_composed_layers(source: Path, output: Path) -> None:
-    """Refuse a copy in place of a layer that the source itself brings in.
-
-    Raises:
-        OptionError: It is one (OUT003): the copy would bring in itself.
-    """
+    """Refuse a copy in place of a layer that the source itself brings in."""
     if not output.exists():
         return
     with edited_layer(source) as edited:

@@ -67,7 +67,8 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
     goals = subject.targets.goals
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
-        alike.setdefault(_effector(goal), []).append(i)
+        effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
+        alike.setdefault(effector, []).append(i)
     pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
     for first, i in sorted(pairs)[:MAX_PAIRS]:
         one, two = goals[first], goals[i]
@@ -83,10 +84,6 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
             message += f"line {one.place[0]}: both are missed"
             hint = "leave one out, give it another priority, or other frames: during"
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
-
-
-def _effector(goal: GoalTrack) -> tuple[object, ...]:
-    return goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
 
 
 def _meet(one: Sequence[Span], two: Sequence[Span]) -> bool:
@@ -274,7 +271,12 @@ def odd_unit(subject: SceneSubject) -> Iterator[Fault]:
     for asked in _all_asked(subject):
         size = rest_size(asked.take.rig)
         own = asked.unit
-        still = [e for e, track in enumerate(asked.tracks.goals) if _is_written(track)]
+        # Those whose points are numbers of the file, not a prim's.
+        still = [
+            e
+            for e, track in enumerate(asked.tracks.goals)
+            if isinstance(track.values["position"], Still | Keyed | Rows)
+        ]
         points = [asked.points(e)[0][asked.points(e)[1]] for e in still]
         found = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(found):
@@ -295,11 +297,6 @@ def odd_unit(subject: SceneSubject) -> Iterator[Fault]:
             )
             hint = f"units: {{length: {fitting[0]}}} fits better"
             yield asked.fault("TGT206", still[0], "position", message, hint)
-
-
-def _is_written(track: GoalTrack) -> bool:
-    """Return whether a goal's points are numbers of the file, not a prim's."""
-    return isinstance(track.values["position"], Still | Keyed | Rows)
 
 
 def beyond_take(subject: SceneSubject) -> Iterator[Fault]:

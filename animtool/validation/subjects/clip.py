@@ -108,9 +108,7 @@ def _placed(path: Path, sample: Callable[[], Take], opened: Opened) -> Take | No
     try:
         return sample()
     except AnimtoolError as error:
-        opened.faults += [_named(fault, path) for fault in error.faults]
+        opened.faults += [
+            f if f.path else replace(f, path=str(path)) for f in error.faults
+        ]
         return None
-
-
-def _named(fault: Fault, path: Path) -> Fault:
-    return fault if fault.path else replace(fault, path=str(path))
