@@ -28,7 +28,7 @@ from animtool.batch.records import (
 from animtool.batch.work import Status
 from animtool.documents.yaml_text import yaml_text
 from animtool.errors import Fault, FormatError
-from animtool.output import check_outputs, replacing, together
+from animtool.output import check_outputs, together, write_parts
 from animtool.placing import output_error
 
 # A process that makes a chunk takes about 1 s to start, and looks at the whole
@@ -218,9 +218,5 @@ def write_bundle(
     check_outputs(list(texts), [], overwrite=overwrite)
     with together():
         for path, text in texts.items():
-            with replacing(path) as temporary:
-                try:
-                    temporary.write_text(text, "utf-8", newline="")
-                except OSError as error:
-                    raise output_error(path, error) from error
+            write_parts(path, [text.encode()])
     return list(texts)

@@ -24,12 +24,12 @@ from animtool.cli.options import (
     Parsed,
     common_options,
     count_or_auto,
+    listed_paths,
     set_option,
 )
 from animtool.documents.names import is_named
 from animtool.errors import Severity
 from animtool.signals import TerminatedError
-from animtool.supervisor import stdin_lines
 
 if TYPE_CHECKING:
     from animtool.batch.run import BatchReport, ItemReport
@@ -270,7 +270,11 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
         raise
     _tell(console, report, given, _Repeat(inputs, given))
     if given["junit"] is not None:
-        _write_junit(given["junit"], report)
+        from animtool.batch.run import junit_report
+        from animtool.output import check_outputs, write_parts
+
+        check_outputs([given["junit"]], [], overwrite=True)
+        write_parts(given["junit"], [junit_report(report.items).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
 
@@ -286,7 +290,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
 
         spec = load_batch(Path(jobs[0]), of_shots=given["cuts"] is not None)
     else:
-        spec = BatchSpec(_listed(inputs))
+        spec = BatchSpec(tuple(listed_paths(inputs)))
     if given["path_mapping"] is not None:
         from animtool.batch.recipe import mapped_spec, read_rules
 
@@ -320,17 +324,6 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         variables={**spec.variables, **dict(given["variables"])},
         limits=limits,
     )
-
-
-def _listed(inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the inputs; for ``-`` those on stdin."""
-    found: list[str] = []
-    for text in inputs:
-        if text == "-":
-            found += filter(None, stdin_lines())
-        else:
-            found.append(text)
-    return tuple(found)
 
 
 class _Repeat:
@@ -398,16 +391,3 @@ def _tell(
         console.error(f"{entry.item.label} failed")
         console.faults(entry.faults, fatal=True)
         console.say(f"  again: {repeat.command(entry)}")
-
-
-def _write_junit(path: Path, report: BatchReport) -> None:
-    from animtool.batch.run import junit_report
-    from animtool.output import check_outputs, replacing
-    from animtool.placing import output_error
-
-    check_outputs([path], [], overwrite=True)
-    with replacing(path) as temporary:
-        try:
-            temporary.write_text(junit_report(report.items), "utf-8", newline="")
-        except OSError as error:
-            raise output_error(path, error) from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from animtool.errors import Severity
 from animtool.options import Option, options_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
+from animtool.supervisor import stdin_lines
 from animtool.units import LengthUnit, UpAxis, parse_length
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -364,6 +365,15 @@ format_option = click.option(
     show_default=True,
     help="Report as text, or as JSON on stdout.",
 )
+
+
+def listed_paths(texts: Iterable[str]) -> Iterator[str]:
+    """Yield paths of a command line; for ``-`` those on stdin."""
+    for text in texts:
+        if text == "-":
+            yield from filter(None, stdin_lines())
+        else:
+            yield text
 
 
 def source_options_record(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from typing import Any
+
 import click
 
 from animtool.cli.console import Console
@@ -30,48 +34,32 @@ def plugins(console: Console, /, report_format: str) -> None:
     from animtool.readers import listed_readers
     from animtool.rules import listed_rules
 
-    passes, readers, rules = listed_passes(), listed_readers(), listed_rules()
-    executors = listed_executors()
+    # Of each list the key of names in JSON, and what a line calls what it has.
+    listed: dict[str, tuple[str, Any, Callable[[Any], str | None]]] = {
+        "passes": ("pass", listed_passes(), lambda e: e.scope),
+        "readers": ("suffix", listed_readers(), lambda e: ", ".join(e.opens)),
+        "executors": (
+            "executor",
+            listed_executors(),
+            lambda e: "executor" if e.loads else None,
+        ),
+        "rules": ("rule", listed_rules(), lambda e: e.kind),
+    }
     if report_format == "json":
-        pass_rows = [
-            {"pass": e.name, "source": e.source, "scope": e.scope, "about": e.about}
-            for e in passes
-        ]
-        reader_rows = [
-            {"suffix": e.suffix, "source": e.source, "opens": e.opens, "about": e.about}
-            for e in readers
-        ]
-        executor_rows = [
-            {
-                "executor": e.name,
-                "source": e.source,
-                "loads": e.loads,
-                "about": e.about,
-            }
-            for e in executors
-        ]
-        rule_rows = [
-            {"rule": e.code, "source": e.source, "kind": e.kind, "about": e.about}
-            for e in rules
-        ]
-        console.result_json(
-            {
-                "plugins": "animtool/1",
-                "passes": pass_rows,
-                "readers": reader_rows,
-                "executors": executor_rows,
-                "rules": rule_rows,
-            }
-        )
+        found = {
+            name: [_renamed(entry, key) for entry in entries]
+            for name, (key, entries, _) in listed.items()
+        }
+        console.result_json({"plugins": "animtool/1", **found})
         return
-    rows = [(e.name, e.scope or "broken", e.about, e.source) for e in passes]
-    rows += [
-        (e.suffix, ", ".join(e.opens) or "broken", e.about, e.source) for e in readers
-    ]
-    rows += [
-        (e.name, "executor" if e.loads else "broken", e.about, e.source)
-        for e in executors
-    ]
-    rows += [(e.code, e.kind or "broken", e.about, e.source) for e in rules]
-    for name, kind, about, source in rows:
-        console.result(f"{name:14} {kind:11} {about} ({source})")
+    for _, entries, kind in listed.values():
+        for entry in entries:
+            name, source, _, about = (getattr(entry, f.name) for f in fields(entry))
+            shown = f"{name:14} {kind(entry) or 'broken':11} {about} ({source})"
+            console.result(shown)
+
+
+def _renamed(entry: Any, key: str) -> dict[str, object]:
+    """Return a record as plain values, the first of which has another key."""
+    (_, name), *rest = asdict(entry).items()
+    return {key: name, **dict(rest)}

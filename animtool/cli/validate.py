@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import common_options, read_values, record_option
-from animtool.supervisor import stdin_lines
+from animtool.cli.options import (
+    common_options,
+    listed_paths,
+    read_values,
+    record_option,
+)
 from animtool.validation.options import ValidateOptions
 
 if TYPE_CHECKING:
@@ -84,7 +88,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
 
     options = ValidateOptions(**read_values(ValidateOptions, given)).resolved()
     _check_fix(given)
-    files = find_files(_listed(paths))
+    files = find_files(listed_paths(paths))
     if given["diff"]:
         _show_difference(console, files, options, given)
         return
@@ -183,29 +187,11 @@ def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
     if given["output_file"] is None:
         console.document(text)
     else:
-        _write(given["output_file"], text)
+        from animtool.output import write_parts
+
+        # Names of files may hold bytes that are no text.
+        write_parts(given["output_file"], [text.encode("utf-8", "replace")])
     if given["output_file"] is not None or given["report_format"] != "text":
         console.say(summary(report))
     code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
     click.get_current_context().exit(int(code))
-
-
-def _listed(paths: tuple[str, ...]) -> Iterator[str]:
-    """Yield the paths; for ``-`` those on stdin."""
-    for path in paths:
-        if path != "-":
-            yield path
-            continue
-        yield from filter(None, stdin_lines())
-
-
-def _write(path: Path, text: str) -> None:
-    from animtool.output import replacing
-    from animtool.placing import output_error
-
-    with replacing(path) as temporary:
-        try:
-            # Names of files may hold bytes that are no text.
-            temporary.write_bytes(text.encode("utf-8", "replace"))
-        except OSError as error:
-            raise output_error(path, error) from error

@@ -19,7 +19,7 @@ from animtool.documents.edit import Add, EditError, Put, Remove, edited
 from animtool.documents.references import split_reference
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import read_input
-from animtool.output import ahead, name_problem, replacing, together
+from animtool.output import ahead, name_problem, together, write_parts
 from animtool.placing import output_error
 from animtool.rig.parts import ArrayRef
 from animtool.scene.convert_rig import write_arrays
@@ -201,7 +201,9 @@ class TextDraft:
                 for path, arrays in self.arrays.items():
                     write_arrays(path, dict(arrays))
                 self._check_arrays()
-            _write_text(output, self.text)
+            mark = read_input(output).startswith(codecs.BOM_UTF8)
+            encoding = "utf-8-sig" if mark else "utf-8"
+            write_parts(output, [self.text.encode(encoding)])
         return ()
 
     def _check_arrays(self) -> None:
@@ -219,16 +221,6 @@ class TextDraft:
         if fix is None:
             raise NotMendedError("it has no fix")
         return fix(self.opened, fault)
-
-
-def _write_text(path: Path, text: str) -> None:
-    mark = read_input(path).startswith(codecs.BOM_UTF8)
-    with replacing(path) as temporary:
-        try:
-            encoding = "utf-8-sig" if mark else "utf-8"
-            temporary.write_text(text, encoding, newline="")
-        except OSError as error:
-            raise output_error(path, error) from error
 
 
 def _lines(text: str) -> list[str]:

@@ -77,7 +77,7 @@ def test_arrays_of_a_file_that_cannot_be_written_go_too(
     def fail(*_: object) -> None:
         raise OSError("disk")
 
-    monkeypatch.setattr("animtool.validation.fixes.texts._write_text", fail)
+    monkeypatch.setattr("animtool.validation.fixes.texts.write_parts", fail)
     before = loose.read_text("utf-8")
     with pytest.raises(OSError, match="disk"):
         fix_files([loose])
