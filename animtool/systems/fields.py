@@ -254,8 +254,8 @@ class SystemSpec(FileModel):
         return {}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return what its keys together make no sense of, each at a key.
+        """Return which keys make no sense together, each fault's ``where`` a key.
 
-        ``parts`` are those of a `SimContext`. Also see `build`.
+        ``parts`` are those of a `SimContext`.
         """
         return ()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -188,6 +188,10 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
     if not records and isinstance(held.get(above), float):
         return held[above]
     for record in records:
-        if {entry.name for entry in fields(record)} == held.keys():
+        hints = get_type_hints(record)
+        kinds = {
+            name: float if hint is float else np.ndarray for name, hint in hints.items()
+        }
+        if {name: type(part) for name, part in held.items()} == kinds:
             return record(**held)
     raise TypeError(f"{above} is of another method")

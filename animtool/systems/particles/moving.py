@@ -75,7 +75,8 @@ class ParticleForces(_Living, SecondOrder):
         """Return the fastest motions that forces bring about ``(M, 2)``."""
         if not len(self.particles):
             return None
-        forces, mass = self.setup.forces, float(self.particles.masses.min())
+        # Not as a float: a state that is resumed may hold a mass of 0.
+        forces, mass = self.setup.forces, self.particles.masses.min()
         stiffness = sum(force.stiffness() for force in forces) / mass
         damping = (
             sum(force.damping(state[1], self.particles) for force in forces) / mass

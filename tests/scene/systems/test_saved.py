@@ -192,6 +192,7 @@ STATES = {
         {"state/memory.k": np.zeros(4), "state/memory.h": None}, "memory.k",
     ),
     "no number": ({"state/trial": np.zeros(4)}, "trial"),
+    "a step for each": ({"state/memory.h": np.zeros(4)}, "memory.h"),
 }  # fmt: skip
 
 
