@@ -1,0 +1,113 @@
+"""Rigid bodies of a bake, drawn face by face from far to near, by matplotlib."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Usd, UsdGeom
+
+Array = NDArray[np.float64]
+
+# Where the light comes from.
+LIGHT = np.array([0.4, 0.8, -0.45])
+
+
+class View:
+    """A look from aside and above: turned about y, then about x [rad]."""
+
+    def __init__(self, turn: float, tilt: float) -> None:
+        self.turn, self.tilt = turn, tilt
+
+    def seen(self, points: Array) -> tuple[Array, Array]:
+        """Return where points are in the picture ``(..., 2)``, and how near."""
+        x, y, z = np.moveaxis(points, -1, 0)
+        across = np.cos(self.turn) * x - np.sin(self.turn) * z
+        ahead = np.sin(self.turn) * x + np.cos(self.turn) * z
+        up = np.cos(self.tilt) * y - np.sin(self.tilt) * ahead
+        near = np.sin(self.tilt) * y + np.cos(self.tilt) * ahead
+        return np.stack([across, up], axis=-1), -near
+
+
+def faces_of(stage: Usd.Stage, path: str, frame: float) -> list[tuple[int, Array]]:
+    """Return the faces of all copies at a frame, each with the number of its mesh."""
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(path))
+    meshes = []
+    for target in instancer.GetPrototypesRel().GetTargets():
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(target))
+        points = np.array(mesh.GetPointsAttr().Get(), np.float64)
+        ends = np.cumsum(mesh.GetFaceVertexCountsAttr().Get())[:-1]
+        corners = np.split(np.array(mesh.GetFaceVertexIndicesAttr().Get()), ends)
+        meshes.append([points[face] for face in corners])
+    placed: list[Gf.Matrix4d] = instancer.ComputeInstanceTransformsAtTime(frame, frame)
+    shown = np.array(instancer.GetProtoIndicesAttr().Get(frame))
+    return [
+        (int(mesh), face @ matrix[:3, :3] + matrix[3, :3])
+        for matrix, mesh in zip(np.array(placed), shown, strict=True)
+        for face in meshes[mesh]
+    ]
+
+
+def draw_faces(
+    axis: Any, view: View, faces: list[tuple[int, Array]], colours: list[str]
+) -> None:
+    """Draw faces that look this way, shaded, those behind first."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
+
+    light = LIGHT / np.linalg.norm(LIGHT)
+    shapes, shades, depths = [], [], []
+    for mesh, face in faces:
+        flat, near = view.seen(face)
+        a, b = flat[1] - flat[0], flat[2] - flat[0]
+        if a[0] * b[1] - a[1] * b[0] < 0:
+            continue
+        normal = np.cross(face[1] - face[0], face[2] - face[0])
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
+        shade = 0.62 + 0.38 * max(float(normal @ light), 0.0)
+        shapes.append(flat)
+        shades.append([shade * c for c in to_rgb(colours[mesh])])
+        depths.append(near.mean())
+    order = np.argsort(depths)
+    axis.add_collection(
+        PolyCollection(
+            [shapes[i] for i in order],
+            facecolors=[shades[i] for i in order],
+            edgecolors=[[0.7 * c for c in shades[i]] for i in order],
+            lw=0.25,
+        )
+    )
+
+
+def draw_frames(
+    baked: str,
+    path: str,
+    frames: list[int],
+    view: View,
+    colours: list[str],
+    limits: tuple[tuple[float, float], tuple[float, float]],
+    columns: int,
+) -> Any:
+    """Return a figure of some frames of a bake, in rows."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    stage = Usd.Stage.Open(baked)
+    rows = -(-len(frames) // columns)
+    (left, right), (low, high) = limits
+    width = 9.0 / columns
+    size = (9.0, rows * (width * (high - low) / (right - left) + 0.3))
+    figure, axes = plt.subplots(
+        rows, columns, figsize=size, dpi=96, layout="constrained", squeeze=False
+    )
+    figure.set_facecolor("#f2f0ec")
+    for axis, frame in zip(axes.flat, frames, strict=True):
+        draw_faces(axis, view, faces_of(stage, path, frame), colours)
+        axis.set(xlim=(left, right), ylim=(low, high), aspect="equal")
+        axis.set(xticks=[], yticks=[], facecolor="#f2f0ec")
+        axis.spines[:].set_visible(False)
+        axis.set_title(f"frame {frame}", fontsize=9)
+    return figure
