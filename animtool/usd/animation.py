@@ -31,14 +31,11 @@ from animtool.usd.names import RigPaths
 def round_blocks(
     blocks: Iterator[tuple[FloatArray, Motion]],
     rig: Rig,
-    meters_per_unit: float,
+    meters_per_unit: float,  # unit of the layer [m]
     *,
     root_motion: bool = False,
 ) -> Iterator[WrittenBlock]:
-    """Yield blocks rounded to what USD holds, and what the rounding did.
-
-    meters_per_unit: unit of the layer [m].
-    """
+    """Yield blocks rounded to what USD holds, and what the rounding did."""
     for codes, motion in blocks:
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit

@@ -192,13 +192,18 @@ def names_twice(attr: Any) -> Iterator[Fault]:
         yield finding("USD207", attr.GetPath(), message)
 
 
-def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
-    """Yield that an animation of joints lacks translations, rotations or scales."""
-    attributes = {
+def transform_attributes(animation: Any) -> dict[str, Any]:
+    """Return the attributes of a SkelAnimation that move joints, by name."""
+    return {
         "translations": animation.GetTranslationsAttr(),
         "rotations": animation.GetRotationsAttr(),
         "scales": animation.GetScalesAttr(),
     }
+
+
+def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield that an animation of joints lacks translations, rotations or scales."""
+    attributes = transform_attributes(animation)
     missing = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
     if len(missing) == len(attributes):
         message = f"names {counted(len(joints), 'joint')} and moves none"

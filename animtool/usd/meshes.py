@@ -37,14 +37,11 @@ def author_strands(
     strands: Sequence[Strands],
     paths: RigPaths,
     tokens: Mapping[str, str],
-    meters_per_unit: float,
+    meters_per_unit: float,  # unit of the layer [m]
     *,
     bound: bool = True,
 ) -> None:
-    """Write strands as linear curves below the SkelRoot, each bound to its joint.
-
-    meters_per_unit: unit of the layer [m].
-    """
+    """Write strands as linear curves below the SkelRoot, each bound to its joint."""
     if not strands:
         return
     prim(layer, f"{paths.root}/{SCOPE}", "Scope")

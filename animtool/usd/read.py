@@ -30,12 +30,20 @@ from animtool.usd.animation_values import (
     scale_channel,
     shape_weights,
 )
-from animtool.usd.faults import Spot, missing_parts, names_twice, tokens, unknown_joints
+from animtool.usd.faults import (
+    Spot,
+    missing_parts,
+    names_twice,
+    tokens,
+    transform_attributes,
+    unknown_joints,
+)
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    animation_source,
     array_value,
     check_moves,
     composition_notices,
@@ -167,15 +175,10 @@ def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[M
 
 
 def _bound_animation(skeleton: Any) -> Any:
-    root = UsdSkel.Root.Find(skeleton.GetPrim())
-    if not root:
+    if not UsdSkel.Root.Find(skeleton.GetPrim()):
         return None
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.TraverseInstanceProxies())
-    query = cache.GetSkelQuery(skeleton)
-    source = query.GetAnimQuery() if query else None
-    if source:
-        return UsdSkel.Animation(source.GetPrim())
+    if source := animation_source(skeleton):
+        return UsdSkel.Animation(source)
     # An animation that UsdSkel cannot use is bound all the same: reading says why.
     binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
     return UsdSkel.Animation(binding) if binding else None
@@ -320,11 +323,7 @@ def _attributes(
     notices += [replace(fault, path=where.path) for fault in missing]
     if missing:
         return {}
-    return {
-        "translations": animation.GetTranslationsAttr(),
-        "rotations": animation.GetRotationsAttr(),
-        "scales": animation.GetScalesAttr(),
-    }
+    return transform_attributes(animation)
 
 
 @dataclass(frozen=True, slots=True)

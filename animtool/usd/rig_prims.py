@@ -130,6 +130,18 @@ def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
     return [UsdSkel.Skeleton(p) for p in found if p.IsA(UsdSkel.Skeleton)]
 
 
+def animation_source(skeleton: Any) -> Any:
+    """Return the prim of the animation that UsdSkel resolves; None without."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return None
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    query = cache.GetSkelQuery(skeleton)
+    source = query.GetAnimQuery() if query else None
+    return source.GetPrim() if source else None
+
+
 def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Split row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
 

@@ -24,6 +24,7 @@ from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import RigPaths, UsdNames, joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    animation_source,
     array_value,
     composition_notices,
     find_skeletons,
@@ -410,10 +411,5 @@ def compose_check(target: RigTarget, layer: Any) -> Any:
 def resolved_animation(stage: Any, skeleton_path: str) -> str:
     """Return the path of the animation that UsdSkel resolves for a Skeleton."""
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(skeleton_path))
-    root = UsdSkel.Root.Find(skeleton.GetPrim())
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.TraverseInstanceProxies())
-    query = cache.GetSkelQuery(skeleton)
-    if not query or not query.GetAnimQuery():
-        return ""
-    return str(query.GetAnimQuery().GetPrim().GetPath())
+    source = animation_source(skeleton)
+    return "" if source is None else str(source.GetPath())

@@ -12,7 +12,13 @@ from animtool._types import BoolArray
 from animtool.errors import Fault, counted, excerpt, listed
 from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
-from animtool.usd.faults import missing_parts, names_twice, tokens, unknown_joints
+from animtool.usd.faults import (
+    missing_parts,
+    names_twice,
+    tokens,
+    transform_attributes,
+    unknown_joints,
+)
 from animtool.usd.skinned import is_shown_mesh
 
 _WANTED = {
@@ -77,18 +83,14 @@ def check_animations(subject: Subject) -> Iterator[Fault]:
 
 
 def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator[Fault]:
-    attributes = {
-        "translations": (animation.GetTranslationsAttr(), 3),
-        "rotations": (animation.GetRotationsAttr(), 4),
-        "scales": (animation.GetScalesAttr(), 3),
-    }
     faults = list(missing_parts(animation, joints))
     yield from faults
     if any(fault.code == "USD150" for fault in faults):
         return
-    for name, (attr, width) in attributes.items():
+    for name, attr in transform_attributes(animation).items():
         if not attr.HasAuthoredValue():
             continue
+        width = 4 if name == "rotations" else 3
         sampled = subject.sampled(attr)
         yield from _counts("USD200", attr, sampled, len(joints), "joints")
         which, values = sampled.rows(len(joints), width)

@@ -18,7 +18,12 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
-from animtool.usd.faults import joint_parents, own_matrices, tokens
+from animtool.usd.faults import (
+    joint_parents,
+    own_matrices,
+    tokens,
+    transform_attributes,
+)
 from animtool.usd.point_reader import PointReader
 from animtool.usd.rig_prims import decompose
 
@@ -73,11 +78,7 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
             attr
             for found in sources
             if found
-            for attr in (
-                found.GetTranslationsAttr(),
-                found.GetRotationsAttr(),
-                found.GetScalesAttr(),
-            )
+            for attr in transform_attributes(found).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).attr

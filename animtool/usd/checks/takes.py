@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
 from animtool.usd.animation_values import carry_roots, moving_carriers, scale_channel
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import Spot, own_matrices, tokens
+from animtool.usd.faults import Spot, own_matrices, tokens, transform_attributes
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import (
     SkeletonRig,
@@ -133,12 +133,9 @@ def _take(
     shapes = tokens(animation.GetBlendShapesAttr())
     found = _rig(subject, animation, skeleton, joints, path)
     movers = moving_carriers(skeleton.GetPrim()) if skeleton else []
-    attributes = [
-        (animation.GetTranslationsAttr(), len(joints), 3),
-        (animation.GetRotationsAttr(), len(joints), 4),
-        (animation.GetScalesAttr(), len(joints), 3),
-        (animation.GetBlendShapeWeightsAttr(), len(shapes), 1),
-    ]
+    parts = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
+    attributes = [(attr, len(joints), width) for attr, width in parts]
+    attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
     times.update(t for mover in movers for t in mover.GetTimeSamples())
     codes = np.array(sorted(times), np.float64)

@@ -153,28 +153,26 @@ class _Pops:
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the joints below the roots that jump in one frame (MOT202)."""
-    roots = list(subject.take.rig.roots)
-    found = [
-        _turn_pops(subject, np.flatnonzero(~np.isin(subject.turning, roots))),
-        _shift_pops(
-            subject, np.flatnonzero(~np.isin(subject.moving, roots)), LEAST_SHIFT
-        ),
-    ]
     hint = "correct the frames around it; a cut that is meant has interp: step"
+    found = _pops(subject, LEAST_SHIFT, roots=False)
     yield from _reported(subject, "MOT202", found, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the roots that jump in one frame: the whole character does (MOT203)."""
-    roots = list(subject.take.rig.roots)
-    found = [
-        _turn_pops(subject, np.flatnonzero(np.isin(subject.turning, roots))),
-        _shift_pops(
-            subject, np.flatnonzero(np.isin(subject.moving, roots)), LEAST_ROOT_SHIFT
-        ),
-    ]
     hint = "correct the frames around it, or cut the take there"
+    found = _pops(subject, LEAST_ROOT_SHIFT, roots=True)
     yield from _reported(subject, "MOT203", found, hint)
+
+
+def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
+    """Return jumps of turning, and of moving joints: of the roots, or of all others."""
+    own = list(subject.take.rig.roots)
+    turning, moving = (
+        np.flatnonzero(np.isin(joints, own) == roots)
+        for joints in (subject.turning, subject.moving)
+    )
+    return [_turn_pops(subject, turning), _shift_pops(subject, moving, least)]
 
 
 def _reported(
