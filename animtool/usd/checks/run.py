@@ -16,7 +16,6 @@ from animtool.usd.checks.animation import (
     check_bindings,
     check_known_joints,
 )
-from animtool.usd.checks.copies import check_copies
 from animtool.usd.checks.extents import check_extents
 from animtool.usd.checks.finite import (
     ALREADY,
@@ -25,7 +24,7 @@ from animtool.usd.checks.finite import (
     check_types,
     check_uniform,
 )
-from animtool.usd.checks.points import check_points
+from animtool.usd.checks.points import check_copies, check_points
 from animtool.usd.checks.skeleton import check_physics, check_skeletons
 from animtool.usd.checks.skin import check_shapes, check_skins, check_targets
 from animtool.usd.checks.stage_metadata import (
