@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
+from animtool._types import FloatArray, IntArray
 from animtool.clock import time_fraction
 from animtool.errors import Fault, Severity, counted
 from animtool.maths import so3
@@ -185,6 +185,20 @@ def _span(stage: Any, animation: Any) -> _Span:
     stated = stage.HasAuthoredTimeCodeRange()
     last = time_fraction(stage.GetEndTimeCode()) if stated else None
     return _Span(time_fraction(stage.GetStartTimeCode()), last)
+
+
+def among_rest(
+    rest: FloatArray, rows: FloatArray | None, places: IntArray, frames: int
+) -> FloatArray:
+    """Return the values of some joints among those of a rig at rest ``(F, J, …)``.
+
+    places: of each joint in the rig, -1 where it has none such; no rows are at rest.
+    """
+    dense = np.repeat(rest[None], frames, axis=0)
+    if rows is not None:
+        known = places >= 0
+        dense[:, places[known]] = rows[:, known]
+    return dense
 
 
 def sample_grid(

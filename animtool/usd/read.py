@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.animation_values import (
     SampleGrid,
+    among_rest,
     animated_shapes,
     carry_roots,
     moving_carriers,
@@ -264,8 +265,8 @@ def _read(
     stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
 ) -> TakeStream:
     where = Spot.of(path, animation)
-    joints, notices = _joints(skeleton, animation, prim, where)
-    attributes = _attributes(animation, joints, where, notices)
+    places, notices = _places(skeleton, animation, prim, where)
+    attributes = _attributes(animation, places, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
     movers = moving_carriers(prim)
@@ -285,10 +286,15 @@ def _read(
         "rotations": rig.rest_rotations,
         "scales": skeleton.rest_scales,
     }
-    translations, rotations, scales = (
-        joints.whole(attributes.get(name), rest, codes, where)
-        for name, rest in rests.items()
-    )
+
+    def whole(name: str, rest: FloatArray) -> FloatArray:
+        """Return an attribute for the Skeleton's joints, at rest if not animated."""
+        attr, width, rows = attributes.get(name), rest.shape[1], None
+        if attr is not None:
+            rows = sampled_values(attr, codes, len(places), width, where)
+        return among_rest(rest, rows, places, len(codes))
+
+    translations, rotations, scales = (whole(*part) for part in rests.items())
     translations *= meters
     rotations = so3.align_signs(so3.normalize(rotations))
     if movers:
@@ -308,14 +314,14 @@ def _read(
 
 
 def _attributes(
-    animation: Any, joints: _Joints, where: Spot, notices: list[Fault]
+    animation: Any, places: IntArray, where: Spot, notices: list[Fault]
 ) -> dict[str, Any]:
     """Return what an animation must have for UsdSkel to use it, by name.
 
     Nothing where it moves no joint: it has weights of shapes alone, or only names
     joints, which then stay at rest.
     """
-    if not len(joints.places):
+    if not len(places):
         return {}
     missing = list(missing_parts(animation, tokens(animation.GetJointsAttr())))
     if any(fault.severity is Severity.ERROR for fault in missing):
@@ -326,38 +332,17 @@ def _attributes(
     return transform_attributes(animation)
 
 
-@dataclass(frozen=True, slots=True)
-class _Joints:
-    """The joints of an animation among those of its Skeleton."""
-
-    places: IntArray  # index in the Skeleton; -1 where it has none such
-
-    def whole(
-        self, attribute: Any | None, rest: FloatArray, codes: list[float], where: Spot
-    ) -> FloatArray:
-        """Return an attribute for the Skeleton's joints, at rest if not animated."""
-        if attribute is None:
-            return np.repeat(rest[None], len(codes), axis=0)
-        count, width = len(self.places), rest.shape[1]
-        rows = sampled_values(attribute, codes, count, width, where)
-        found = np.repeat(rest[None], len(codes), axis=0)
-        known = self.places >= 0
-        found[:, self.places[known]] = rows[:, known]
-        return found
-
-
-def _joints(
+def _places(
     skeleton: SkeletonRig, animation: Any, prim: Any, where: Spot
-) -> tuple[_Joints, list[Fault]]:
-    """Return an animation's joints, and a warning of those that are left out."""
+) -> tuple[IntArray, list[Fault]]:
+    """Return where joints are in the Skeleton, and a warning of those left out (-1)."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
-    places = [index.get(token, -1) for token in tokens(attr)]
-    joints = _Joints(np.array(places, np.int64))
+    places = np.array([index.get(token, -1) for token in tokens(attr)], np.int64)
     if prim is None:
-        return joints, []
+        return places, []
     unknown = unknown_joints(attr, skeleton.tokens, prim.GetPath())
-    return joints, [replace(fault, path=where.path) for fault in unknown]
+    return places, [replace(fault, path=where.path) for fault in unknown]
 
 
 def _grid_notices(grid: SampleGrid, samples: int, where: Spot) -> list[Fault]:

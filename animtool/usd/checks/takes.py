@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import UsdGeom, UsdSkel
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
 from animtool.clock import Clock, time_fraction
 from animtool.errors import AnimtoolError
 from animtool.maths import so3
@@ -20,7 +20,12 @@ from animtool.rates import rate_from_float
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
-from animtool.usd.animation_values import carry_roots, moving_carriers, scale_channel
+from animtool.usd.animation_values import (
+    among_rest,
+    carry_roots,
+    moving_carriers,
+    scale_channel,
+)
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import Spot, own_matrices, tokens, transform_attributes
 from animtool.usd.library import take_range
@@ -250,24 +255,13 @@ def _motion(
     index = {token: i for i, token in enumerate(found.tokens)}
     places = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        _placed(rest, row, places, frames)
+        among_rest(rest, row, places, frames)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
         return None
     translations *= rig.meters_per_unit
     return translations, so3.align_signs(so3.normalize(rotations)), scales, weights
-
-
-def _placed(
-    rest: FloatArray, row: FloatArray | None, places: IntArray, frames: int
-) -> FloatArray:
-    """Return the values of an animation's joints among those at rest."""
-    dense = np.repeat(rest[None], frames, axis=0)
-    if row is not None:
-        known = places >= 0
-        dense[:, places[known]] = row[:, known]
-    return dense
 
 
 def _clock(subject: Subject, codes: FloatArray) -> Clock:
