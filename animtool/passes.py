@@ -95,6 +95,7 @@ PASSES: dict[str, str] = {
     "layer": "animtool.edit.layers:LAYER",
     "loop": "animtool.edit.looping:PASS",
     "mirror": "animtool.edit.mirroring:PASS",
+    "ragdoll": "animtool.systems.rigid.ragdoll:PASS",
     "resample": "animtool.edit.resample:PASS",
     "root_motion": "animtool.edit.root_motion:PASS",
     "simulate": "animtool.systems.attach.take_pass:PASS",

@@ -398,12 +398,14 @@ corners; its faces those from ``face_starts[s]`` on, each of the ``corners`` fro
 the animation moves. ``joint_numbers`` ``(K, 26)``: origin and quaternion x y z w of the frames
 on both, whose x is the axis; least and most of angle, slide or twist (least above most is any);
 half-angles of the swing about y and z (below 0 is any); target of the drive, and of a ball's its
-rotation; its stiffness, its damping, and its most force or torque (below 0 is any).)")
+rotation; its stiffness, its damping, and its most force or torque (below 0 is any). Bodies that
+a joint joins do not meet, nor do the pairs ``apart`` ``(P, 2)``.)")
       .def(nb::init<In<double, 2>, In<std::int64_t, 1>, In<double, 2>, In<double, 2>,
                     In<std::int64_t, 1>, In<std::int64_t, 1>, In<std::int64_t, 1>,
-                    In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>>(),
+                    In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>,
+                    In<std::int64_t, 2>>(),
            "inertias"_a, "bodies"_a, "numbers"_a, "points"_a, "point_starts"_a, "face_starts"_a,
-           "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a);
+           "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "apart"_a);
 
   m.def("step_rigid", &step_rigid, "bodies"_a, "state"_a, "pairs"_a, "contacts"_a, "held"_a,
         "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a, "substeps"_a, "rounds"_a,

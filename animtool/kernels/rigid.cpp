@@ -41,7 +41,8 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
                          In<double, 2> numbers, In<double, 2> points,
                          In<std::int64_t, 1> point_starts, In<std::int64_t, 1> face_starts,
                          In<std::int64_t, 1> corner_starts, In<std::int64_t, 1> corners,
-                         In<std::int64_t, 2> joints, In<double, 2> joint_numbers) {
+                         In<std::int64_t, 2> joints, In<double, 2> joint_numbers,
+                         In<std::int64_t, 2> apart) {
   const std::size_t count = inertias.shape(0), shapes = bodies.shape(0);
   check::shape("inertias", inertias, {check::ANY, 4});
   check::finite("inertias", inertias);
@@ -96,6 +97,11 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     body.least = std::max(body.least, shape.core.least);
   }
   read_joints(joints, joint_numbers);
+  check::shape("apart", apart, {check::ANY, 2});
+  check::indices("apart", apart, 0, static_cast<std::int64_t>(count));
+  for (std::size_t k = 0; k < apart.shape(0); ++k)
+    keep_apart(apart.data()[2 * k], apart.data()[2 * k + 1]);
+  std::sort(world_.apart.begin(), world_.apart.end());
 }
 
 void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers) {
@@ -122,11 +128,13 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
     world_.joints.push_back(joint);
-    if (joint.a < 0) continue;
-    const auto a = static_cast<std::uint64_t>(joint.a), b = static_cast<std::uint64_t>(joint.b);
-    world_.apart.push_back(std::min(a, b) << 32 | std::max(a, b));
+    if (joint.a >= 0) keep_apart(in[1], in[2]);
   }
-  std::sort(world_.apart.begin(), world_.apart.end());
+}
+
+void RigidBodies::keep_apart(std::int64_t one, std::int64_t other) {
+  const auto a = static_cast<std::uint64_t>(one), b = static_cast<std::uint64_t>(other);
+  world_.apart.push_back(std::min(a, b) << 32 | std::max(a, b));
 }
 
 RigidStepped step_rigid(const RigidBodies& bodies, In<double, 2> state, In<std::int64_t, 2> pairs,

@@ -13,12 +13,14 @@ class RigidBodies {
               In<double, 2> points, In<std::int64_t, 1> point_starts,
               In<std::int64_t, 1> face_starts, In<std::int64_t, 1> corner_starts,
               In<std::int64_t, 1> corners, In<std::int64_t, 2> joints,
-              In<double, 2> joint_numbers);
+              In<double, 2> joint_numbers, In<std::int64_t, 2> apart);
 
   const rigid::World& world() const { return world_; }
 
  private:
   void read_joints(const In<std::int64_t, 2>& joints, const In<double, 2>& numbers);
+
+  void keep_apart(std::int64_t one, std::int64_t other);
 
   rigid::World world_;
 };

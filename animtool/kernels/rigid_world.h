@@ -35,7 +35,7 @@ struct World {
   std::vector<Body> bodies;
   std::vector<Shape> shapes;  // of one body after the other
   std::vector<Joint> joints;
-  std::vector<std::uint64_t> apart;  // pairs of bodies that joints join, ascending
+  std::vector<std::uint64_t> apart;  // pairs of bodies that do not meet, ascending
 };
 
 struct Settings {

@@ -25,8 +25,8 @@ from animtool.passes import (
     listed_passes,
 )
 from animtool.rig.controls import Control
-from animtool.rig.parts import Shape
-from animtool.rig.skeleton import JointType
+from animtool.rig.parts import Capsule, Collider, Shape
+from animtool.rig.skeleton import JointType, Rig
 from animtool.take import Take, TakeStream
 
 # Those of packages that are installed here are tested too, with their usual options.
@@ -53,6 +53,13 @@ def targets_of(take: Take, folder: Path) -> Path:
     return path
 
 
+def with_bones(rig: Rig) -> Rig:
+    """Return a rig whose first joints and an arm have capsules."""
+    names = [rig.joints[0].name, rig.joints[2].name]
+    bone = Capsule(radius=0.05, length=0.1)
+    return replace(rig, colliders=tuple(Collider(name, bone) for name in names))
+
+
 def rope_of(take: Take, *_: object) -> np.ndarray:
     """Return the last segment of a rope that swings."""
     swing = 0.1 * np.sin(np.arange(take.clock.count))[:, None, None]
@@ -62,6 +69,9 @@ def rope_of(take: Take, *_: object) -> np.ndarray:
 def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     """Return a take with a pass of the table applied, the other being itself."""
     with tempfile.TemporaryDirectory() as folder:
+        if name == "ragdoll" and take.rig.joints:
+            boned = replace(take, rig=with_bones(take.rig))
+            return replace(applied(name, boned, blocks, options), rig=take.rig)
         if name == "hang":
             free = [j.name for j in take.rig.joints if j.type is JointType.FREE]
             options = {"joint": free[0], "system": "rope", **options}
@@ -132,14 +142,14 @@ def test_a_take_of_shapes_alone_is_edited_or_refused(name: str) -> None:
     empty = [Channel.from_dense(np.zeros((12, 0, width))) for width in (3, 4)]
     rig = replace(small().rig, joints=(), shapes=(Shape("smile"),))
     take = replace(small(), rig=rig, motion=Motion(*empty, weights=weights))
-    if name in {"loop", "root_motion"}:
+    if name in {"loop", "ragdoll", "root_motion"}:
         with pytest.raises(OptionError, match="joints"):
             run(name, take)
     else:
         assert run(name, take).motion.weights is not None
 
 
-@pytest.mark.parametrize("name", [n for n in PASSES if n != "mirror"])
+@pytest.mark.parametrize("name", [n for n in PASSES if n not in {"mirror", "ragdoll"}])
 def test_what_is_static_stays_static(name: str) -> None:
     found = run(name, small())
     assert found.rig.index("arm_r") not in found.motion.rotations.animated
@@ -264,12 +274,12 @@ def test_retiming_is_sampling_the_source_at_other_times(name: str) -> None:
 
 
 # What holds lengths or forces of its own, which stay as they are.
-OWN_LENGTHS = {"hang", "ik", "simulate"}
+OWN_LENGTHS = {"ragdoll", "hang", "ik", "simulate"}
 
 
 @pytest.mark.parametrize("name", sorted({*PASSES} - OWN_LENGTHS))
 def test_a_unit_of_length_shows_in_lengths_alone(name: str) -> None:
-    """Eight times as long is eight times as far, to the bit."""
+    """Eight times as long is eight times as far, to the bit; what falls is as fast."""
     one, other = run(name, grown(full(), 1.0)), run(name, grown(full(), 8.0))
     assert other.clock == one.clock
     assert_array_equal(

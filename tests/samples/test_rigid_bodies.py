@@ -65,3 +65,18 @@ def test_the_ball_goes_through_the_wall_and_hangs_on(printed: Printed) -> None:
     assert wall[-1, :, 1].mean() < 0.5
     # Brick by brick above the ground, but for a corner that is turned down.
     assert wall[..., 1].min() > 0.09
+
+
+def test_the_walk_ends_at_the_foot_of_the_stairs(printed: Printed) -> None:
+    output = baked(printed, "fall")
+    assert list(validate([output, *SAMPLES.joinpath("fall").glob("*.yaml")])) == []
+    points = np.array(attribute(output, "/biped/Rig/body", "points", 92))
+    assert points[0, :, 1].max() > 1.5
+    assert points[-1, :, 1].max() < -0.3
+    # In no step by more than skin is outside of the capsules.
+    heights = np.select(
+        [points[..., 2] < 1.0 + 0.32 * k for k in range(6)],
+        [-0.18 * k for k in range(6)],
+        -1.08,
+    )
+    assert (points[20:, :, 1] - heights[20:]).min() > -0.12

@@ -17,4 +17,4 @@ def build(spec: Spec, context: SimContext) -> RigidSimulation:
     """Return bodies at their beginning; what moves them is imported now."""
     from animtool.systems.rigid.simulation import RigidSimulation
 
-    return RigidSimulation(spec, context)
+    return RigidSimulation.of(spec, context)

@@ -30,6 +30,7 @@ from animtool.systems.rigid.spec import BodyModel
 ROUNDING = 1e-9
 # What is beside the diagonal and less than this share of the sum is rounding.
 ALIKE = 1e-12
+NO_PAIRS = np.zeros((0, 2), np.int64)
 # Bodies of a system; more take gigabytes.
 MOST = 1_000_000
 
@@ -323,8 +324,13 @@ class Bodies:
             owners += [number] * len(own[self.of[i]])
         return cores, np.array(owners, np.int64)
 
-    def kernel(self, joints: IntArray, numbers: FloatArray) -> Any:
-        """Return them as the kernel takes them, with joints ``(K, 3)``, ``(K, 26)``."""
+    def kernel(
+        self, joints: IntArray, numbers: FloatArray, apart: IntArray = NO_PAIRS
+    ) -> Any:
+        """Return them as the kernel takes them.
+
+        With joints ``(K, 3)`` and ``(K, 26)``, and pairs that do not meet ``(P, 2)``.
+        """
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
         models = [self.kinds[self.of[self.dynamic[i]]].model for i in owners]
@@ -344,6 +350,7 @@ class Bodies:
             np.concatenate([np.zeros(0, np.int64), *faces]).astype(np.int64),
             joints,
             numbers,
+            apart,
         )
 
     def find(self, name: str, key: str) -> int:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.rigid.bodies import Bodies, refuse
+from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse
 from animtool.systems.rigid.spec import RigidJointModel
 
 _KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
@@ -31,7 +31,11 @@ class Joints:
     rows: IntArray  # type and both bodies (K, 3)
     numbers: FloatArray  # (K, 26)
     anchors: Sequence[Poses]  # frames of the animation, of those that have one
-    notices: Sequence[Fault]
+    notices: Sequence[Fault] = ()
+    # Other pairs of bodies that do not meet (P, 2).
+    apart: IntArray = field(default_factory=lambda: NO_PAIRS)
+    # Returns numbers at a time [s], where drives change; None is that they do not.
+    driven: Callable[[float], FloatArray] | None = None
 
     def frames(self, t0: float, t1: float) -> FloatArray:
         """Return the frames of the animation at both ends of a step ``(K, 2, 7)``."""
@@ -60,7 +64,7 @@ def joints_of(
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis(model, name))
-        on_b = _seen(bodies, second, frame)
+        on_b = seen_by(bodies, second, frame)
         first, anchor = -1, Poses()
         if model.to is None:
             anchor = poses
@@ -73,7 +77,7 @@ def joints_of(
                 message = f"{name!r} goes with {model.to!r}, not as moves or a prim say"
                 refuse(message, "", "joints")
             if other in place:
-                first, on_a = place[other], _seen(bodies, other, frame)
+                first, on_a = place[other], seen_by(bodies, other, frame)
             else:
                 anchor = bodies.poses[other]
                 on_a = _within(anchor.at(bodies.begin), frame)
@@ -108,7 +112,7 @@ def _within(pose: FloatArray, frame: FloatArray) -> FloatArray:
     return np.concatenate([at, so3.multiply(back, frame[3:])])
 
 
-def _seen(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
+def seen_by(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
     """Return a frame of the world as the principal axes of a body see it ``(7,)``."""
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     at = pose[:3] + so3.rotate(pose[3:], kind.centre)

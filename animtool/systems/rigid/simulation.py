@@ -16,9 +16,10 @@ from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
 from animtool.sim.system import Energy
+from animtool.systems.particles.forces.force import Force
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import joints_of
+from animtool.systems.rigid.joints import Joints, joints_of
 from animtool.systems.rigid.spec import PushModel, RigidModel
 from animtool.systems.simulation import Diagnostics, SimContext
 
@@ -85,23 +86,24 @@ def going(sheet: Sheet, t: float, end: float) -> Collider:
 
 
 class RigidSimulation:
-    """Bodies of a spec, in steps.
+    """Bodies and joints in steps, among colliders and forces."""
 
-    Raises:
-        OptionError: Something of the spec makes no sense (SIM020, SIM061).
-    """
-
-    def __init__(self, spec: RigidModel, context: SimContext) -> None:
-        self._spec, self._begin = spec, context.begin
-        parts = context.parts
-        self.bodies = Bodies.of_models(spec.bodies, parts["bodies"], context.begin)
-        self.joints = joints_of(spec.joints, parts.get("joints", ()), self.bodies)
-        given = context.colliders
-        self._colliders = Colliders([*given, *self.bodies.colliders()], given.sheets)
+    def __init__(
+        self,
+        spec: RigidModel,
+        begin: float,
+        bodies: Bodies,
+        joints: Joints,
+        colliders: Colliders,
+        forces: Sequence[Force] = (),
+    ) -> None:
+        """Begin at a time [s]."""
+        self._spec, self._begin = spec, begin
+        self.bodies, self.joints = bodies, joints
+        self._colliders, self._forces = colliders, forces
         # Points of surfaces in the last step, and these as colliders.
         self._known: tuple[list[FloatArray], Colliders] | None = None
-        self._forces = parts.get("forces", ())
-        self._kernel = self.bodies.kernel(self.joints.rows, self.joints.numbers)
+        self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
         self._settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -112,9 +114,23 @@ class RigidSimulation:
         )
         self._pushes = [
             (number, push)
-            for number, i in enumerate(self.bodies.dynamic.tolist())
-            for push in self.bodies.kinds[self.bodies.of[i]].model.pushes
+            for number, i in enumerate(bodies.dynamic.tolist())
+            for push in bodies.kinds[bodies.of[i]].model.pushes
         ]
+
+    @staticmethod
+    def of(spec: RigidModel, context: SimContext) -> RigidSimulation:
+        """Return the bodies of a spec.
+
+        Raises:
+            OptionError: Something of it makes no sense (SIM020, SIM061).
+        """
+        parts, given = context.parts, context.colliders
+        bodies = Bodies.of_models(spec.bodies, parts["bodies"], context.begin)
+        joints = joints_of(spec.joints, parts.get("joints", ()), bodies)
+        colliders = Colliders([*given, *bodies.colliders()], given.sheets)
+        forces = parts.get("forces", ())
+        return RigidSimulation(spec, context.begin, bodies, joints, colliders, forces)
 
     def initial(self) -> RigidState:
         """Return where all begin."""
@@ -140,6 +156,10 @@ class RigidSimulation:
             message = f"a force on rigid bodies is not finite at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         motion = self._woken(state.motion, forces, t, dt)
+        joints = self.joints
+        if joints.driven is not None:
+            driven = joints.driven(t + dt)
+            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
         stepped = _kernels.step_rigid(
             self._kernel,
             motion,

@@ -72,6 +72,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
         "corners": np.concatenate([np.zeros(0, np.int64), *corners]).astype(np.int64),
         "joints": joints,
         "joint_numbers": numbers,
+        "apart": rng.integers(0, count, (int(rng.integers(0, 3)), 2)),
     }
 
 

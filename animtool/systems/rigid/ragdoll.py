@@ -1,0 +1,571 @@
+"""The pass `ragdoll`: from a frame on, a rig's colliders are bodies that fall.
+
+Joints with colliders become bodies, joined as the rig joins them, with its limits; what
+is between two of them is stiff, and what is below the last of them moves on as the take
+has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import combinations
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.frames import TransformsFrame
+from animtool.maths import so3
+from animtool.motion import Channel
+from animtool.options import Range, range_faults, ranges_of
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinate_slices,
+    coordinates_from_local,
+)
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.sim.colliders import (
+    Box,
+    Capsule,
+    Collider,
+    Colliders,
+    Plane,
+    Poses,
+    Sphere,
+)
+from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.particles.forces import find_force
+from animtool.systems.rigid.bodies import Bodies, Kind, kind_of
+from animtool.systems.rigid.joints import SWING, Joints, seen_by
+from animtool.systems.rigid.simulation import RigidSimulation, RigidState
+from animtool.systems.rigid.spec import BodyModel, RigidModel
+from animtool.systems.simulation import Reached, SimulationRun
+from animtool.take import Take
+from animtool.units import UpAxis
+
+_SHAPES: dict[str, type[Any]] = {
+    "box": Box, "capsule": Capsule, "plane": Plane, "sphere": Sphere,
+}  # fmt: skip
+_TYPES = {
+    JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
+    JointType.PRISMATIC: 3,
+}  # fmt: skip
+# A limit that a joint is beyond by less is kept [rad].
+KEPT = math.radians(1.0)
+_NOTE = Severity.NOTE
+
+
+def _number(least: float, most: float = 1e9, *, reached: bool = True) -> Range:
+    bound = f"{least:g} or more" if reached else f"more than {least:g}"
+    return Range(bound, "SIM062", least, most, reached, finite=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RagdollCollider:
+    """What a ragdoll falls onto; it does not move."""
+
+    shape: dict[str, dict[str, Any] | None]  # `plane`, `sphere`, `capsule` or `box`
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where it is [m]
+    rotate: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z
+    friction: float = 0.6  # Coulomb's coefficient [1]
+    restitution: float = 0.0  # share of the speed into it that comes back [0, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class RagdollOptions:
+    """What falls, and when."""
+
+    start: float | None = None  # frame that it begins in; None is the first
+    end: float | None = None  # frame from which the take comes back; None is never
+    # Frames over which it takes over, and the take behind `end` [frames].
+    blend: Annotated[float, _number(0.0, 1e6)] = 4.0
+    mass: Annotated[float | None, _number(0.0, reached=False)] = None  # of all [kg]
+    # Where no mass is given [kg/m³].
+    density: Annotated[float, _number(0.0, reached=False)] = 1000.0
+    # How strongly joints are drawn to the pose of the take [N m/rad]; 0 is limp.
+    stiffness: Annotated[float, _number(0.0)] = 0.0
+    # What slows joints [N m s/rad].
+    damping: Annotated[float, _number(0.0)] = 0.5
+    # Downwards along the rig's up axis [m/s²].
+    gravity: Annotated[float, _number(-1e9)] = 9.81
+    friction: Annotated[float, _number(0.0)] = 0.6  # Coulomb's coefficient [1]
+    colliders: tuple[RagdollCollider, ...] = ()  # what it falls onto
+    step: Annotated[float, _number(0.0, 1.0, reached=False)] = 0.005  # [s]
+    substeps: Annotated[int, _number(1.0, 1000.0)] = 8  # small steps in each
+
+
+@dataclass(frozen=True)
+class Ragdoll:
+    """The bodies of a rig at a frame.
+
+    Attributes:
+        rig: With the colliders.
+        joints: That became bodies, ascending ``(N,)``.
+        above: Of each the body that it hangs on, -1 for none ``(N,)``.
+        bodies: In the same order.
+        frames: Of each the frame of its joint at rest, as the body above sees it:
+            origin and quaternion, whose x is the joint's axis ``(N, 7)``.
+        turns: Of each its joint's own axes in its frame ``(N, 4)``.
+    """
+
+    rig: Rig
+    joints: IntArray
+    above: IntArray
+    bodies: Bodies
+    frames: FloatArray
+    turns: FloatArray
+
+
+def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
+    """Return the bodies of a rig in the pose of one frame (SIM062)."""
+    capsules = Capsules.of(rig)
+    if not len(capsules):
+        message = f"none of the joints of {rig.name!r} has colliders: nothing can fall"
+        hint = "give its rig file `colliders`: capsules on joints"
+        raise OptionError(Fault("SIM062", message, hint=hint))
+    _, ends = capsules.turned(world)
+    sizes = capsules.sizes(world)
+    joints = np.unique(capsules.joints)
+    place = {int(j): i for i, j in enumerate(joints)}
+    kinds: list[Kind] = []
+    for j in joints.tolist():
+        own = np.flatnonzero(capsules.joints == j)
+        shapes = []
+        for c in own.tolist():
+            a, b = ends[c]
+            length = float(np.linalg.norm(b - a))
+            axis = (b - a) / length if length else np.array([0.0, 1.0, 0.0])
+            shapes.append(
+                Capsule(float(sizes[c]), length, tuple(axis), tuple((a + b) / 2))
+            )
+        model = BodyModel.model_validate(
+            {
+                "name": rig.joints[j].name,
+                "shapes": [{"shape": {"capsule": None}}] * len(shapes),
+                "density": options.density,
+                "friction": options.friction,
+            }
+        )
+        kinds.append(kind_of(model, {"shapes": [{"shape": one} for one in shapes]}))
+    if options.mass is not None:
+        share = options.mass / sum(kind.mass for kind in kinds)
+        kinds = [
+            replace(kind, mass=kind.mass * share, moments=kind.moments * share)
+            for kind in kinds
+        ]
+    turns = so3.split_scale(world.linear[0])[0]
+    poses = [Poses.fixed(world.positions[0, j], turns[j]) for j in joints]
+    count = len(joints)
+    bodies = Bodies(
+        kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
+    )
+    above = np.array(
+        [
+            next((place[k] for k in rig.upwards(j)[1:] if k in place), -1)
+            for j in joints.tolist()
+        ],
+        np.int64,
+    )
+    frames, own_turns = np.zeros((count, 7)), np.zeros((count, 4))
+    for i, j in enumerate(joints.tolist()):
+        joint = rig.joints[j]
+        own_turns[i] = _axes(joint)
+        at, turn = np.zeros(3), so3.IDENTITY
+        if joint.parent >= 0:
+            at, turn = world.positions[0, joint.parent], turns[joint.parent]
+        rest = so3.multiply(turn, np.array(joint.rotation))
+        frames[i, :3] = world.positions[0, j]
+        if joint.type is JointType.PRISMATIC:
+            frames[i, :3] = at + so3.rotate(turn, np.array(joint.translation))
+        frames[i, 3:] = so3.multiply(rest, own_turns[i])
+    return Ragdoll(rig, joints, above, bodies, frames, own_turns)
+
+
+def _axes(joint: Joint) -> FloatArray:
+    """Return the turn of x to a joint's axis, and of y and z to those of its swing."""
+    if isinstance(joint.limits, BallLimit):
+        return so3.from_matrix(joint.limits.axes.T)
+    x, y, z = np.asarray(joint.axis, np.float64)
+    if joint.type in (JointType.PIN, JointType.PRISMATIC) and x > -1 + 1e-12:
+        return so3.normalize(np.array([0.0, -z, y, 1 + x]))
+    if joint.type in (JointType.PIN, JointType.PRISMATIC):
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    return so3.IDENTITY.copy()
+
+
+def joints_of_rig(
+    ragdoll: Ragdoll, options: RagdollOptions, targets: Callable[[float], FloatArray]
+) -> Joints:
+    """Return the joints between bodies; ``targets`` are numbers of drives at a time."""
+    rig, bodies = ragdoll.rig, ragdoll.bodies
+    hung = np.flatnonzero(ragdoll.above >= 0)
+    rows, numbers = [], []
+    for i in hung.tolist():
+        joint = rig.joints[ragdoll.joints[i]]
+        pose = bodies.poses[i].at(0.0)
+        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.turns[i])])
+        above = int(ragdoll.above[i])
+        rows.append((_TYPES[joint.type], above, i))
+        drive = [options.stiffness, options.damping, -1.0]
+        on_a = seen_by(bodies, above, ragdoll.frames[i])
+        on_b = seen_by(bodies, i, frame)
+        numbers.append([*on_a, *on_b, *_limits(joint), 0.0, *so3.IDENTITY, *drive])
+    made = np.array(numbers, np.float64).reshape(-1, 26)
+
+    def driven(t: float) -> FloatArray:
+        now: FloatArray = made.copy()
+        now[:, 18:23] = targets(t)[hung]
+        return now
+
+    return Joints(
+        np.array(rows, np.int64).reshape(-1, 3),
+        made,
+        [Poses()] * len(hung),
+        apart=_overlapping(ragdoll),
+        driven=driven if options.stiffness else None,
+    )
+
+
+def _limits(joint: Joint) -> list[float]:
+    match joint.limits:
+        case RangeLimit(low=low, high=high):
+            return [low, high, -1.0, -1.0]
+        case BallLimit(swing=swing, twist=twist):
+            low, high = (1.0, 0.0) if twist is None else twist
+            cone = [-1.0, -1.0] if swing is None else np.minimum(swing, SWING).tolist()
+            return [low, high, *cone]
+    return [1.0, 0.0, -1.0, -1.0]
+
+
+def _overlapping(ragdoll: Ragdoll) -> IntArray:
+    """Return pairs of bodies that are in each other where they begin ``(P, 2)``."""
+    placed = []
+    for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
+        pose = poses.at(0.0)
+        placed.append([core.placed(pose[:3], pose[3:]) for core in kind.cores])
+    share = np.linspace(0, 1, 9)[:, None]
+
+    def line(points: FloatArray) -> FloatArray:
+        way: FloatArray = points[0] + share * (points[-1] - points[0])
+        return way
+
+    found = []
+    for i, j in combinations(range(len(placed)), 2):
+        gaps = [
+            np.linalg.norm(line(a.points)[:, None] - line(b.points), axis=2).min()
+            - a.radius
+            - b.radius
+            for a in placed[i]
+            for b in placed[j]
+        ]
+        if min(gaps) < 0:
+            found.append((i, j))
+    return np.array(found, np.int64).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """The take's own pose, as drives see it."""
+
+    ragdoll: Ragdoll
+    times: FloatArray  # of frames (F,) [s]
+    coordinates: FloatArray  # (F, Q)
+    places: Sequence[slice] = field(default=())
+
+    def __call__(self, t: float) -> FloatArray:
+        """Return target and rotation of each body's drive ``(N, 5)`` at a time [s]."""
+        made = np.tile([0.0, *so3.IDENTITY], (len(self.ragdoll.joints), 1))
+        k = int(np.clip(np.searchsorted(self.times, t) - 1, 0, len(self.times) - 2))
+        span = self.times[k + 1] - self.times[k]
+        share = float(np.clip((t - self.times[k]) / span, 0, 1))
+        for i, j in enumerate(self.ragdoll.joints.tolist()):
+            joint, place = self.ragdoll.rig.joints[j], self.places[j]
+            before, after = self.coordinates[k : k + 2, place]
+            if joint.type in (JointType.PIN, JointType.PRISMATIC):
+                made[i, 0] = (before + share * (after - before))[0]
+            elif joint.type in (JointType.BALL, JointType.FREE):
+                turn = so3.slerp(before[-4:], after[-4:], share)
+                own = self.ragdoll.turns[i]
+                back = so3.multiply(so3.conjugate(own), turn)
+                made[i, 1:] = so3.multiply(back, own)
+        return made
+
+
+def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
+    """Return a take whose rig falls from a frame on.
+
+    Args:
+        take: With a rig that has colliders.
+        options: What falls, and when.
+        context: Told the share that is done.
+
+    Raises:
+        OptionError: An option makes no sense, or the rig does not fit (SIM062).
+        ToleranceError: The simulation blew up (SIM102).
+    """
+    _check(options)
+    clock, rig = take.clock, take.rig
+    codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
+    times = (codes - codes[0]) / float(clock.fps)
+    first = _index(options.start, codes, "start", 0)
+    last = _index(options.end, codes, "end", clock.count - 1)
+    if first == clock.count - 1 and options.end is None:
+        return take
+    if last <= first:
+        message = f"end is frame {codes[last]:g}, not behind start, {codes[first]:g}"
+        raise OptionError(Fault("SIM062", message, where="end"))
+    translations, rotations, scales = take.motion.dense()
+    world = forward(rig, translations, rotations, scales)
+    pose = WorldTransforms(
+        world.positions[first : first + 1], world.linear[first : first + 1]
+    )
+    bodies = bodies_of_rig(rig, pose, options)
+    coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
+    targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
+    run = _run(bodies, options, targets, _speeds(bodies, world, times, first))
+    origins, turns = [], []
+    for k in range(first, clock.count):
+        frame = run.at(float(times[k] - times[first]))
+        assert isinstance(frame, TransformsFrame)
+        origins.append(frame.points)
+        turns.append(frame.rotations)
+        if context.progress is not None:
+            context.progress((k + 1 - first) / (clock.count - first))
+    fallen = _locals(
+        bodies,
+        np.array(origins),
+        np.array(turns),
+        translations[first:],
+        rotations[first:],
+    )
+    weights = _weights(codes, first, last, options)[first:]
+    made = [translations.copy(), rotations.copy()]
+    made[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
+    made[1][first:] = so3.slerp(
+        rotations[first:],
+        so3.align_signs(fallen[1], rotations[first]),
+        np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
+    )
+    motion = replace(
+        take.motion,
+        translations=Channel.from_dense(made[0]),
+        rotations=Channel.from_dense(so3.align_signs(made[1])),
+    )
+    context.notices.extend(_notices(bodies, run, fallen, float(codes[first])))
+    return replace(take, motion=motion)
+
+
+def _run(
+    bodies: Ragdoll, options: RagdollOptions, targets: Targets, start: FloatArray
+) -> SimulationRun:
+    down = [0.0, -options.gravity, 0.0]
+    if bodies.rig.up is UpAxis.Z:
+        down = [0.0, 0.0, -options.gravity]
+    make: Any = find_force("gravity")
+    gravity = make(acceleration=tuple(down))
+    spec = RigidModel.model_validate(
+        {
+            "name": "ragdoll",
+            "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
+            "step": options.step,
+            "substeps": options.substeps,
+            "iterations": 32,
+            "sleep": {"speed": 0},
+        }
+    )
+    simulation = RigidSimulation(
+        spec,
+        0.0,
+        bodies.bodies,
+        joints_of_rig(bodies, options, targets),
+        Colliders(_colliders(options)),
+        [gravity],
+    )
+    begun = simulation.initial()
+    motion = begun.motion.copy()
+    motion[:, 7:13] = start
+    state: Reached[RigidState] = Reached(0, replace(begun, motion=motion))
+    return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
+
+
+def _collider(one: RagdollCollider, i: int) -> Collider:
+    where = f"colliders[{i}]"
+    ((name, given),) = one.shape.items() if len(one.shape) == 1 else (("", None),)
+    if name not in _SHAPES:
+        message = f"no shape is {excerpt(name)}; there are {', '.join(sorted(_SHAPES))}"
+        raise OptionError(Fault("SIM062", message, where=f"{where}.shape"))
+    try:
+        shape = TypeAdapter(_SHAPES[name]).validate_python(given or {})
+    except ValidationError as error:
+        what = error.errors()[0]
+        message = f"{'.'.join(map(str, what['loc']))}: {what['msg']}"
+        raise OptionError(Fault("SIM062", message, where=f"{where}.shape")) from error
+    w, x, y, z = one.rotate
+    if not any(one.rotate):
+        message = "its rotation must not be all 0"
+        raise OptionError(Fault("SIM062", message, where=f"{where}.rotate"))
+    made = Collider(
+        shape,
+        Poses.fixed(one.at, (x, y, z, w)),
+        where,
+        friction=one.friction,
+        restitution=one.restitution,
+    )
+    if faults := made.faults(where):
+        raise OptionError(faults)
+    return made
+
+
+def _speeds(
+    bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
+) -> FloatArray:
+    """Return velocities of centres of mass and angular momenta ``(N, 6)``."""
+    k = max(first - 1, 0)
+    pair = slice(k, k + 2)
+    span = float(times[k + 1] - times[k])
+    positions = world.positions[pair, bodies.joints]
+    turns = so3.split_scale(world.linear[pair, bodies.joints])[0]
+    spins = so3.log(so3.multiply(turns[1], so3.conjugate(turns[0]))) / span
+    all_of_them = bodies.bodies
+    arms = so3.rotate(turns[1], all_of_them.centres)
+    velocities = (positions[1] - positions[0]) / span + np.cross(spins, arms)
+    axes = all_of_them.start[:, 3:7]
+    own = so3.rotate(so3.conjugate(axes), spins) * all_of_them.moments
+    return np.concatenate([velocities, so3.rotate(axes, own)], axis=1)
+
+
+def _locals(
+    bodies: Ragdoll,
+    origins: FloatArray,
+    turns: FloatArray,
+    translations: FloatArray,
+    rotations: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return local transforms of all joints: bones keep their lengths.
+
+    What is between two bodies stays as it was at the beginning; what is below the last
+    one goes on as the take has it.
+    """
+    rig = bodies.rig
+    place = {int(j): i for i, j in enumerate(bodies.joints)}
+    stiff = {k for j in place for k in rig.upwards(j)[1:]} - place.keys()
+    moved, turned = translations.copy(), rotations.copy()
+    count, joints = len(origins), len(rig.joints)
+    at, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
+    for j, joint in enumerate(rig.joints):
+        if j in stiff:
+            moved[:, j], turned[:, j] = translations[0, j], rotations[0, j]
+        above = joint.parent
+        if j in place:
+            own = turns[:, place[j]]
+            back = so3.IDENTITY if above < 0 else so3.conjugate(world[:, above])
+            turned[:, j] = so3.multiply(back, own)
+            moved[:, j] = translations[0, j]
+            root = bodies.above[place[j]] < 0
+            if root or joint.type is JointType.PRISMATIC:
+                off = origins[:, place[j]] - (0 if above < 0 else at[:, above])
+                moved[:, j] = so3.rotate(back, off)
+        if above < 0:
+            at[:, j], world[:, j] = moved[:, j], turned[:, j]
+        else:
+            at[:, j] = at[:, above] + so3.rotate(world[:, above], moved[:, j])
+            world[:, j] = so3.multiply(world[:, above], turned[:, j])
+    return moved, turned
+
+
+def _weights(
+    codes: FloatArray, first: int, last: int, options: RagdollOptions
+) -> FloatArray:
+    """Return how much of the fall each frame shows ``(F,)``, smooth at both ends."""
+
+    def ramp(frames: FloatArray) -> FloatArray:
+        whole = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
+        share = np.asarray(whole, np.float64)
+        return share * share * (3 - 2 * share)
+
+    rising = ramp(codes - codes[first])
+    if options.end is None:
+        return rising
+    return np.asarray(rising * (1 - ramp(codes - codes[last])))
+
+
+def _index(frame: float | None, codes: FloatArray, option: str, usual: int) -> int:
+    if frame is None:
+        return usual
+    found = np.flatnonzero(np.abs(codes - frame) < 1e-6)
+    if not len(found):
+        message = f"{option} is frame {frame:g}, and the take has {codes[0]:g} to "
+        raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
+    return int(found[0])
+
+
+def _notices(
+    bodies: Ragdoll,
+    run: SimulationRun,
+    fallen: tuple[FloatArray, FloatArray],
+    begin: float,
+) -> list[Fault]:
+    """Return what became of it, and the limit that was broken most.
+
+    ``fallen``: local transforms of all joints; ``begin``: a frame.
+    """
+    rig = bodies.rig
+    mass = float(bodies.bodies.masses.sum())
+    message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
+    said = [Fault("SIM128", f"{message}fell from frame {begin:g} on", severity=_NOTE)]
+    worst, name = 0.0, ""
+    own = coordinates_from_local(rig, LocalTransforms(*fallen))
+    hung = bodies.joints[bodies.above >= 0].tolist()
+    for j, place in enumerate(coordinate_slices(rig)):
+        limits, values = rig.joints[j].limits, own[:, place]
+        if j not in hung or limits is None:
+            continue
+        if isinstance(limits, RangeLimit):
+            values = values[:, 0]
+        beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
+        if beyond > worst:
+            worst, name = beyond, rig.joints[j].name
+    if worst > KEPT:
+        text = f"joint {name!r} goes {math.degrees(worst):.3g}° beyond its limits"
+        hint = "give shorter steps, or a pose within the limits at `start`"
+        said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
+    return said + [one for one in run.notices if one.code != "SIM126"]
+
+
+def _check(options: RagdollOptions, name: str = "") -> None:
+    faults = [one for one in range_faults(options) if name in ("", one.where)]
+    if faults:
+        raise OptionError(faults)
+
+
+def _checks(options: RagdollOptions) -> OptionChecks:
+    checks: dict[str, Callable[[], object]] = {
+        name: partial(_check, options, name) for name in ranges_of(RagdollOptions)
+    }
+    checks["colliders"] = partial(_colliders, options)
+    return checks
+
+
+def _colliders(options: RagdollOptions) -> list[Collider]:
+    return [_collider(one, i) for i, one in enumerate(options.colliders)]
+
+
+PASS = Pass(
+    "ragdoll",
+    "Let the rig fall from a frame on, as bodies of its colliders",
+    RagdollOptions,
+    Scope.CLIP,
+    ragdoll,
+    _checks,
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
+    changes=frozenset({TakePart.JOINTS}),
+    tells=True,
+)
