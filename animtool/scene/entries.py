@@ -40,13 +40,26 @@ class Place:
         """Return a fault that is here."""
         return self.put(Fault(code, message, hint=hint, severity=severity))
 
+    def key_of(self, fault: Fault) -> str | None:
+        """Return the key that a fault names, or the nearest one around what it names.
+
+        >>> at = Place(Path("a.yaml"), 1, 1, "systems[0]", {"bodies[1]": (4, 7)})
+        >>> at.key_of(Fault("SIM061", "two bodies", where="bodies[1].name"))
+        'bodies[1]'
+        """
+        key = fault.where or ""
+        while key and key not in self.keys:
+            key = key[: max(key.rfind("."), key.rfind("["), 0)]
+        return key or None
+
     def put(self, fault: Fault) -> Fault:
         """Return a fault that has no file as one that is here, or at a key of it."""
         if fault.path is not None:
             return fault
         (line, column), where = (self.line, self.column), self.where
-        if fault.where is not None and fault.where in self.keys:
-            line, column = self.keys[fault.where]
+        key = self.key_of(fault)
+        if key is not None:
+            line, column = self.keys[key]
             where = f"{where}.{fault.where}"
         return replace(
             fault, path=str(self.path), lines=(line,), column=column, where=where
@@ -72,8 +85,13 @@ def place_of_entry(
     document: Document, at: Location, model: FileModel | None = None
 ) -> Place:
     """Return a place in a document, with those of the keys that its model was given."""
-    names = () if model is None else sorted(model.model_fields_set)
-    keys = {name: document.place((*at, name)) for name in names}
+    keys = {}
+    for name in () if model is None else sorted(model.model_fields_set):
+        keys[name] = document.place((*at, name))
+        value = getattr(model, name)
+        for i in range(len(value)) if isinstance(value, list) else ():
+            if isinstance(value[i], FileModel):
+                keys[f"{name}[{i}]"] = document.place((*at, name, i))
     return Place(document.path, *document.place(at), spelled(at), keys)
 
 

@@ -108,7 +108,7 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """
 
     def put(fault: Fault) -> Fault:
-        having = (one for one in members if fault.where in one.place.keys)
+        having = (one for one in members if one.place.key_of(fault))
         return next(having, members[0]).place.put(fault)
 
     try:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -65,27 +66,32 @@ class Kind:
 
 def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     """Return what a model says, its own faults raised (SIM061)."""
+    several = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
-        (part["shape"], np.array(own.at, np.float64), _turn(own.rotate, model.name))
-        for own, part in zip(model.shapes, parts.get("shapes", ()), strict=True)
+        (part["shape"], np.array(own.at, np.float64), _turn(own.rotate, model.name, k))
+        for k, (own, part) in enumerate(several)
     ]
-    if (model.shape is not None) is bool(model.shapes):
-        refuse(f"{model.name!r} has a shape, or several shapes", "shape: {sphere: ...}")
     if model.shape is not None:
+        if shapes:
+            refuse(f"{model.name!r} has a shape and shapes", "keep one", "shapes")
         shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
+    if not shapes:
+        refuse(f"{model.name!r} has no shape", "shape: {sphere: {radius: 0.1}}")
     cores, solids, notices = [], [], []
-    for shape, at, turn in shapes:
+    for k, (shape, at, turn) in enumerate(shapes):
+        key = "shape" if model.shape is not None else f"shapes[{k}]"
         try:
             core = core_of(shape)
         except ValueError as error:
-            refuse(f"a shape of {model.name!r}: {error}")
+            refuse(f"a shape of {model.name!r}: {error}", "", key)
         solid = solid_of(shape, core)
         if isinstance(shape, Mesh) and not convex(shape, solid):
             message = (
                 f"a mesh of {model.name!r} is not convex, or open: its hull is met"
             )
             hint = "make it of several convex shapes"
-            notices.append(_warning("SIM125", message, hint))
+            fault = Fault("SIM125", message, hint=hint, severity=Severity.WARNING)
+            notices.append(replace(fault, where=key))
         cores.append(core.placed(at, turn))
         solids.append(solid.placed(at, turn))
     mass, centre, inertia = _weighed(model, solids)
@@ -161,12 +167,27 @@ def _mesh(cores: Sequence[Core]) -> MeshFrame:
     )
 
 
+def _check_moved(model: BodyModel) -> None:
+    """Refuse what does not go with how a body is moved."""
+    for key in ("moves", "turns", "prim"):
+        if getattr(model, key) and not model.kinematic:
+            message = f"{model.name!r} is moved by what happens to it, not by {key}"
+            refuse(message, "kinematic: true", key)
+    if model.pushes and model.kinematic:
+        refuse(f"{model.name!r} is kinematic: nothing pushes it", "", "pushes")
+    for k, push in enumerate(model.pushes):
+        start, end = push.start, push.end
+        if start is not None and end is not None and end <= start:
+            message = f"a push of {model.name!r} begins at {start:g} s, and ends at "
+            refuse(f"{message}{end:g} s", "", f"pushes[{k}].end")
+
+
 def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
     """Return where copies of a body are in its frame: ``(C, 3)`` and ``(C, 4)``."""
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
-            refuse(f"{model.name!r} has a grid, or points", "", "points")
+            refuse(f"{model.name!r} has a grid and points", "keep one", "points")
         counts = np.array(model.grid.count)
         if counts.prod() > MOST:
             refuse(f"{model.name!r} has more than {MOST} copies", "", "grid")
@@ -225,15 +246,16 @@ class Bodies:
         kinds: list[Kind] = []
         names, of, moved, poses = [], [], [], []
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
-            if model.name in {kind.model.name for kind in kinds}:
-                refuse(f"two bodies are named {model.name!r}", "", "bodies")
-            goes = model.moves or model.turns or model.prim is not None
-            if goes and not model.kinematic:
-                message = f"{model.name!r} is moved by what happens to it, not by moves"
-                refuse(message, "kinematic: true", "bodies")
-            kinds.append(kind_of(model, part))
+            place = f"bodies[{number}]"
+            with _entry(place):
+                if model.name in {kind.model.name for kind in kinds}:
+                    refuse(f"two bodies are named {model.name!r}", "", "name")
+                _check_moved(model)
+                kind = kind_of(model, part)
+                points, turns = copies(model, part)
+            notices = [replace(n, where=f"{place}.{n.where}") for n in kind.notices]
+            kinds.append(replace(kind, notices=notices))
             own: Poses = part["poses"]
-            points, turns = copies(model, part)
             for k, (point, turn) in enumerate(zip(points, turns, strict=True)):
                 several = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if several else model.name)
@@ -379,17 +401,26 @@ def _starts(counts: Sequence[int]) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _turn(wxyz: Sequence[float], name: str) -> FloatArray:
+def _turn(wxyz: Sequence[float], name: str, k: int) -> FloatArray:
     turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse(f"a rotation of {name!r} is all 0", "", "shapes")
+        refuse(f"a rotation of {name!r} is all 0", "", f"shapes[{k}].rotate")
     return so3.normalize(turn)
 
 
-def _warning(code: str, message: str, hint: str) -> Fault:
-    return Fault(code, message, hint=hint, severity=Severity.WARNING)
+@contextmanager
+def _entry(place: str) -> Iterator[None]:
+    """Give refusals of an entry its place, in front of the key that they name."""
+    try:
+        yield
+    except OptionError as error:
+        faults = [
+            replace(fault, where=f"{place}.{fault.where}" if fault.where else place)
+            for fault in error.faults
+        ]
+        raise OptionError(faults) from error
 
 
-def refuse(message: str, hint: str = "", key: str = "bodies") -> NoReturn:
+def refuse(message: str, hint: str = "", key: str = "") -> NoReturn:
     """Raise what of rigid bodies makes no sense (SIM061)."""
     raise OptionError(Fault("SIM061", message, hint=hint or None, where=key or None))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse
@@ -17,7 +17,12 @@ from animtool.systems.rigid.spec import RigidJointModel
 
 _KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
 # What only some types have.
-_OWN = {"limits": ("pin", "prismatic"), "swing": ("ball",), "twist": ("ball",)}
+_OWN = {
+    "limits": ("pin", "prismatic"),
+    "swing": ("ball",),
+    "twist": ("ball",),
+    "drive": ("pin", "ball", "prismatic"),
+}
 # A joint farther from its body than so many times what this reaches is a warning.
 FAR = 4.0
 # Half-angles of a swing are at most so much below 180 degrees, where it has no axis.
@@ -53,38 +58,41 @@ def joints_of(
     notices: list[Fault] = []
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, part) in enumerate(zip(models, parts, strict=True)):
-        name = model.name or f"joints[{i}]"
-        second = bodies.find(model.body, "joints")
+        at = f"joints[{i}]"
+        name = model.name or at
+        second = bodies.find(model.body, f"{at}.body")
         if second not in place:
-            refuse(f"{model.body!r} is kinematic: joints cannot move it", "", "joints")
+            refuse(
+                f"{model.body!r} is kinematic: joints cannot move it", "", f"{at}.body"
+            )
         for option, types in _OWN.items():
             if getattr(model, option) is not None and model.type not in types:
-                message = f"{option} of {name!r} is for {' and '.join(types)}"
-                refuse(message, f"type: {types[0]}", "joints")
+                message = f"{option} of {name!r} is for {listed(types)}"
+                refuse(message, f"type: {types[0]}", f"{at}.{option}")
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
-        frame[3:] = so3.multiply(frame[3:], _axis(model, name))
+        frame[3:] = so3.multiply(frame[3:], _axis(model, name, at))
         on_b = seen_by(bodies, second, frame)
         first, anchor = -1, Poses()
         if model.to is None:
             anchor = poses
-            on_a = np.concatenate([np.zeros(3), _axis(model, name)])
+            on_a = np.concatenate([np.zeros(3), _axis(model, name, at)])
         else:
-            other = bodies.find(model.to, "joints")
+            other = bodies.find(model.to, f"{at}.to")
             if other == second:
-                refuse(f"{name!r} joins {model.body!r} to itself", "", "joints")
+                refuse(f"{name!r} joins {model.body!r} to itself", "", f"{at}.to")
             if len(poses.moments) > 1:
                 message = f"{name!r} goes with {model.to!r}, not as moves or a prim say"
-                refuse(message, "", "joints")
+                refuse(message, "", at)
             if other in place:
                 first, on_a = place[other], seen_by(bodies, other, frame)
             else:
                 anchor = bodies.poses[other]
                 on_a = _within(anchor.at(bodies.begin), frame)
         rows.append((_KINDS[model.type], first, place[second]))
-        numbers.append([*on_a, *on_b, *_limits(model, name), *_drive(model)])
+        numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
-        notices += _far(bodies, second, frame, name)
+        notices += _far(bodies, second, frame, name, at)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, 26),
@@ -93,12 +101,14 @@ def joints_of(
     )
 
 
-def _axis(model: RigidJointModel, name: str) -> FloatArray:
+def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
     """Return the shortest turn of x to the axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     size = float(np.linalg.norm(axis))
     if not size:
-        refuse(f"the axis of {name!r} has no direction", "axis: [0, 1, 0]", "joints")
+        refuse(
+            f"the axis of {name!r} has no direction", "axis: [0, 1, 0]", f"{at}.axis"
+        )
     x, y, z = axis / size
     if x < -1 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])
@@ -119,39 +129,40 @@ def seen_by(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
     return _within(np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame)
 
 
-def _limits(model: RigidJointModel, name: str) -> list[float]:
+def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
     low, high, swing = 1.0, 0.0, [-1.0, -1.0]
-    given = model.twist if model.type == "ball" else model.limits
+    key = "twist" if model.type == "ball" else "limits"
+    given = getattr(model, key)
     if given is not None:
         scale = 1.0 if model.type == "prismatic" else np.pi / 180
         low, high = (value * scale for value in given)
         if low > high:
             message = f"the least of {name!r}, {given[0]:g}, is above the most"
-            refuse(f"{message}, {given[1]:g}", "", "joints")
+            refuse(f"{message}, {given[1]:g}", "", f"{at}.{key}")
     if model.swing is not None:
         pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if min(pair) <= 0:
-            refuse(f"the swing of {name!r} must be above 0", "", "joints")
+            refuse(f"the swing of {name!r} must be above 0", "", f"{at}.swing")
         swing = np.minimum(np.radians(pair), SWING).tolist()
     return [low, high, *swing]
 
 
-def _drive(model: RigidJointModel) -> list[float]:
+def _drive(model: RigidJointModel, at: str) -> list[float]:
     drive = model.drive
     if drive is None:
         return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0]
     turn = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse("the rotation of a drive is all 0", "", "joints")
+        refuse("the rotation of a drive is all 0", "", f"{at}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # The drive sees the joint's own axes.
-    own = _axis(model, model.name)
+    own = _axis(model, model.name, at)
     turn = so3.multiply(so3.multiply(so3.conjugate(own), so3.normalize(turn)), own)
     most = -1.0 if drive.most is None else drive.most
     return [target, *turn, drive.stiffness, drive.damping, most]
 
 
-def _far(bodies: Bodies, i: int, frame: FloatArray, name: str) -> list[Fault]:
+def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[Fault]:
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     off = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(off))
@@ -160,4 +171,5 @@ def _far(bodies: Bodies, i: int, frame: FloatArray, name: str) -> list[Fault]:
     message = f"{name} is {distance:g} m from {bodies.names[i]!r}, which reaches "
     hint = "is its `at` in the world?"
     message += f"{kind.reach:g} m from its centre of mass"
-    return [Fault("SIM127", message, hint=hint, severity=Severity.WARNING)]
+    severity = Severity.WARNING
+    return [Fault("SIM127", message, hint=hint, severity=severity, where=f"{at}.at")]
