@@ -60,6 +60,7 @@ _TYPES = {
 }  # fmt: skip
 # A limit that a joint is beyond by less is kept [rad].
 KEPT = math.radians(1.0)
+KEPT_SLIDE = 0.001  # likewise of a slide [m]
 _NOTE = Severity.NOTE
 
 
@@ -140,6 +141,10 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         own = np.flatnonzero(capsules.joints == j)
         shapes = []
         for c in own.tolist():
+            if not sizes[c] > 0:
+                message = f"a collider of joint {rig.joints[j].name!r} has no size"
+                hint = "give its capsule a radius above 0"
+                raise OptionError(Fault("SIM062", message, hint=hint))
             a, b = ends[c]
             length = float(np.linalg.norm(b - a))
             axis = (b - a) / length if length else np.array([0.0, 1.0, 0.0])
@@ -167,13 +172,14 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
     bodies = Bodies(
         kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
     )
-    above = np.array(
-        [
-            next((place[k] for k in rig.upwards(j)[1:] if k in place), -1)
-            for j in joints.tolist()
-        ],
-        np.int64,
-    )
+    above = np.full(count, -1)
+    tops: dict[int, int] = {}
+    for i, j in enumerate(joints.tolist()):
+        over = [place[k] for k in rig.upwards(j)[1:] if k in place]
+        # Branches below a joint that is no body hang on the first of them.
+        above[i] = over[0] if over else tops.setdefault(_movable(rig, j), i)
+        if above[i] == i:
+            above[i] = -1
     frames, own_turns = np.zeros((count, 7)), np.zeros((count, 4))
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
@@ -187,6 +193,13 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
             frames[i, :3] = at + so3.rotate(turn, np.array(joint.translation))
         frames[i, 3:] = so3.multiply(rest, own_turns[i])
     return Ragdoll(rig, joints, above, bodies, frames, own_turns)
+
+
+def _movable(rig: Rig, joint: int) -> int:
+    """Return the joint that moves a body which hangs on none: a free one, or a root."""
+    upwards = rig.upwards(joint)
+    free = (k for k in upwards if rig.joints[k].type is JointType.FREE)
+    return next(free, upwards[-1])
 
 
 def _axes(joint: Joint) -> FloatArray:
@@ -458,20 +471,24 @@ def _locals(
     place = {int(j): i for i, j in enumerate(bodies.joints)}
     stiff = {k for j in place for k in rig.upwards(j)[1:]} - place.keys()
     moved, turned = translations.copy(), rotations.copy()
+    tops = np.flatnonzero(bodies.above < 0).tolist()
+    movers = {_movable(rig, int(bodies.joints[i])): i for i in tops}
     count, joints = len(origins), len(rig.joints)
     at, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
     for j, joint in enumerate(rig.joints):
         if j in stiff:
             moved[:, j], turned[:, j] = translations[0, j], rotations[0, j]
         above = joint.parent
-        if j in place:
-            own = turns[:, place[j]]
+        if j in place or j in movers:
+            i = movers[j] if j in movers else place[j]
+            on = _on_body(rig, int(bodies.joints[i]), j, translations[0], rotations[0])
+            own = so3.multiply(turns[:, i], on[3:])
             back = so3.IDENTITY if above < 0 else so3.conjugate(world[:, above])
             turned[:, j] = so3.multiply(back, own)
             moved[:, j] = translations[0, j]
-            root = bodies.above[place[j]] < 0
-            if root or joint.type is JointType.PRISMATIC:
-                off = origins[:, place[j]] - (0 if above < 0 else at[:, above])
+            if j in movers or joint.type is JointType.PRISMATIC:
+                origin = origins[:, i] + so3.rotate(turns[:, i], on[:3])
+                off = origin - (0 if above < 0 else at[:, above])
                 moved[:, j] = so3.rotate(back, off)
         if above < 0:
             at[:, j], world[:, j] = moved[:, j], turned[:, j]
@@ -479,6 +496,23 @@ def _locals(
             at[:, j] = at[:, above] + so3.rotate(world[:, above], moved[:, j])
             world[:, j] = so3.multiply(world[:, above], turned[:, j])
     return moved, turned
+
+
+def _on_body(
+    rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
+) -> FloatArray:
+    """Return a joint ``(7,)`` above a body, or its own, as the body sees it in a pose.
+
+    Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
+    """
+    at, turn = np.zeros(3), so3.IDENTITY
+    for k in rig.upwards(body):
+        if k == joint:
+            break
+        at = translations[k] + so3.rotate(rotations[k], at)
+        turn = so3.multiply(rotations[k], turn)
+    back = so3.conjugate(turn)
+    return np.concatenate([-so3.rotate(back, at), back])
 
 
 def _weights(
@@ -520,8 +554,8 @@ def _notices(
     rig = bodies.rig
     mass = float(bodies.bodies.masses.sum())
     message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
-    said = [Fault("SIM128", f"{message}fell from frame {begin:g} on", severity=_NOTE)]
-    worst, name = 0.0, ""
+    message += f"fell from frame {begin:g} on"
+    worst, name, text = 0.0, "", ""
     own = coordinates_from_local(rig, LocalTransforms(*fallen))
     hung = bodies.joints[bodies.above >= 0].tolist()
     for j, place in enumerate(coordinate_slices(rig)):
@@ -531,10 +565,18 @@ def _notices(
         if isinstance(limits, RangeLimit):
             values = values[:, 0]
         beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
-        if beyond > worst:
-            worst, name = beyond, rig.joints[j].name
-    if worst > KEPT:
-        text = f"joint {name!r} goes {math.degrees(worst):.3g}° beyond its limits"
+        slides = rig.joints[j].type is JointType.PRISMATIC
+        share = beyond / (KEPT_SLIDE if slides else KEPT)
+        if share > worst:
+            worst, name = share, rig.joints[j].name
+            size = (
+                f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
+            )
+            text = f"joint {name!r} goes {size} beyond its limits"
+    if text:
+        message += f"; {text}, the most of all"
+    said = [Fault("SIM128", message, severity=_NOTE)]
+    if worst > 1:
         hint = "give shorter steps, or a pose within the limits at `start`"
         said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
     return said + [one for one in run.notices if one.code != "SIM126"]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
 from support.rigid import GRAVITY
 
 from animtool.clock import Clock
@@ -23,10 +24,14 @@ from animtool.rig.kinematics import forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.sim.colliders import Capsule as Shaft
+from animtool.systems.rigid.cores import core_of, solid_of
 from animtool.systems.rigid.ragdoll import RagdollCollider, RagdollOptions, ragdoll
+from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.take import Take
 
 LENGTH = 0.5
+SIDES = {"left": -0.2, "right": 0.2}
 GROUND = RagdollCollider({"plane": None}, at=(0.0, -2.0, 0.0))
 
 
@@ -185,6 +190,118 @@ def test_joints_below_the_last_body_go_on() -> None:
 def test_what_makes_no_sense_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(OptionError, match=words) as error:
         fallen(still(chain()), **options)
+    assert error.value.code == "SIM062"
+
+
+def hung() -> Rig:
+    """Return two links on pins beside a heavy hip with feet on both sides."""
+    rig = chain(2)
+    joints = list(rig.joints)
+    joints[1] = replace(joints[1], translation=(0.0, 0.0, 1.6))
+    feet = [Capsule(0.5, 1.0, (1.0, 0.0, 0.0), (0.0, 0.0, z)) for z in (-0.6, 0.6)]
+    colliders = [Collider("hip", foot) for foot in feet]
+    return replace(
+        rig, joints=tuple(joints), colliders=(*colliders, *rig.colliders[1:])
+    )
+
+
+SHELF = RagdollCollider({"box": {"size": [4, 1, 2.2]}}, friction=1.0)
+
+
+def test_limp_pins_fall_as_a_double_pendulum_of_the_same_masses() -> None:
+    rig = hung()
+    take = still(rig, 25)
+    turns = take.motion.rotations.dense()
+    turns[:, 1] = so3.exp(np.array([0.0, 0.0, math.pi / 2]))
+    take = replace(
+        take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
+    )
+    found = fallen(take, colliders=(SHELF,), damping=0.0)
+    angles = coordinates_from_local(rig, LocalTransforms(*found.motion.dense()[:2]))
+    bone = Shaft(0.03, LENGTH - 0.1)
+    solid = solid_of(bone, core_of(bone))
+    mass, inertia = 1000 * solid.volume, 1000 * solid.inertia[2, 2]
+    arm = LENGTH / 2
+
+    def slopes(_: float, y: np.ndarray) -> np.ndarray:
+        one, two, first, second = y
+        tie = mass * LENGTH * arm
+        mixed = tie * math.cos(one - two)
+        upper = inertia + mass * (arm**2 + LENGTH**2)
+        masses = np.array([[upper, mixed], [mixed, inertia + mass * arm**2]])
+        twist = tie * math.sin(one - two)
+        weight = mass * GRAVITY
+        pull = [
+            twist * second**2 + weight * (arm + LENGTH) * math.sin(one),
+            -twist * first**2 + weight * arm * math.sin(two),
+        ]
+        return np.concatenate([y[2:], np.linalg.solve(masses, -np.array(pull))])
+
+    begin, times = [math.pi / 2, math.pi / 2, 0.0, 0.0], np.arange(25) / 24
+    exact = solve_ivp(slopes, (0, 1), begin, t_eval=times, rtol=1e-8, atol=1e-8).y[:2]
+    swung = np.unwrap(np.cumsum(angles[:, 7:9], axis=1), axis=0)
+    assert_allclose(swung, exact.T, atol=1e-3)
+
+
+def test_energy_never_rises_in_a_limp_one() -> None:
+    take = still(chain(2), 44, 60, speed=1.0)
+    turns = take.motion.rotations.dense()
+    turns[:, 0] = so3.exp(np.array([0.3, 0.0, 0.9]))
+    take = replace(
+        take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
+    )
+    energies = []
+
+    class Watched(RigidSimulation):
+        def step(self, state: RigidState, t: float, dt: float) -> RigidState:
+            energies.append(self.energy(state).total)
+            return super().step(state, t, dt)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("animtool.systems.rigid.ragdoll.RigidSimulation", Watched)
+        fallen(take, colliders=(GROUND,))
+    assert len(energies) > 130
+    size = energies[0] - min(energies)
+    assert size > 1
+    assert np.diff(energies).max() < 1e-9 * size
+
+
+def test_it_falls_the_same_way_every_time() -> None:
+    take = still(chain(2), 13, speed=1.0)
+    one, other = (fallen(take, colliders=(GROUND,), stiffness=3.0) for _ in range(2))
+    for name in ("translations", "rotations"):
+        was, now = (getattr(t.motion, name).dense() for t in (one, other))
+        assert_array_equal(was, now)
+
+
+def test_branches_below_a_joint_that_is_no_body_stay_together() -> None:
+    pin = {"type": JointType.PIN, "axis": (0.0, 0.0, 1.0)}
+    bone = Capsule(0.03, 0.4, (0.0, 1.0, 0.0), (0.0, -0.25, 0.0))
+    joints = [Joint("root", -1), Joint("waist", 0, JointType.FIXED)]
+    joints += [Joint(n, 1, translation=(x, 0, 0), **pin) for n, x in SIDES.items()]
+    rig = Rig("fork", tuple(joints), colliders=tuple(Collider(n, bone) for n in SIDES))
+    under_left = RagdollCollider({"box": {"size": [0.5, 1, 1]}}, at=(-0.4, -1.1, 0.0))
+    take = fallen(still(rig, 37), colliders=(under_left,))
+    world = forward(rig, *take.motion.dense()[:2]).positions
+    assert world[-1, 2, 1] < -0.5
+    assert_allclose(np.linalg.norm(world[:, 2] - world[:, 3], axis=1), 0.4, atol=1e-9)
+    # Joints on the way from body to body only turn, the root alone travels.
+    still_there = take.motion.translations.dense()[:, 1:] - rig.rest_translations[1:]
+    assert_allclose(still_there, 0, atol=1e-12)
+
+
+def test_the_largest_break_of_a_limit_is_told() -> None:
+    take = still(chain(2, RangeLimit(0.1, 0.3)), 9)
+    found = fallen(take)
+    note, warning = found.notices
+    assert (note.code, warning.code) == ("SIM128", "SIM129")
+    assert "'link 0' goes 5.7° beyond its limits" in note.message
+
+
+def test_a_collider_without_a_size_is_refused() -> None:
+    flat = Collider("link 0", Capsule(0.0, 0.2))
+    with pytest.raises(OptionError, match="joint 'link 0' has no size") as error:
+        fallen(still(replace(chain(), colliders=(flat,))))
     assert error.value.code == "SIM062"
 
 
