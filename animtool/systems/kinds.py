@@ -27,8 +27,13 @@ class SystemKind:
     build: str = ""
 
 
-def system_kind(module: str, description: str, example: dict[str, Any]) -> SystemKind:
-    """Return a kind whose module has a `Spec` and a `build`; all else is derived."""
+def system_kind(
+    module: str, description: str, example: dict[str, Any], *, surface: bool = False
+) -> SystemKind:
+    """Return a kind whose module has a `Spec` and a `build`; all else is derived.
+
+    ``surface``: whether its frames are of meshes, which others may run into.
+    """
     scene = "animtool.scene.systems"
     return SystemKind(
         f"{module}:Spec",
@@ -37,6 +42,7 @@ def system_kind(module: str, description: str, example: dict[str, Any]) -> Syste
         f"{scene}.derived:read_spec",
         f"{scene}.derived:open_spec",
         f"{scene}.trial:spec_trial",
+        surface=surface,
         build=f"{module}:build",
     )
 
@@ -75,6 +81,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             "bodies": [{"name": "crate", "shape": {"box": {"size": [1, 1, 1]}}}],
             "colliders": [{"shape": {"plane": None}}],
         },
+        surface=True,
     ),
     "rope": _springs(
         "RopeModel",

@@ -9,8 +9,11 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
+from animtool.maths import so3
+from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Colliders
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
@@ -118,6 +121,10 @@ class StoppedError(ToleranceError):
         self.stats = stats
 
 
+# Half the thickness of a surface that is that of a body [m].
+SKIN = 1e-3
+
+
 class SimulationRun:
     """Takes a simulation through time in steps of one length, and looks at any time.
 
@@ -145,6 +152,9 @@ class SimulationRun:
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
         self.taken = 0
+        # States that who looks at the surface may still ask for, from the latest.
+        self._kept: list[Reached[Any]] | None = None
+        self._surfaces: list[Surface] = []
         self._seen = self.state.state, self.time(self.state.steps)
         self._empty: bool | None = None  # None before the first look
 
@@ -160,7 +170,7 @@ class SimulationRun:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
         while self.state.steps < whole:
-            self.state = self._stepped(self.state, self.time(self.state.steps + 1))
+            self._go_on()
         now = self.time(whole)
         part = t > now + ON_STEP * self.step_length
         state = self._stepped(self.state, t) if part else self.state
@@ -169,9 +179,47 @@ class SimulationRun:
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
+    def _go_on(self) -> None:
+        """Take a whole step."""
+        self.state = self._stepped(self.state, self.time(self.state.steps + 1))
+        if self._kept is not None:
+            self._kept.append(self.state)
+
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
         return self.begin + steps * self.step_length
+
+    radius = SKIN  # half the thickness of its surface [m]
+    closed = True  # its surface is met from outside alone
+
+    def watched(self, begin: float, step: float) -> Surface:  # noqa: ARG002
+        """Return its surface, which others run into."""
+        if self._kept is None:
+            self._kept = [self.state]
+        self._surfaces.append(Surface(self))
+        return self._surfaces[-1]
+
+    def look(self, t: float) -> Frame:
+        """Return what there is at a time since the last that was forgotten [s]."""
+        assert self._kept is not None
+        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        while self.state.steps < whole:
+            self._go_on()
+        state = next(one for one in reversed(self._kept) if one.steps <= whole)
+        now = self.time(state.steps)
+        if t > now + ON_STEP * self.step_length:
+            state = self._stepped(state, t)
+        return self.simulation.frame(state.state, max(t, now))
+
+    def forget(self) -> None:
+        """Let go of the states that nobody asks for any more."""
+        assert self._kept is not None
+        t = min(surface.since for surface in self._surfaces)
+        if t == -math.inf:
+            return
+        whole = math.floor((t - self.begin) / self.step_length + ON_STEP)
+        first = [k for k, one in enumerate(self._kept) if one.steps <= whole]
+        del self._kept[: first[-1] if first else 0]
 
     def _stepped(self, state: Reached[Any], until: float) -> Reached[Any]:
         """Return the state at the end of a step, or of a part of one [s]."""
@@ -206,3 +254,56 @@ class SimulationRun:
         """Return what became of it, as plain values."""
         values = dict(self.diagnostics.values)
         return {"name": self.name, "steps": self.taken, **values} if values else {}
+
+
+# Looks at a surface that are kept: both ends of a step, and those within.
+LOOKS = 4
+
+
+class Surface:
+    """The meshes of a simulation, as others run into them: one surface."""
+
+    def __init__(self, run: SimulationRun) -> None:
+        self._run = run
+        self.since = -math.inf  # no time before will be asked for [s]
+        self._looks: dict[float, FloatArray] = {}
+        self._faces: IntArray | None = None
+
+    def points(self, t: float) -> FloatArray:
+        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        if t not in self._looks:
+            while len(self._looks) >= LOOKS:
+                del self._looks[min(self._looks)]
+            self._looks[t] = self._placed(self._run.look(t))
+        return self._looks[t]
+
+    def _placed(self, frame: Frame) -> FloatArray:
+        if not isinstance(frame, TransformsFrame):
+            return frame.points
+        rows = [
+            so3.rotate(turn, scale * frame.meshes[mesh].points) + at
+            for at, turn, scale, mesh in zip(
+                frame.points, frame.rotations, frame.scales, frame.copied, strict=True
+            )
+        ]
+        return np.concatenate(rows) if rows else np.zeros((0, 3))
+
+    def triangles(self, t: float) -> IntArray:
+        """Return corners of its triangles ``(T, 3)``: always the same."""
+        if self._faces is None:
+            frame = self._run.look(t)
+            meshes: Sequence[Any] = [frame]
+            if isinstance(frame, TransformsFrame):
+                meshes = [frame.meshes[k] for k in frame.copied]
+            faces, base = [np.zeros((0, 3), np.int64)], 0
+            for mesh in meshes:
+                faces.append(triangulated(mesh.counts, mesh.indices) + base)
+                base += len(mesh.points)
+            self._faces = np.concatenate(faces)
+        return self._faces
+
+    def forget(self, t: float) -> None:
+        """Take note that no time before one will be asked for [s]."""
+        if t > self.since:
+            self.since = t
+            self._run.forget()

@@ -255,7 +255,7 @@ class FlocksModel(SystemSpec):
         default=[],
     )
     systems: list[SystemSurfaceModel] = key(
-        "Cloth and volumes of the scene that they do not enter.",
+        "Cloth, volumes and rigid bodies of the scene that they do not enter.",
         [{"system": "flag"}],
         default=[],
     )

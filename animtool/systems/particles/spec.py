@@ -136,7 +136,7 @@ class ParticlesModel(SystemSpec):
         default=[],
     )
     systems: list[SystemSurfaceModel] = key(
-        "Cloth and volumes of the scene that they run into, as thick as "
+        "Cloth, volumes and rigid bodies of the scene that they run into, as thick as "
         "their `radius`.",
         [{"system": "flag", "friction": 0.3}],
         default=[],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import Joints, joints_of
 from animtool.systems.rigid.spec import PushModel, RigidModel
-from animtool.systems.simulation import Diagnostics, SimContext
+from animtool.systems.simulation import Diagnostics, SimContext, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
@@ -50,8 +50,8 @@ class RigidState:
     """
 
     motion: FloatArray
-    pairs: IntArray
-    contacts: FloatArray
+    pairs: IntArray = field(metadata=growing())
+    contacts: FloatArray = field(metadata=growing())
     held: FloatArray
     deepest: FloatArray
     pressing: int = 0

@@ -262,7 +262,7 @@ class RigidModel(SystemSpec):
         default=[],
     )
     systems: list[SystemSurfaceModel] = key(
-        "Cloth and volumes of the scene that they run into.",
+        "Cloth, volumes and other rigid bodies of the scene that they run into.",
         [{"system": "flag"}],
         default=[],
     )
