@@ -26,7 +26,7 @@ from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.systems.character_motion import CharacterCollider
 from animtool.scene.systems.surroundings import MovingMesh, SurfaceCollider
-from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
+from animtool.sim.colliders import SHAPES, Collider, Mesh, Poses
 from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
@@ -39,13 +39,6 @@ from animtool.systems.fields import (
 if TYPE_CHECKING:
     from animtool.systems.particles.forces.force import Force
 
-SHAPES: dict[str, type[Any]] = {
-    "box": Box,
-    "capsule": Capsule,
-    "mesh": Mesh,
-    "plane": Plane,
-    "sphere": Sphere,
-}
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Kind = TypeVar("Kind")

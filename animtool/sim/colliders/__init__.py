@@ -9,10 +9,19 @@ from animtool.sim.colliders.colliding import (
     collide,
 )
 from animtool.sim.colliders.on_joints import joint_poses, rig_colliders
-from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Shape, Sphere
+from animtool.sim.colliders.shapes import (
+    SHAPES,
+    Box,
+    Capsule,
+    Mesh,
+    Plane,
+    Shape,
+    Sphere,
+)
 from animtool.sim.colliders.sheets import Sheet, SheetMotion
 
 __all__ = [
+    "SHAPES",
     "Box",
     "Capsule",
     "Collided",

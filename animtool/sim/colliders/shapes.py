@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -179,6 +179,14 @@ class Mesh:
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
+# By the names that files have for them.
+SHAPES: dict[str, type[Any]] = {
+    "box": Box,
+    "capsule": Capsule,
+    "mesh": Mesh,
+    "plane": Plane,
+    "sphere": Sphere,
+}
 
 
 def _unit(direction: Vector) -> FloatArray:

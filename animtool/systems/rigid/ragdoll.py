@@ -32,15 +32,7 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import (
-    Box,
-    Capsule,
-    Collider,
-    Colliders,
-    Plane,
-    Poses,
-    Sphere,
-)
+from animtool.sim.colliders import SHAPES, Capsule, Collider, Colliders, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.particles.forces import find_force
 from animtool.systems.rigid.bodies import Bodies, Kind, kind_of
@@ -51,9 +43,8 @@ from animtool.systems.simulation import Reached, SimulationRun
 from animtool.take import Take
 from animtool.units import UpAxis
 
-_SHAPES: dict[str, type[Any]] = {
-    "box": Box, "capsule": Capsule, "plane": Plane, "sphere": Sphere,
-}  # fmt: skip
+# A mesh is read from files, which a pass has none of.
+_SHAPES = {name: kind for name, kind in SHAPES.items() if name != "mesh"}
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
