@@ -53,7 +53,8 @@ def _line(mesh: MeshReport) -> str:
         moves = f"{counted(written.samples, 'frame')}, {size_text(written.bytes)}"
     many = counted(written.vertices, "vertex", "vertices")
     if mesh.simulated:
-        many = counted(written.vertices, "particle")
+        nouns = ("body", "bodies") if mesh.kind == "rigid" else ("particle",)
+        many = counted(written.vertices, *nouns)
         many = f"up to {many}" if mesh.kind == "particles" else many
     return (
         f"    {mesh.name}: {many}, {moves}, "

@@ -53,6 +53,13 @@ def test_all_dominoes_fall_one_by_one(printed: Printed) -> None:
     assert (np.diff(fallen) >= -1).all()
 
 
+def test_a_bake_counts_bodies(printed: Printed) -> None:
+    baked(printed, "dominoes")
+    scene = "samples/dominoes/dominoes.scene.yaml"
+    said = printed.stderr(f"animtool bake {scene} -o dominoes.usdc")
+    assert "row: 59 bodies, 72 frames" in said
+
+
 def test_the_ball_goes_through_the_wall_and_hangs_on(printed: Printed) -> None:
     output = baked(printed, "wrecking_ball")
     places = np.array(attribute(output, "/wrecking_ball/yard", "positions", 96))
@@ -62,6 +69,8 @@ def test_the_ball_goes_through_the_wall_and_hangs_on(printed: Printed) -> None:
     assert places[:, 6, 2].max() > 1.5
     wall = places[:, 7:]
     assert wall[0, :, 1].max() > 2
+    # It stands until the ball comes.
+    assert np.abs(wall[:20] - wall[0]).max() < 1e-3
     assert wall[-1, :, 1].mean() < 0.5
     # Brick by brick above the ground, but for a corner that is turned down.
     assert wall[..., 1].min() > 0.09
