@@ -60,6 +60,9 @@ class TransformsFrame:
     copied: IntArray  # which of the meshes each is (N,)
     meshes: tuple[MeshFrame, ...]  # about their own origins, the same in every frame
     primvars: Primvars = field(default_factory=dict)
+    # Of each, the same in every frame, where each becomes a prim of its own; else none.
+    names: tuple[str, ...] = ()
+    still: frozenset[int] = frozenset()  # places of those with names that never move
 
 
 Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame | TransformsFrame

@@ -5,13 +5,13 @@ How a type of frame becomes a prim is a row of `FORMS`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Vt
+from pxr import Gf, Sdf, Vt
 
 from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.frames import (
@@ -23,8 +23,23 @@ from animtool.frames import (
 )
 from animtool.maths import so3
 from animtool.maths.faces import triangulated, vertex_normals
-from animtool.usd.finite import Labels, check_value, largest, narrowed, rounded
-from animtool.usd.layers import attribute, prim, relationship
+from animtool.similar import distinct
+from animtool.usd.finite import (
+    Labels,
+    check_value,
+    largest,
+    narrowed,
+    rounded,
+)
+from animtool.usd.layers import (
+    attribute,
+    author_order,
+    prim,
+    quaternion,
+    relationship,
+    vector,
+)
+from animtool.usd.names import legal_name
 from animtool.usd.point_based import (
     ATTRIBUTES,
     CachedMesh,
@@ -52,6 +67,17 @@ class FrameForm(Generic[FrameT]):
     def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
         """Return whether the shape may be another at another frame."""
         return False
+
+    def kinds(self, frame: FrameT) -> dict[str, Kind]:
+        """Return what has samples, in order, by name, as `place_of` reads them."""
+        kinds = {name: ATTRIBUTES[name] for name in self.sampled}
+        for name, values in frame.primvars.items():
+            kinds[f"primvars:{name}"] = _primvar_kind(name, values)
+        kinds["extent"] = ATTRIBUTES["extent"]
+        return kinds
+
+    def divide(self, spec: Any, frame: FrameT) -> None:
+        """Write prims below the prim that have samples."""
 
     def describe(self, spec: Any, frame: FrameT, unit: float) -> None:
         """Write what else the prim is, which no frame changes."""
@@ -146,11 +172,7 @@ class _Transforms(FrameForm[TransformsFrame]):
 
     def describe(self, spec: Any, frame: TransformsFrame, unit: float) -> None:
         """Write the meshes below the prim."""
-        above = prim(spec.layer, f"{spec.path}/Prototypes", "Scope")
-        paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(frame.meshes))]
-        for path, mesh in zip(paths, frame.meshes, strict=True):
-            author_still(spec.layer, path, mesh, unit)
-        relationship(spec, "prototypes", *paths)
+        relationship(spec, "prototypes", *author_prototypes(spec, frame.meshes, unit))
 
     def values(
         self,
@@ -176,6 +198,107 @@ class _Transforms(FrameForm[TransformsFrame]):
         }
 
 
+class _Xforms(FrameForm[TransformsFrame]):
+    """Copies with names: an Xform each, with a mesh that refers to a prototype."""
+
+    type_name = "Xform"
+    points = ""
+
+    def kinds(self, frame: TransformsFrame) -> dict[str, Kind]:
+        """Return the operations of those that move."""
+        return {
+            f"{part}.{name}": kind
+            for i, part in enumerate(part_names(frame.names))
+            if i not in frame.still
+            for name, kind in _OPERATIONS.items()
+        }
+
+    def divide(self, spec: Any, frame: TransformsFrame) -> None:
+        """Write the Xforms, in order."""
+        for part in part_names(frame.names):
+            prim(spec.layer, f"{spec.path}/{part}", "Xform")
+
+    def describe(self, spec: Any, frame: TransformsFrame, unit: float) -> None:
+        """Write meshes, in which order operations follow, and where the still ones are.
+
+        The prototypes are a class, which nothing shows.
+        """
+        layer, paths = spec.layer, author_prototypes(spec, frame.meshes, unit)
+        layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
+        for i, part in enumerate(part_names(frame.names)):
+            own = layer.GetPrimAtPath(f"{spec.path}/{part}")
+            names = list(_OPERATIONS)
+            if i in frame.still:
+                for name, value in zip(names, _placed(frame, i, unit), strict=True):
+                    attribute(own, name, _OPERATIONS[name].type_name, value)
+            if not (frame.scales[i] == 1.0).all():
+                scale = Gf.Vec3f(*frame.scales[i].tolist())
+                attribute(own, "xformOp:scale", _TYPES.Float3, scale)
+                names.append("xformOp:scale")
+            author_order(own, *names)
+            mesh = prim(layer, f"{own.path}/mesh")
+            mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
+
+    def values(
+        self,
+        writer: FrameWriter,
+        frame: TransformsFrame,
+        points: Float32Array,  # noqa: ARG002
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, Any]:
+        """Return where those are that move."""
+        return {
+            f"{part}.{name}": value
+            for i, part in enumerate(writer.parts)
+            if i not in frame.still
+            for name, value in zip(
+                _OPERATIONS, _placed(frame, i, writer.unit), strict=True
+            )
+        }
+
+
+# Operations of an Xform; a value is what USD takes already.
+_OPERATIONS = {
+    "xformOp:translate": Kind(_TYPES.Double3, Gf.Vec3d),
+    "xformOp:orient": Kind(_TYPES.Quatd, Gf.Quatd),
+}
+PROTOTYPES = "Prototypes"
+
+
+def _placed(frame: TransformsFrame, i: int, unit: float) -> tuple[Any, Any]:
+    """Return translation, in a unit [m], and rotation of a copy."""
+    return vector(frame.points[i] / unit), quaternion(frame.rotations[i])
+
+
+def part_names(names: Sequence[str]) -> list[str]:
+    """Return legal and distinct names of copies.
+
+    >>> part_names(["brick[3]", "brick_3"])
+    ['brick_3', 'brick_3_2']
+    """
+    legal = [legal_name(name.removesuffix("]")) for name in names]
+    return distinct([PROTOTYPES, *legal])[1:]
+
+
+def author_prototypes(spec: Any, meshes: Sequence[MeshFrame], unit: float) -> list[str]:
+    """Write meshes below a prim; return their paths."""
+    above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
+    for path, mesh in zip(paths, meshes, strict=True):
+        author_still(spec.layer, path, mesh, unit)
+    return paths
+
+
+def place_of(path: str, name: str) -> tuple[str, str]:
+    """Return the prim that has an attribute of a writer at a path, and its name there.
+
+    >>> place_of("/it", "points"), place_of("/it", "brick_3.xformOp:orient")
+    (('/it', 'points'), ('/it/brick_3', 'xformOp:orient'))
+    """
+    part, _, own = name.rpartition(".")
+    return f"{path}/{part}" if part else path, own
+
+
 def _corners(points: FloatArray) -> FloatArray:
     """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
     ends = np.stack([points.min(axis=0), points.max(axis=0)])
@@ -188,6 +311,13 @@ FORMS: dict[type[Frame], FrameForm[Any]] = {
     PointsFrame: _Points(),
     TransformsFrame: _Transforms(),
 }
+_XFORMS = _Xforms()
+
+
+def form_of(frame: Frame) -> FrameForm[Any]:
+    """Return how a frame is written."""
+    named = isinstance(frame, TransformsFrame) and frame.names
+    return _XFORMS if named else FORMS[type(frame)]
 
 
 def _primvar_kind(name: str, values: npt.NDArray[Any]) -> Kind:
@@ -229,16 +359,21 @@ class FrameWriter:
         """Faces of the first frame as triangles ``(T, 3)``."""
         return triangulated(self._first.counts, self._first.indices)
 
+    @cached_property
+    def parts(self) -> list[str]:
+        """Names of the prims below, of a frame that has names."""
+        return part_names(self._first.names)
+
     def begin(self, layer: Any, frame: Frame) -> None:
         """Write the prim of a first frame: attributes, and what no frame changes."""
-        self._first, form = frame, FORMS[type(frame)]
-        self._kinds = {name: ATTRIBUTES[name] for name in form.sampled}
-        for name, values in frame.primvars.items():
-            self._kinds[f"primvars:{name}"] = _primvar_kind(name, values)
-        self._kinds["extent"] = ATTRIBUTES["extent"]
+        self._first, form = frame, form_of(frame)
+        self._kinds = form.kinds(frame)
         spec = prim(layer, self.report.path, form.type_name)
+        form.divide(spec, frame)
         for name, kind in self._kinds.items():
-            attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
+            place, own = place_of(self.report.path, name)
+            owner = layer.GetPrimAtPath(place)
+            attribute(owner, own, kind.type_name, interpolation=kind.interpolation)
         self.report.sampled = list(self._kinds)
         tears = form.tears(frame)
         for name, values in form.shape(frame).items():
@@ -250,7 +385,14 @@ class FrameWriter:
 
     def values(self, code: float, frame: Frame) -> tuple[dict[str, Any], int]:
         """Return attributes of a frame, counted in the report, and their bytes."""
-        report, form = self.report, FORMS[type(frame)]
+        report, form = self.report, form_of(frame)
+        if not form.points:
+            held = dict(form.values(self, frame, np.zeros((0, 3), np.float32), code))
+            size = 28 * len(held)  # half of them three doubles, half of them four
+            report.vertices = len(frame.points)
+            report.samples += 1
+            report.bytes += size
+            return held, size
         points, error, vertex = self._rounded(form.points, frame.points, code)
         values = {form.points: points, **form.values(self, frame, points, code)}
         for name, array in frame.primvars.items():
@@ -278,7 +420,7 @@ class FrameWriter:
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
         """Write the value of an attribute at a time code; the first is its default."""
-        path = f"{self.report.path}.{name}"
+        path = ".".join(place_of(self.report.path, name))
         if name not in self._letters:
             spec = layer.GetAttributeAtPath(path)
             self._letters[name] = largest(spec.typeName)
@@ -303,7 +445,8 @@ class FrameWriter:
         return rows[0], error, vertex
 
     def _labels(self, name: str) -> Labels:
-        return Labels(f"{self.report.path}.{name}", "point")
+        place, own = place_of(self.report.path, name)
+        return Labels(f"{place}.{own}", "" if "." in name else "point")
 
 
 def author_still(layer: Any, path: str, frame: Frame, unit: float) -> None:

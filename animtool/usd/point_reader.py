@@ -44,6 +44,14 @@ class PointReader:
         """Time codes of the samples; none where the points never move."""
         return list(self.attr.GetTimeSamples())
 
+    @property
+    def moments(self) -> list[float]:
+        """Time codes of the samples of its points and of what places it."""
+        stage, paths = self.prim.GetStage(), self.prim.GetPath().GetPrefixes()
+        above = [UsdGeom.Xformable(stage.GetPrimAtPath(path)) for path in paths]
+        placing = (prim.GetTimeSamples() for prim in above if prim)
+        return sorted({*self.times}.union(*placing))
+
     def has(self, name: str) -> bool:
         """Return whether the prim states values of an attribute."""
         attribute = self.prim.GetAttribute(name)
@@ -168,7 +176,7 @@ class PointSource:
 
     def codes(self, name: str) -> list[float]:
         """Return the time codes of a prim's samples; none where it never moves."""
-        return [float(code) for code in self._readers[name].times]
+        return [float(code) for code in self._readers[name].moments]
 
     def at(self, name: str, code: float | None) -> PointSample:
         """Return what a prim has at a time code; None is the default.

@@ -21,7 +21,7 @@ from animtool.usd.chunks import (
     author_span,
     growing_crate,
 )
-from animtool.usd.frame_writer import FrameWriter
+from animtool.usd.frame_writer import FrameWriter, place_of
 from animtool.usd.layers import (
     StageMetadata,
     attribute,
@@ -147,7 +147,8 @@ def _put(
 def _declare(layer: Any, writers: Sequence[FrameWriter], whole: Any) -> None:
     """Make the attributes that have samples, as another layer has them."""
     for report in (writer.report for writer in writers):
-        own = whole.GetPrimAtPath(report.path).attributes
-        spec = prim(layer, report.path, over=True)
+        prim(layer, report.path, over=True)
         for name in report.sampled:
-            attribute(spec, name, own[name].typeName)
+            path, own = place_of(report.path, name)
+            kind = whole.GetPrimAtPath(path).attributes[own].typeName
+            attribute(prim(layer, path, over=True), own, kind)

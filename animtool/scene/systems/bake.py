@@ -246,4 +246,8 @@ def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
 def _is_other(target: RigTarget, path: str) -> bool:
     """Return whether a shot has another prim there than an earlier bake's."""
     prim = target.stage.GetPrimAtPath(target.on_stage(path))
-    return bool(prim) and not any(map(prim.IsA, ("PointBased", "PointInstancer")))
+    if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
+        return False
+    # Copies with names are Xforms, whose prototypes are a class.
+    prototypes = prim.GetChild("Prototypes")
+    return not (prototypes and prototypes.IsAbstract())

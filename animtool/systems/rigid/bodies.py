@@ -269,6 +269,12 @@ class Bodies:
         )
 
     @cached_property
+    def still(self) -> frozenset[int]:
+        """Those that go as they are told, which is nowhere."""
+        told = np.flatnonzero(~self.moved).tolist()
+        return frozenset(i for i in told if len(self.poses[i].moments) == 1)
+
+    @cached_property
     def masses(self) -> FloatArray:
         """Masses of those that are moved ``(N,)`` [kg]."""
         return np.array([kind.mass for kind in self.kinds])[self.of[self.dynamic]]

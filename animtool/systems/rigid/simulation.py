@@ -311,6 +311,8 @@ class RigidSimulation:
             np.ones((count, 3)),
             bodies.of,
             meshes,
+            names=tuple(bodies.names) if self._spec.prims == "xforms" else (),
+            still=bodies.still,
         )
 
     def energy(self, state: RigidState) -> Energy:

@@ -292,6 +292,12 @@ class RigidModel(SystemSpec):
         1e-5,
         default=1e-4,
     )
+    prims: Literal["instancer", "xforms"] = key(
+        "What they are written as: one `instancer`, or `xforms`, a prim for each body, "
+        "named as it.",
+        "xforms",
+        default="instancer",
+    )
     sleep: SleepModel = key(
         "When bodies that hardly move are left alone.",
         {"speed": 0},
