@@ -51,7 +51,7 @@ class PointPrim:
     # `meshes` of a PointInstancer; empty where there is none.
     pieces: str
     piece_count: tuple[int, int]  # least and most of these
-    samples: int  # of the points; 0 where they never move
+    samples: int  # of the points, and of what places them; 0 where they never move
     first: float | None  # time code of the first; None where there is none
     last: float | None  # time code of the last; likewise
     # Whether the same points stay, joined alike, as far as numbers of points, ids at
@@ -138,13 +138,14 @@ def displaced_points(path: Path) -> list[PointPrim]:
     """Return the prims of a stage whose points have samples."""
     with usd_errors(path):
         stage = open_stage(path)
-        found = [_described(prim) for prim in point_prims(stage)]
-        return [one for one in found if one.samples]
+        moving = (prim for prim in point_prims(stage) if PointReader(prim).times)
+        return [_described(prim) for prim in moving]
 
 
 def _described(prim: Any) -> PointPrim:
     reader = PointReader(prim)
     times, copies, has = reader.times, reader.copies, reader.has
+    moments = reader.moments
     codes = codes_of(times)
     counts = lengths(reader.attr, codes)
     kind = str(prim.GetTypeName())
@@ -161,9 +162,9 @@ def _described(prim: Any) -> PointPrim:
         _span(counts),
         pieces,
         _span(many),
-        len(times),
-        times[0] if times else None,
-        times[-1] if times else None,
+        len(moments),
+        moments[0] if moments else None,
+        moments[-1] if moments else None,
         len({*counts} - {None}) < 2
         and not (shape and shape.ValueMightBeTimeVarying())
         and _same_ids(prim, times),

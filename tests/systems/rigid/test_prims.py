@@ -15,6 +15,7 @@ from support.simulated import Simulator
 from animtool import BakeOptions
 from animtool.report.compare_points import compare_points
 from animtool.units import LengthUnit, UpAxis
+from animtool.usd.simulated_read import describe_points
 
 BODIES = [
     box([0.4, 0.2, 0.2], at=[0, 1, 0], spin=[90, 200, 0])
@@ -90,3 +91,12 @@ def test_diff_sees_where_bodies_go(tmp_path: Path) -> None:
     other = compare_points(tmp_path / "c.usdc", paths[1])
     assert other is not None
     assert other.points.value == pytest.approx(0.5)
+
+
+def test_info_counts_samples_of_what_places_a_mesh(tmp_path: Path) -> None:
+    stage = _stage(tmp_path / "a", "xforms")
+    found = describe_points(Path(stage.GetRootLayer().realPath))
+    assert found is not None
+    assert found.frames == 9
+    assert [prim.samples for prim in found.prims] == [9, 9, 9, 0, 9]
+    assert (found.prims[0].first, found.prims[0].last) == (1.0, 9.0)
