@@ -66,6 +66,12 @@ class Kind:
 
 def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     """Return what a model says, its own faults raised (SIM061)."""
+    for key in ("velocity", "spin") if model.kinematic else ():
+        if key in model.model_fields_set:
+            message = f"{model.name!r} is kinematic: its moves say how fast it is"
+            refuse(message, f"no {key}", key)
+    if model.mass is not None and "density" in model.model_fields_set:
+        refuse(f"{model.name!r} has a mass and a density", "keep one", "density")
     several = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
         (part["shape"], np.array(own.at, np.float64), _turn(own.rotate, model.name, k))

@@ -151,6 +151,11 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
     drive = model.drive
     if drive is None:
         return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0]
+    ball = model.type == "ball"
+    if ("target" if ball else "rotation") in drive.model_fields_set:
+        wrong, right = ("target", "rotation") if ball else ("rotation", "target")
+        message = f"the drive of a {model.type} has a {right}, not a {wrong}"
+        refuse(message, f"{right}: ...", f"{at}.drive.{wrong}")
     turn = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
         refuse("the rotation of a drive is all 0", "", f"{at}.drive")

@@ -105,6 +105,22 @@ REFUSED = {
         "bodies[1].turns",
         "turns",
     ),
+    "velocity of what is moved": (
+        body(kinematic=True, velocity=[1, 0, 0]),
+        "bodies[1].velocity",
+        "kinematic",
+    ),
+    "mass and density": (body(mass=1, density=2), "bodies[1].density", "keep one"),
+    "target of a ball": (
+        joint(type="ball", drive={"stiffness": 1, "target": 3}),
+        "joints[1].drive.target",
+        "rotation",
+    ),
+    "rotation of a pin": (
+        joint(drive={"stiffness": 1, "rotation": [1, 0, 0, 0]}),
+        "joints[1].drive.rotation",
+        "target",
+    ),
     "pushes of what is moved": (
         body(kinematic=True, pushes=[{"force": [1, 0, 0]}]),
         "bodies[1].pushes",
