@@ -375,6 +375,23 @@ def test_systems_have_places_of_their_own(
     assert error.value.code == "SCN068"
 
 
+def test_bodies_that_a_rig_layer_has_of_a_bake_are_written_again(
+    tmp_path: Path,
+) -> None:
+    path, shot = scene(tmp_path), tmp_path / "shot.usdc"
+    boxes = "bodies: [{name: a, shape: {box: {size: [1, 1, 1]}}}]"
+    system = f"- rigid: {{name: rubble, prims: xforms, {boxes}}}\n"
+    head = path.read_text("utf-8").split("systems:")[0]
+    path.write_text(f"{head}systems:\n{system}", "utf-8")
+    bake(path, shot)
+    over = bake(path, tmp_path / "over.usdc", BakeOptions(rig_layer=shot))
+    assert over.notices == []
+    path.write_text(path.read_text("utf-8").replace("rubble", "Rig"), "utf-8")
+    with pytest.raises(FormatError) as error:
+        bake(path, tmp_path / "no.usdc", BakeOptions(rig_layer=shot))
+    assert error.value.code == "SCN068"
+
+
 @pytest.mark.parametrize("options", [{}, {"form": "split"}, {"chunk": 2}])
 @pytest.mark.parametrize("deform", [False, True])
 def test_nothing_is_left_where_warnings_are_errors(
