@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 PYPROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
-_BOUND = re.compile(r"([\w.-]+)\s*>=\s*([\w.]+)\s*(;.*)?")
+_BOUND = re.compile(r"([\w.-]+)(?:\[[\w,-]+\])?\s*>=\s*([\w.]+)\s*(;.*)?")
 
 
 def constraints(project: dict[str, Any], extras: Sequence[str] = ()) -> Iterator[str]:
