@@ -155,6 +155,10 @@ class SystemSetup(Protocol):
         """Names of systems that it is one with, and where they stand."""
 
     @property
+    def pushes(self) -> tuple[tuple[str, Location], ...]:
+        """Systems whose bodies it pushes, and where that is said."""
+
+    @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Names of systems that are to be there before it, and where they stand."""
 

@@ -165,9 +165,12 @@ class CharacterModel(_MaterialModel):
 
 
 class SystemSurfaceModel(_MaterialModel):
-    """Cloth or a volume of the same scene that particles run into."""
+    """Cloth, a volume or rigid bodies of the same scene that are run into."""
 
-    system: Name = key("Its name; it does not feel them.", "flag")
+    system: Name = key("Its name.", "flag")
+    two_way: bool = key(
+        "Its bodies are pushed in return; of kind `rigid` alone.", True, default=False
+    )
 
 
 class MovingMeshModel(FollowedPrimModel, _MaterialModel):

@@ -22,17 +22,18 @@ class SystemKind:
     # cannot be joined.
     joiner: str = ""
     surface: bool = False  # whether it has faces, which others may run into
+    rigid: bool = False  # whether it is of rigid bodies, which others may push
     # Of kinds that `derived` reads and runs: from the spec and a `SimContext` to a
     # `Simulation`.
     build: str = ""
 
 
 def system_kind(
-    module: str, description: str, example: dict[str, Any], *, surface: bool = False
+    module: str, description: str, example: dict[str, Any], *, rigid: bool = False
 ) -> SystemKind:
     """Return a kind whose module has a `Spec` and a `build`; all else is derived.
 
-    ``surface``: whether its frames are of meshes, which others may run into.
+    ``rigid``: whether it is of rigid bodies, which others may run into.
     """
     scene = "animtool.scene.systems"
     return SystemKind(
@@ -42,7 +43,8 @@ def system_kind(
         f"{scene}.derived:read_spec",
         f"{scene}.derived:open_spec",
         f"{scene}.trial:spec_trial",
-        surface=surface,
+        surface=rigid,
+        rigid=rigid,
         build=f"{module}:build",
     )
 
@@ -81,7 +83,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
             "bodies": [{"name": "crate", "shape": {"box": {"size": [1, 1, 1]}}}],
             "colliders": [{"shape": {"plane": None}}],
         },
-        surface=True,
+        rigid=True,
     ),
     "rope": _springs(
         "RopeModel",

@@ -9,16 +9,16 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
-from animtool.maths import so3
-from animtool.maths.faces import triangulated
-from animtool.sim.colliders import Colliders
+from animtool.sim.colliders import Colliders, MovingBodies
+from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
+from animtool.systems.surfaces import Bodies, RigidSystem, Surface
 
 State = TypeVar("State")
+Watcher = TypeVar("Watcher", Surface, Bodies)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,14 @@ class Diagnostics:
     # Returns the largest that is stable from here on [s]: 0 where none is, infinite
     # where all are, None where it is not known.
     stable_step: Callable[[], float | None] = lambda: None
+
+
+@dataclass(frozen=True, slots=True)
+class Stepped(Generic[State]):
+    """A state after a step, and what bodies of other systems were pushed by in it."""
+
+    state: State
+    wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
 
 
 class SimContext(Protocol):
@@ -78,8 +86,11 @@ class Simulation(Protocol[State]):
     def initial(self) -> State:
         """Return the state at the time of the first step."""
 
-    def step(self, state: State, t: float, dt: float) -> State:
-        """Return a new state, a step [s] after a time [s]."""
+    def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
+        """Return a new state, a step [s] after a time [s].
+
+        With what it pushed bodies of others by, if it runs into any.
+        """
 
     def frame(self, state: State, t: float) -> Frame:
         """Return what a state shows at its time [s]."""
@@ -154,7 +165,13 @@ class SimulationRun:
         self.taken = 0
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
-        self._surfaces: list[Surface] = []
+        self._watchers: list[Surface | Bodies] = []
+        self._met: Sequence[MovingBodies] = ()
+        # Who pushes it: when, who, and with what.
+        self._pushers: list[Pusher] = []
+        self._pushes: list[tuple[float, int, Wrenches]] = []
+        # By steps, states that bodies were pushed in, as the next step begins.
+        self._begun: dict[int, Reached[Any]] = {}
         self._seen = self.state.state, self.time(self.state.steps)
         self._empty: bool | None = None  # None before the first look
 
@@ -165,25 +182,110 @@ class SimulationRun:
             OptionError: Time runs backwards (SIM002).
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        whole = self.advance(t)
         if whole < self.state.steps:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
-        while self.state.steps < whole:
-            self._go_on()
         now = self.time(whole)
-        part = t > now + ON_STEP * self.step_length
-        state = self._stepped(self.state, t) if part else self.state
+        state = self._part(self.state, t)
         self._seen = state.state, max(t, now)
         frame = self.simulation.frame(*self._seen)
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
+    def advance(self, t: float) -> int:
+        """Take all whole steps that end at a time [s] or before; return how many."""
+        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        while self.state.steps < whole:
+            self._go_on()
+        return whole
+
     def _go_on(self) -> None:
         """Take a whole step."""
-        self.state = self._stepped(self.state, self.time(self.state.steps + 1))
+        begin, until = self.receive(), self.time(self.state.steps + 1)
+        self.state, wrenches = self._stepped(begin, until)
+        if self._kept is None:
+            self._begun.clear()
         if self._kept is not None:
             self._kept.append(self.state)
+        for bodies, pushes in zip(self._met, wrenches, strict=False):
+            bodies.push(until, pushes)
+        for bodies in self._met:
+            bodies.forget(until)
+
+    def _part(self, state: Reached[Any], t: float) -> Reached[Any]:
+        """Return a state, or where a part of a step from it leads until a time [s]."""
+        if t <= self.time(state.steps) + ON_STEP * self.step_length:
+            return state
+        return self._stepped(self._pushed(state), t)[0]
+
+    def _pushed(self, state: Reached[Any]) -> Reached[Any]:
+        """Return a state as the next step begins with it."""
+        current = state.steps == self.state.steps
+        return self.receive() if current else self._begun.get(state.steps, state)
+
+    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
+        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
+        if wrenches.now.any() and t > self.begin + ON_STEP * self.step_length:
+            self._pushes.append((t, who, wrenches))
+
+    def receive(self) -> Reached[Any]:
+        """Return the last state as bodies were pushed by all that was until then.
+
+        Who pushes them is taken as far before, so that nothing depends on the times
+        that are asked for.
+        """
+        steps = self.state.steps
+        if not self._pushers:
+            return self.state
+        if steps in self._begun:
+            return self._begun[steps]
+        assert isinstance(self.simulation, RigidSystem)
+        now = self.time(steps)
+        for pusher in self._pushers:
+            pusher.advance(now)
+        until = now + ON_STEP * self.step_length
+        due = sorted(
+            (push for push in self._pushes if push[0] <= until), key=lambda one: one[:2]
+        )
+        self._pushes = [push for push in self._pushes if push[0] > until]
+        self._begun[steps] = self.state
+        if due:
+            pushed = self.simulation.pushed(
+                self.state.state,
+                Wrenches.sum([push[2].after(now - push[0]) for push in due]),
+            )
+            self._begun[steps] = Reached(steps, pushed)
+        return self._begun[steps]
+
+    def meet(self, bodies: Sequence[MovingBodies]) -> None:
+        """Push bodies of other systems."""
+        self._met = bodies
+        for own in bodies:
+            own.pushed_by(self)
+
+    def pushed_by(self, pusher: Pusher) -> int:
+        """Note who pushes its bodies; return the number of the pusher."""
+        self._pushers.append(pusher)
+        return len(self._pushers) - 1
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it is of rigid bodies."""
+        return isinstance(self.simulation, RigidSystem)
+
+    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
+        """Return its bodies as others run into them, and push them if two-way."""
+        assert isinstance(self.simulation, RigidSystem)
+        made = Bodies(self, self.simulation, restitution, friction, two_way=two_way)
+        return self._watching(made)
+
+    def _watching(self, watcher: Watcher) -> Watcher:
+        """Keep states from now on, for one who looks back to them."""
+        if self._kept is None:
+            self._kept = [self.state]
+        self._watchers.append(watcher)
+        return watcher
 
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
@@ -194,39 +296,46 @@ class SimulationRun:
 
     def watched(self, begin: float, step: float) -> Surface:  # noqa: ARG002
         """Return its surface, which others run into."""
-        if self._kept is None:
-            self._kept = [self.state]
-        self._surfaces.append(Surface(self))
-        return self._surfaces[-1]
+        return self._watching(Surface(self))
 
-    def look(self, t: float) -> Frame:
-        """Return what there is at a time since the last that was forgotten [s]."""
+    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+        """Return the state at a time since the last that was forgotten, and when [s].
+
+        That is at the beginning for all times before. Where a step of who looks begins,
+        bodies have been pushed by all that was until then.
+        """
         assert self._kept is not None
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
-        while self.state.steps < whole:
-            self._go_on()
+        whole = self.advance(t)
         state = next(one for one in reversed(self._kept) if one.steps <= whole)
-        now = self.time(state.steps)
-        if t > now + ON_STEP * self.step_length:
-            state = self._stepped(state, t)
-        return self.simulation.frame(state.state, max(t, now))
+        now, found = self.time(state.steps), self._part(state, t)
+        if begins and found is state:
+            found = self._pushed(state)
+        return found.state, max(t, now)
 
     def forget(self) -> None:
         """Let go of the states that nobody asks for any more."""
         assert self._kept is not None
-        t = min(surface.since for surface in self._surfaces)
+        t = min(one.since for one in self._watchers)
         if t == -math.inf:
             return
         whole = math.floor((t - self.begin) / self.step_length + ON_STEP)
         first = [k for k, one in enumerate(self._kept) if one.steps <= whole]
         del self._kept[: first[-1] if first else 0]
+        least = self._kept[0].steps
+        self._begun = {k: one for k, one in self._begun.items() if k >= least}
 
-    def _stepped(self, state: Reached[Any], until: float) -> Reached[Any]:
-        """Return the state at the end of a step, or of a part of one [s]."""
+    def _stepped(
+        self, state: Reached[Any], until: float
+    ) -> tuple[Reached[Any], Sequence[Wrenches]]:
+        """Return the state at the end of a step, or of a part of one [s].
+
+        With what it pushed the bodies of others by.
+        """
         now = self.time(state.steps)
         after = self.simulation.step(state.state, now, until - now)
+        after = after if isinstance(after, Stepped) else Stepped(after)
         self.taken += 1
-        frame = self.simulation.frame(after, until)
+        frame = self.simulation.frame(after.state, until)
         # Velocities of a field may have no value where no frame is.
         arrays = [frame.points]
         if isinstance(frame, TransformsFrame):
@@ -237,7 +346,7 @@ class SimulationRun:
             message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
             hint = "take shorter steps"
             raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
-        return Reached(state.steps + 1, after)
+        return Reached(state.steps + 1, after.state), after.wrenches
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -254,56 +363,3 @@ class SimulationRun:
         """Return what became of it, as plain values."""
         values = dict(self.diagnostics.values)
         return {"name": self.name, "steps": self.taken, **values} if values else {}
-
-
-# Looks at a surface that are kept: both ends of a step, and those within.
-LOOKS = 4
-
-
-class Surface:
-    """The meshes of a simulation, as others run into them: one surface."""
-
-    def __init__(self, run: SimulationRun) -> None:
-        self._run = run
-        self.since = -math.inf  # no time before will be asked for [s]
-        self._looks: dict[float, FloatArray] = {}
-        self._faces: IntArray | None = None
-
-    def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
-        if t not in self._looks:
-            while len(self._looks) >= LOOKS:
-                del self._looks[min(self._looks)]
-            self._looks[t] = self._placed(self._run.look(t))
-        return self._looks[t]
-
-    def _placed(self, frame: Frame) -> FloatArray:
-        if not isinstance(frame, TransformsFrame):
-            return frame.points
-        rows = [
-            so3.rotate(turn, scale * frame.meshes[mesh].points) + at
-            for at, turn, scale, mesh in zip(
-                frame.points, frame.rotations, frame.scales, frame.copied, strict=True
-            )
-        ]
-        return np.concatenate(rows) if rows else np.zeros((0, 3))
-
-    def triangles(self, t: float) -> IntArray:
-        """Return corners of its triangles ``(T, 3)``: always the same."""
-        if self._faces is None:
-            frame = self._run.look(t)
-            meshes: Sequence[Any] = [frame]
-            if isinstance(frame, TransformsFrame):
-                meshes = [frame.meshes[k] for k in frame.copied]
-            faces, base = [np.zeros((0, 3), np.int64)], 0
-            for mesh in meshes:
-                faces.append(triangulated(mesh.counts, mesh.indices) + base)
-                base += len(mesh.points)
-            self._faces = np.concatenate(faces)
-        return self._faces
-
-    def forget(self, t: float) -> None:
-        """Take note that no time before one will be asked for [s]."""
-        if t > self.since:
-            self.since = t
-            self._run.forget()

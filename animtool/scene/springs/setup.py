@@ -69,6 +69,11 @@ class SpringSetup:
         return tuple((join.system, join.at[0]) for join in self.joins)
 
     @property
+    def pushes(self) -> tuple[tuple[str, Location], ...]:
+        """Systems whose bodies it pushes, and where that is said."""
+        return self.around.pushes
+
+    @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Systems that it meets, and that do not feel it."""
         return ()

@@ -33,7 +33,6 @@ from animtool.scene.springs.setup import (
 )
 from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.sim.colliders import Colliders
 from animtool.sim.trials.trial import Trial
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.systems.springs.drawing import Faces, TornMesh
@@ -178,7 +177,7 @@ class _Whole:
             gravity=self.spec.gravity,
             resistance=resistance,
             air=air_of(wind) if isinstance(wind, FaceWindModel) else None,
-            colliders=Colliders(*colliders),
+            colliders=colliders,
             radius=self.spec.radius,
             speed_limit=self.spec.speed_limit,
             self_contact=contact_of(self.spec),

@@ -216,6 +216,11 @@ class SpecSetup:
         return self.around.needs
 
     @property
+    def pushes(self) -> tuple[tuple[str, Location], ...]:
+        """Systems whose bodies it pushes, and where that is said."""
+        return self.around.pushes
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """Files that are read along with the scene."""
         return (*self.around.files, *([self.resume] if self.resume else []))
@@ -315,11 +320,13 @@ def run_spec(
     """Return a system at its beginning, by another spec than its own."""
     setup = cast(SpecSetup, member.setup)
     begin = -setup.preroll
-    colliders = Colliders(*setup.around.built(opening, begin, spec.step))
+    colliders = setup.around.built(opening, begin, spec.step)
     build = cast(
         Callable[[SystemSpec, Context], Simulation[Any]],
         load_object(SYSTEM_KINDS[member.kind].build),
     )
     context = Context(begin, opening.last, colliders, setup.parts, budget)
     simulation = build(spec, context)
-    return SimulationRun(member.name, simulation, begin, spec.step)
+    run = SimulationRun(member.name, simulation, begin, spec.step)
+    run.meet(colliders.bodies)
+    return run

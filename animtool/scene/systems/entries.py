@@ -252,7 +252,9 @@ class EntryReader:
     ) -> tuple[SurfaceCollider, ...]:
         """Return surfaces of the scene that entries name."""
         surfaces = tuple(
-            SurfaceCollider(one.system, one.restitution, one.friction, (*at, i))
+            SurfaceCollider(
+                one.system, one.restitution, one.friction, (*at, i), one.two_way
+            )
             for i, one in enumerate(models)
         )
         for surface in surfaces:

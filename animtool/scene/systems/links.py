@@ -79,6 +79,8 @@ def check_links(
             sound &= _check_name(document, at, name, system, systems, names, "joiner")
         for name, at in setup.needs:
             sound &= _check_name(document, at, name, system, systems, names, "surface")
+        for name, at in setup.pushes if sound else ():
+            sound &= _check_name(document, at, name, system, systems, names, "rigid")
     for group in in_order(systems) if sound else ():
         place = SYSTEM_KINDS[systems[group[0]].kind].joiner
         if len(group) > 1 and place:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -203,7 +203,8 @@ class SystemRun:
         """Keep the states that are to be saved at a time code."""
         for i, at in self._saving.items():
             if at is None or code <= at:
-                self._kept[i] = float(code), self._open[i].state  # type: ignore[attr-defined]
+                opened = cast(SimulationRun, self._open[i])
+                self._kept[i] = float(code), opened.receive()
 
     def save_states(self, folder: Path) -> None:
         """Write the states that systems are to save, into the folder of their scene.

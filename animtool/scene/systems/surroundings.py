@@ -16,8 +16,10 @@ from animtool.scene.systems.character_motion import (
     CharacterCollider,
     character_colliders,
 )
-from animtool.sim.colliders import Collider, Sheet, SheetMotion
+from animtool.sim.colliders import Collider, Colliders, Sheet, SheetMotion
 from animtool.sim.colliders.collider import Friction, Restitution
+from animtool.systems.simulation import SimulationRun
+from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
@@ -104,12 +106,13 @@ class _Motion:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceCollider(Checked):
-    """Cloth or a volume of the scene."""
+    """Cloth, a volume or rigid bodies of the scene."""
 
     system: str
     restitution: Restitution  # share of the speed into the surface that comes back [1]
     friction: Friction  # Coulomb's coefficient [1]
     at: Location  # of the entry
+    two_way: bool = False  # whether it feels what runs into it
 
 
 class Watchable(Protocol):
@@ -139,8 +142,14 @@ class Surroundings:
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that are run into, and that do not feel it; where they are named."""
+        """Systems that are run into, and where they are named."""
         return tuple((one.system, (*one.at, "system")) for one in self.surfaces)
+
+    @property
+    def pushes(self) -> tuple[tuple[str, Location], ...]:
+        """Those whose bodies are pushed, and where that is said."""
+        named = (one for one in self.surfaces if one.two_way)
+        return tuple((one.system, (*one.at, "two_way")) for one in named)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -167,10 +176,8 @@ class Surroundings:
         """Shapes and meshes; those of characters are not counted."""
         return len(self.colliders) + len(self.meshes)
 
-    def built(
-        self, opening: Opening, begin: float, step: float
-    ) -> tuple[list[Collider], list[Sheet]]:
-        """Return all as rigid colliders and as sheets; characters are read now.
+    def built(self, opening: Opening, begin: float, step: float) -> Colliders:
+        """Return all of them; characters are read now.
 
         Args:
             opening: With the systems that are needed.
@@ -183,13 +190,20 @@ class Surroundings:
                 sense.
         """
         capsules, skins = character_colliders(self.characters, opening.characters)
-        sheets = [_sheet(one, opening, begin, step) for one in self.surfaces]
+        sheets: list[Sheet] = []
+        bodies: list[Bodies] = []
+        for one in self.surfaces:
+            other = opening.opened[one.system]
+            if isinstance(other, SimulationRun) and other.rigid:
+                material = one.restitution, one.friction
+                bodies.append(other.bodies(*material, two_way=one.two_way))
+            else:
+                sheets.append(_sheet(one, cast(Watchable, other), begin, step))
         sheets += [*(mesh.sheet() for mesh in self.meshes), *skins]
-        return [*self.colliders, *capsules], sheets
+        return Colliders([*self.colliders, *capsules], sheets, bodies)
 
 
-def _sheet(one: SurfaceCollider, opening: Opening, begin: float, step: float) -> Sheet:
-    other = cast(Watchable, opening.opened[one.system])
+def _sheet(one: SurfaceCollider, other: Watchable, begin: float, step: float) -> Sheet:
     return Sheet(
         other.watched(begin, step),
         other.radius,

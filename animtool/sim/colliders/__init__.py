@@ -1,5 +1,6 @@
 """What particles run into: shapes, their poses over time, and what contact does."""
 
+from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider, Poses
 from animtool.sim.colliders.colliding import (
     Collided,
@@ -29,6 +30,7 @@ __all__ = [
     "Colliders",
     "Contacts",
     "Mesh",
+    "MovingBodies",
     "Plane",
     "Poses",
     "Shape",

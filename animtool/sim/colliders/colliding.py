@@ -13,6 +13,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, OptionError, Severity
+from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
 from animtool.sim.colliders.sheets import Sheet, collide_with_sheet
@@ -51,8 +52,8 @@ class Contacts:
     """What particles met in a step, the last of it.
 
     Attributes:
-        colliders: Index of the collider ``(N,)``, those of sheets behind the others, -1
-            where there was none.
+        colliders: Index of the collider ``(N,)``, those of bodies behind the others and
+            those of sheets behind these, -1 where there was none.
         touches: How, as of `Touch` ``(N,)``.
         normals: The way out of it ``(N, 3)``.
     """
@@ -103,16 +104,24 @@ class Colliders(Sequence[Collider]):
     Attributes:
         sheets: Surfaces that change their shape, which are no members.
         surfaces: These, ready for many steps at once.
+        bodies: What other simulations move, which are no members.
 
     Raises:
         OptionError: Something of them makes no sense (SIM020).
     """
 
     def __init__(
-        self, colliders: Sequence[Collider], sheets: Sequence[Sheet] = ()
+        self,
+        colliders: Sequence[Collider],
+        sheets: Sequence[Sheet] = (),
+        bodies: Sequence[MovingBodies] = (),
     ) -> None:
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
+        self.bodies = tuple(bodies)
+        # All that is rigid, as kernels number it.
+        rigid = [*self._colliders, *(one for own in bodies for one in own.colliders)]
+        self.rigid = len(rigid)
         self.surfaces = Surfaces(self.sheets)
         faults = [
             fault
@@ -123,21 +132,21 @@ class Colliders(Sequence[Collider]):
             faults += sheet.faults(sheet.name or f"sheets[{i}]")
         if faults:
             raise OptionError(faults)
-        self._meshes, roots = _meshes([c.shape for c in self._colliders])
+        self._meshes, roots = _meshes([c.shape for c in rigid])
         self._kinds = np.array(
             [
                 (_KINDS[type(c.shape)], c.container, root)
-                for c, root in zip(self._colliders, roots, strict=True)
+                for c, root in zip(rigid, roots, strict=True)
             ],
             np.int64,
         ).reshape(-1, 3)
-        self._sizes = np.zeros((len(self), _SIZES))
-        for row, collider in zip(self._sizes, self._colliders, strict=True):
+        self._sizes = np.zeros((len(rigid), _SIZES))
+        for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes
-        self._materials = np.array([c.material for c in self._colliders]).reshape(-1, 4)
+        self._materials = np.array([c.material for c in rigid]).reshape(-1, 4)
         self._poses = np.array(
-            [np.stack([c.poses.rows[0]] * 2) for c in self._colliders]
+            [np.stack([c.poses.rows[0]] * 2) for c in rigid]
         ).reshape(-1, 2, 7)
         self._moving = [
             i for i, c in enumerate(self._colliders) if len(c.poses.moments) > 1
@@ -150,7 +159,7 @@ class Colliders(Sequence[Collider]):
     @property
     def meet(self) -> bool:
         """Whether there is anything to run into."""
-        return bool(self._colliders or self.sheets)
+        return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
         """Return one, or some."""
@@ -161,7 +170,13 @@ class Colliders(Sequence[Collider]):
         poses = self._poses.copy()
         for i in self._moving:
             poses[i] = self._colliders[i].ends(t0, t1)
+        poses[len(self) :] = self.body_ends(t0, t1)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
+
+    def body_ends(self, t0: float, t1: float) -> FloatArray:
+        """Return poses ``(B, 2, 7)`` of bodies at both ends of a step [s]."""
+        ends = [own.ends(t0, t1) for own in self.bodies]
+        return np.concatenate([np.zeros((0, 2, 7)), *ends])
 
     def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
         """Look at the colliders from points ``(N, 3)`` at a time [s].
@@ -178,9 +193,10 @@ class Colliders(Sequence[Collider]):
     def fastest(self) -> float:
         """Speed of the fastest [m/s]; where one is put elsewhere it has none.
 
-        Of surfaces so far.
+        Of surfaces and bodies so far.
         """
-        return max(self._fastest, self.surfaces.fastest)
+        moving = (own.fastest for own in self.bodies)
+        return max(self._fastest, self.surfaces.fastest, *moving)
 
     @cached_property
     def _fastest(self) -> float:
@@ -295,7 +311,7 @@ def _met(
         hit = touches[:, 0] >= 0
         rows = near[hit]
         after[:, rows] = state[:, hit]
-        touches[hit, 0] = len(ready) + i
+        touches[hit, 0] = ready.rigid + i
         found.append((rows, touches[hit], normals[hit]))
     return found
 

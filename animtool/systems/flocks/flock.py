@@ -67,7 +67,7 @@ class FlockForces(SecondOrder):
         members = self.members
         made = flocking(self.rules, self.domain, x, v)
         made += own_ways(members, t, x, v)
-        if len(self.colliders):
+        if self.colliders.rigid:
             made += avoidance(members, self.colliders, t, x, v)
         made = steered(members, v, made)
         if self.forces:
@@ -108,7 +108,9 @@ class Flock:
             walls = Collider(
                 Box(spec.domain.size), Poses.fixed(spec.domain.at), "domain", True
             )
-            colliders = Colliders([*colliders, walls], colliders.sheets)
+            colliders = Colliders(
+                [*colliders, walls], colliders.sheets, colliders.bodies
+            )
         self._members = Members.of(spec, context.parts["species"], context.begin)
         points, self._notices = self._members.outside(colliders)
         forces = context.parts.get("forces", ())

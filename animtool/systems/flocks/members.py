@@ -109,7 +109,7 @@ class Members:
         Who would begin inside is moved out, which is a warning (SIM124).
         """
         points, moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MOVES if len(colliders) else 0):
+        for _ in range(MOVES if colliders.rigid else 0):
             found = colliders.sample(points, self.begin)
             depths = self.radii - found.distances
             worst = np.argmax(depths, axis=0)
@@ -122,7 +122,7 @@ class Members:
             way = found.normals[worst, all_of_them]
             points = points + (way * ((depth + CLEAR * self.radii) * within)[:, None])
         else:
-            if len(colliders):
+            if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
                 message = f"{name} begins inside colliders, and finds no way out"
                 refuse(

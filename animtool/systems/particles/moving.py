@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,14 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity
 from animtool.sim.checks import check_fit, check_start, ending, step_notices
-from animtool.sim.colliders.colliding import Colliders, Contacts, Touch, collide
+from animtool.sim.colliders.bodies import Wrenches, share_impulses
+from animtool.sim.colliders.colliding import (
+    Collided,
+    Colliders,
+    Contacts,
+    Touch,
+    collide,
+)
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance, checkpoint_of, stats_of
 from animtool.sim.options import check_options
@@ -35,6 +43,8 @@ class _Living:
         self.setup, self.particles = setup, particles
         self.settles = colliders.meet
         self.contacts: Contacts | None = None
+        # What bodies were pushed by so far, those of each system.
+        self.wrenches = [Wrenches.none(own.count) for own in colliders.bodies]
         self._colliders = colliders
         self._state = state
 
@@ -60,7 +70,24 @@ class ParticleForces(_Living, SecondOrder):
         self.contacts = done.contacts
         if not done.contacts.any.any():
             return after
-        return np.stack([done.points, done.velocities])
+        return self._shared(t, h, after, done)
+
+    def _shared(
+        self, t: float, h: float, free: FloatArray, done: Collided
+    ) -> FloatArray:
+        """Return the end of a step where bodies that can be pushed took their share."""
+        state, first = np.stack([done.points, done.velocities]), len(self._colliders)
+        for i, own in enumerate(self._colliders.bodies):
+            shapes = done.contacts.colliders - first
+            shapes[shapes >= len(own.colliders)] = -1
+            first += len(own.colliders)
+            if not own.count:
+                continue
+            masses = self.particles.masses
+            state, taken = share_impulses(own, t, shapes, free, state, masses)
+            before = self.wrenches[i].after(h)
+            self.wrenches[i] = Wrenches.sum([before, taken])
+        return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return kinetic and potential energy, None where a force has none."""
@@ -277,6 +304,7 @@ class Moved:
     memory: object  # what the method takes along
     trial: float | None  # the step to try next [s]
     contacts: Contacts | None  # what they met; None where there is nothing to meet
+    wrenches: Sequence[Wrenches]  # on the bodies of each system that they met
 
 
 class Mover:
@@ -326,7 +354,7 @@ class Mover:
             driven = met.colliders >= len(self._colliders)
             self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
         after = checkpoint_of(run, status, until, run.state)
-        return Moved(end, after.memory, after.trial, system.contacts)
+        return Moved(end, after.memory, after.trial, system.contacts, system.wrenches)
 
     def _run(
         self, system: ParticleForces | ParticleFlow, begin: Checkpoint, until: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity
 from animtool.frames import PointsFrame
 from animtool.sim.checks import check_start
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.integrators import find_integrator
@@ -29,6 +31,7 @@ from animtool.systems.simulation import (
     Diagnostics,
     Reached,
     SimulationRun,
+    Stepped,
     growing,
     later,
 )
@@ -62,7 +65,7 @@ class ParticleSimulation:
     def __init__(self, setup: Particles, begin: float) -> None:
         setup.check()
         self.setup, self.begin = setup, begin
-        self.colliders = Colliders(setup.colliders, setup.sheets)
+        self.colliders = Colliders(setup.colliders, setup.sheets, setup.bodies)
         self.contacts: Contacts | None = None  # as in `ParticleRun`
         self._notices: list[Fault] = self.colliders.notices()
         self._kills = [Colliders([kill.region]) for kill in setup.kills]
@@ -74,24 +77,29 @@ class ParticleSimulation:
         nobody = ParticleRunState(ParticleState.none(), _NONE)
         return self._with_born(nobody, None, self.begin, self.begin)
 
-    def step(self, state: ParticleRunState, t: float, dt: float) -> ParticleRunState:
+    def step(
+        self, state: ParticleRunState, t: float, dt: float
+    ) -> Stepped[ParticleRunState]:
         """Return who lives a step later, or a part of one [s].
+
+        Those who are born in the step push nothing yet.
 
         Raises:
             OptionError: A force or a field is no number (SIM003).
             StoppedError: It blew up, or the method could not go on (SIM101 to SIM105).
         """
         same, until = state.particles, t + dt
+        wrenches: Sequence[Wrenches] = ()
         if len(same):
-            state = self._moved(state, t, until)
+            state, wrenches = self._moved(state, t, until)
         state = self._with_born(state, t, t, until)
         state = self._without_dead(state, until)
         if state.particles is same:
-            return state
+            return Stepped(state, wrenches)
         if not np.isfinite(state.state).all():
             system = self._system(state)
             check_start(Equations(system), until, system.state)
-        return replace(state, memory=None, trial=None)
+        return Stepped(replace(state, memory=None, trial=None), wrenches)
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
         setup, colliders = self.setup, self.colliders
@@ -99,7 +107,7 @@ class ParticleSimulation:
 
     def _moved(
         self, state: ParticleRunState, now: float, until: float
-    ) -> ParticleRunState:
+    ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         said = len(self._mover.notices)
         moved = self._mover.moved(
             state.particles, state.state, state.memory, state.trial, now, until
@@ -107,7 +115,10 @@ class ParticleSimulation:
         self._notices += self._mover.notices[said:]
         self.contacts = moved.contacts
         self._say_held(state.particles, until)
-        return replace(state, state=moved.state, memory=moved.memory, trial=moved.trial)
+        after = replace(
+            state, state=moved.state, memory=moved.memory, trial=moved.trial
+        )
+        return after, moved.wrenches
 
     def _with_born(
         self, state: ParticleRunState, after: float | None, now: float, until: float
@@ -183,6 +194,7 @@ class ParticleSimulation:
         which, solid = int(self.contacts.colliders[held[0]]), self.setup.colliders
         what = [
             *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
+            *(one.name for own in self.setup.bodies for one in own.colliders),
             *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
         ][which]
         message = f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at "

@@ -11,6 +11,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.options import Range, range_faults
+from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.colliding import Colliders
 from animtool.sim.colliders.sheets import Sheet
@@ -56,6 +57,7 @@ class Particles:
         max_particles: Particles at once; who would be born beyond is not.
         name: For messages.
         sheets: Surfaces that change their shape, which they run into too.
+        bodies: Bodies that another simulation moves, which they run into and push.
     """
 
     emitters: Sequence[Emitter]
@@ -69,6 +71,7 @@ class Particles:
     max_particles: Annotated[int, Range("1 or more", "SIM024", 1, finite=True)] = 10**6
     name: str = "particles"
     sheets: Sequence[Sheet] = ()
+    bodies: Sequence[MovingBodies] = ()
 
     def check(self) -> None:
         """Raise where something makes no sense.

@@ -214,7 +214,9 @@ def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
     from animtool.systems.particles.run import ParticleSimulation
 
     setup, around = spec.setup(context.parts), context.colliders
-    setup = replace(setup, colliders=around[:], sheets=around.sheets)
+    setup = replace(
+        setup, colliders=around[:], sheets=around.sheets, bodies=around.bodies
+    )
     if context.budget is not None:
         options = replace(setup.options, budget=context.budget)
         setup = replace(setup, options=options)

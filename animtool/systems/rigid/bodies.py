@@ -15,6 +15,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.frames import MeshFrame
 from animtool.maths import so3
+from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
 from animtool.systems.rigid.cores import (
     Core,
@@ -34,6 +35,16 @@ ALIKE = 1e-12
 NO_PAIRS = np.zeros((0, 2), np.int64)
 # Bodies of a system; more take gigabytes.
 MOST = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Outlines:
+    """C shapes of all bodies, as others run into them."""
+
+    colliders: Sequence[Collider]
+    of: IntArray  # the body of each (C,)
+    at: FloatArray  # origins in the frames of the bodies (C, 3) [m]
+    turns: FloatArray  # quaternions there (C, 4)
 
 
 @dataclass(frozen=True)
@@ -348,6 +359,17 @@ class Bodies:
         ]
 
     @cached_property
+    def outlines(self) -> Outlines:
+        """All as others run into them; of meshes their hulls."""
+        rows = [
+            (Collider(_outline(shape), name=self.names[i]), i, at, turn)
+            for i, k in enumerate(self.of.tolist())
+            for shape, at, turn in self.kinds[k].shapes
+        ]
+        colliders, of, at, turns = zip(*rows, strict=True)
+        return Outlines(colliders, np.array(of), np.array(at), np.array(turns))
+
+    @cached_property
     def shapes(self) -> tuple[list[Core], IntArray]:
         """Cores of those that are moved, and the body of each ``(S,)``."""
         cores: list[Core] = []
@@ -395,6 +417,14 @@ class Bodies:
             hint = nearest(name, list(self.names)) or ""
             refuse(f"no body is named {name!r}", hint, key)
         return self.names.index(name)
+
+
+def _outline(shape: Shape) -> Shape:
+    """Return a shape as others run into it: of a mesh, its hull."""
+    if not isinstance(shape, Mesh):
+        return shape
+    points, counts, corners = shown(core_of(shape))
+    return Mesh(points, triangulated(counts, corners))
 
 
 def placed_on(poses: Poses, at: FloatArray, turn: FloatArray) -> Poses:

@@ -15,6 +15,7 @@ from animtool.errors import Fault, Severity, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.force import Force
 from animtool.systems.particles.state import ParticleState
@@ -128,7 +129,8 @@ class RigidSimulation:
         parts, given = context.parts, context.colliders
         bodies = Bodies.of_models(spec.bodies, parts["bodies"], context.begin)
         joints = joints_of(spec.joints, parts.get("joints", ()), bodies)
-        colliders = Colliders([*given, *bodies.colliders()], given.sheets)
+        around = [*given, *bodies.colliders()]
+        colliders = Colliders(around, given.sheets, given.bodies)
         forces = parts.get("forces", ())
         return RigidSimulation(spec, context.begin, bodies, joints, colliders, forces)
 
@@ -198,7 +200,8 @@ class RigidSimulation:
             old is not new for old, new in zip(known[0], places, strict=True)
         ):
             moving = [going(one, t, end) for one in sheets]
-            known = self._known = places, Colliders([*self._colliders, *moving])
+            around = Colliders([*self._colliders, *moving], (), self._colliders.bodies)
+            known = self._known = places, around
         return known[1].arrays(t, end)
 
     def forces(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
@@ -314,6 +317,70 @@ class RigidSimulation:
             names=tuple(bodies.names) if self._spec.prims == "xforms" else (),
             still=bodies.still,
         )
+
+    def poses(self, state: RigidState, t: float) -> FloatArray:
+        """Return where the frames of all shapes are ``(C, 7)`` at a time [s]."""
+        bodies = self.bodies
+        frames = np.zeros((len(bodies.names), 7))
+        places, turns = bodies.placed(state.motion)
+        frames[bodies.dynamic] = np.concatenate([places, turns], axis=1)
+        for i in np.flatnonzero(~bodies.moved).tolist():
+            frames[i] = bodies.poses[i].at(t)
+        frames = frames[bodies.outlines.of]
+        at, turn = bodies.outlines.at, bodies.outlines.turns
+        places = frames[:, :3] + so3.rotate(frames[:, 3:], at)
+        turns = so3.multiply(frames[:, 3:], turn)
+        return np.concatenate([places, turns], axis=1)
+
+    @property
+    def shapes(self) -> Sequence[Collider]:
+        """All shapes ``(C,)``, as others run into them."""
+        return self.bodies.outlines.colliders
+
+    @property
+    def owners(self) -> IntArray:
+        """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
+        numbers = np.full(len(self.bodies.names), -1)
+        numbers[self.bodies.dynamic] = np.arange(self.count)
+        return numbers[self.bodies.outlines.of]
+
+    @property
+    def count(self) -> int:
+        """Bodies that can be pushed."""
+        return len(self.bodies.dynamic)
+
+    def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
+        """Return a state after impulses on its bodies."""
+        bodies, motion = self.bodies, state.motion.copy()
+
+        def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
+            moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
+            return pushes[:, :3] / bodies.masses[:, None], moments
+
+        ways, twist = changes(wrenches.moved)
+        turned = motion.copy()
+        turned[:, 10:13] = twist
+        motion[:, :3] += ways
+        motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(turned)), motion[:, 3:7])
+        speeds, momenta = changes(wrenches.now)
+        motion[:, 7:10] += speeds
+        motion[:, 10:13] += momenta
+        motion[wrenches.now.any(axis=1), 13] = 0.0
+        return replace(state, motion=motion)
+
+    def inverse_masses(
+        self, state: RigidState, owners: IntArray, points: FloatArray, ways: FloatArray
+    ) -> FloatArray:
+        """Return inverse effective masses ``(K,)`` [1/kg].
+
+        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        """
+        motion, moments = state.motion[owners], self.bodies.moments[owners]
+        arms = np.cross(points - motion[:, :3], ways)
+        own = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
+        turning = np.divide(own, moments, out=np.zeros_like(own), where=moments > 0)
+        found: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
+        return found
 
     def energy(self, state: RigidState) -> Energy:
         """Return the energy of a state, potential where forces have one."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from support.rigid import FLOOR, Rigid, box
 from support.simulated import Simulator
 
@@ -58,23 +58,21 @@ def test_who_is_run_into_moves_as_if_alone(tmp_path: Path) -> None:
         assert_array_equal(one.rotations, other.rotations)
 
 
-def test_a_surface_is_where_the_body_was(tmp_path: Path) -> None:
+def test_bodies_are_where_they_were(tmp_path: Path) -> None:
     found = Rigid(tmp_path, BLOCK, colliders=[FLOOR])
-    one, other = (found.run.watched(0.0, 0.01) for _ in range(2))
-    first = one.points(0.0)
-    assert first.shape == (8, 3)
-    assert one.triangles(0.0).shape == (12, 3)
+    one, other = (found.run.bodies(0.0, 0.5, two_way=False) for _ in range(2))
+    assert [collider.friction for collider in one.colliders] == [0.5]
     found.to(0.5)
-    places = one.points(0.305)
-    assert_array_equal(other.points(0.305), places)
+    ends = one.ends(0.3, 0.305)
+    assert_array_equal(other.ends(0.3, 0.305), ends)
     alone = Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run.at(0.305)
-    middle = places.mean(axis=0)
-    assert_allclose(middle, alone.points[0], atol=1e-12)
+    assert_array_equal(ends[0, 1], [*alone.points[0], *alone.rotations[0]])
     # What one lets go, another may still ask for.
     one.forget(0.4)
     other.forget(0.2)
-    assert_array_equal(Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run.watched(0, 0.01)
-                       .points(0.25), other.points(0.25))  # fmt: skip
+    again = Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run
+    alike = again.bodies(0.0, 0.5, two_way=False)
+    assert_array_equal(alike.ends(0.25, 0.25), other.ends(0.25, 0.25))
 
 
 @pytest.mark.parametrize("frame", [8, 20])

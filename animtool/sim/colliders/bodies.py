@@ -1,0 +1,133 @@
+"""Rigid bodies that another simulation moves, and what pushes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.sim.colliders.collider import Collider
+
+
+class Pusher(Protocol):
+    """What pushes bodies of another system at the ends of its steps."""
+
+    def advance(self, t: float) -> object:
+        """Take all whole steps that end at a time [s] or before."""
+
+
+class MovingBodies(Protocol):
+    """Bodies of another simulation, as one runs into them."""
+
+    colliders: Sequence[Collider]
+    """Their C shapes, each in its own frame."""
+    owners: IntArray
+    """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
+    count: int
+    """How many bodies can be pushed."""
+    fastest: float
+    """Speed of the fastest so far [m/s]."""
+
+    def ends(self, t0: float, t1: float) -> FloatArray:
+        """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
+
+    def inverse_masses(
+        self, t: float, owners: IntArray, points: FloatArray, ways: FloatArray
+    ) -> FloatArray:
+        """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
+
+        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        """
+
+    def pushed_by(self, pusher: Pusher) -> None:
+        """Take note of who pushes them."""
+
+    def push(self, t: float, wrenches: Wrenches) -> None:
+        """Take impulses on its bodies at a time [s]."""
+
+    def forget(self, t: float) -> None:
+        """Take note that no time before one will be asked for [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wrenches:
+    """Impulses on bodies ``(count, 6)``: [N s], then moments about the origin [N m s].
+
+    Attributes:
+        now: Their sum.
+        moved: Each times how long ago it was, by which bodies have come on [s].
+    """
+
+    now: FloatArray
+    moved: FloatArray
+
+    @staticmethod
+    def none(count: int) -> Wrenches:
+        """Return none on a number of bodies."""
+        return Wrenches(np.zeros((count, 6)), np.zeros((count, 6)))
+
+    @staticmethod
+    def sum(several: Sequence[Wrenches]) -> Wrenches:
+        """Return several as one."""
+        return Wrenches(
+            np.sum([one.now for one in several], axis=0),
+            np.sum([one.moved for one in several], axis=0),
+        )
+
+    def after(self, span: float) -> Wrenches:
+        """Return them some time later [s]."""
+        return Wrenches(self.now, self.moved + span * self.now)
+
+
+def share_impulses(
+    bodies: MovingBodies,
+    t: float,
+    shapes: IntArray,
+    free: FloatArray,
+    met: FloatArray,
+    masses: FloatArray,
+) -> tuple[FloatArray, Wrenches]:
+    """Let bodies take what points lose to them.
+
+    A contact that takes a body for immovable changes the velocity of a point by d. Both
+    are changed so that they part as fast as the point would from that: by a share of d,
+    and of the way that comes of it since the contact. Points that meet a body at once
+    have a part of its mass each, so that no energy comes in (Tonge, Benevolenski and
+    Voroshilov 2012, "Mass splitting for jitter-free parallel rigid body simulation").
+
+    Args:
+        bodies: What is met.
+        t: When [s].
+        shapes: Number of the shape that each point met, below 0 for none ``(N,)``.
+        free: Positions, then velocities without contacts ``(2, N, 3)``.
+        met: Likewise with contacts.
+        masses: Of the points ``(N,)`` [kg].
+
+    Returns:
+        Positions and velocities of the points, and what the bodies take.
+    """
+    owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
+    change = met[1] - free[1]
+    size = np.linalg.norm(change, axis=1)
+    (rows,) = np.nonzero((owners >= 0) & (size > 0))
+    wrenches = Wrenches.none(bodies.count)
+    if not len(rows):
+        return met, wrenches
+    owners, change, size = owners[rows], change[rows], size[rows]
+    ways, way = change / size[:, None], met[0, rows] - free[0, rows]
+    since = np.maximum((way * ways).sum(axis=1) / size, 0.0)
+    points = met[0, rows] - since[:, None] * met[1, rows]
+    several = np.bincount(owners, minlength=bodies.count)[owners]
+    own = 1.0 / masses[rows]
+    inverse = bodies.inverse_masses(t, owners, points, ways)
+    share = (own / (own + several * inverse))[:, None]
+    ended = met.copy()
+    ended[:, rows] = free[:, rows] + share * np.stack([way, change])
+    impulses = -masses[rows, None] * share * change
+    pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
+    np.add.at(wrenches.now, owners, pushes)
+    np.add.at(wrenches.moved, owners, since[:, None] * pushes)
+    return ended, wrenches

@@ -1,0 +1,164 @@
+"""A simulation as others of a scene run into it: its mesh, or its bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.frames import MeshFrame
+from animtool.maths.faces import triangulated
+from animtool.sim.colliders import Collider
+from animtool.sim.colliders.bodies import Pusher, Wrenches
+
+
+class Watched(Protocol):
+    """A simulation under way that is looked at as it is, and was."""
+
+    simulation: Any
+
+    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+        """Return the state at a time [s], and when; as a step begins, or one ends."""
+
+    def forget(self) -> None:
+        """Let go of the states that nobody asks for any more."""
+
+    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
+        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
+
+    def pushed_by(self, pusher: Pusher) -> int:
+        """Note who pushes its bodies; return the number of the pusher."""
+
+
+@runtime_checkable
+class RigidSystem(Protocol):
+    """A simulation of rigid bodies, which others run into as such, and may push."""
+
+    shapes: Sequence[Collider]  # of all bodies (C,)
+    owners: IntArray  # the body that each shape is of, -1 of what nothing pushes (C,)
+    count: int  # bodies that can be pushed
+
+    def poses(self, state: Any, t: float) -> FloatArray:
+        """Return where the frames of the shapes are ``(C, 7)`` at a time [s]."""
+
+    def pushed(self, state: Any, wrenches: Wrenches) -> Any:
+        """Return a state after impulses on its bodies."""
+
+    def inverse_masses(
+        self, state: Any, owners: IntArray, points: FloatArray, ways: FloatArray
+    ) -> FloatArray:
+        """Return inverse effective masses, as `MovingBodies` does."""
+
+
+# Times that are kept: both ends of a step, and those within.
+LOOKS = 4
+Seen = TypeVar("Seen")
+
+
+class _Looks(Generic[Seen]):
+    """What was seen at the last times that were asked for."""
+
+    def __init__(self, look: Callable[[float], Seen]) -> None:
+        self._look = look
+        self._known: dict[float, Seen] = {}
+
+    def __call__(self, t: float) -> Seen:
+        if t not in self._known:
+            while len(self._known) >= LOOKS:
+                del self._known[min(self._known)]
+            self._known[t] = self._look(t)
+        return self._known[t]
+
+
+class _Watching:
+    """One who looks at a simulation as it is, and was."""
+
+    def __init__(self, run: Watched) -> None:
+        self._run = run
+        self.since = -math.inf  # no time before will be asked for [s]
+
+    def forget(self, t: float) -> None:
+        """Take note that no time before one will be asked for [s]."""
+        if t > self.since:
+            self.since = t
+            self._run.forget()
+
+
+class Surface(_Watching):
+    """The mesh of a simulation."""
+
+    def __init__(self, run: Watched) -> None:
+        super().__init__(run)
+        self.points = _Looks(lambda t: self._frame(t).points)
+        self._faces: IntArray | None = None
+
+    def _frame(self, t: float) -> MeshFrame:
+        frame = self._run.simulation.frame(*self._run.look(t))
+        assert isinstance(frame, MeshFrame)
+        return frame
+
+    def triangles(self, t: float) -> IntArray:
+        """Return corners of its triangles ``(T, 3)``: always the same."""
+        if self._faces is None:
+            frame = self._frame(t)
+            self._faces = triangulated(frame.counts, frame.indices)
+        return self._faces
+
+
+class Bodies(_Watching):
+    """The rigid bodies of a simulation, as `MovingBodies` says."""
+
+    def __init__(
+        self,
+        run: Watched,
+        simulation: RigidSystem,
+        restitution: float,
+        friction: float,
+        *,
+        two_way: bool,
+    ) -> None:
+        super().__init__(run)
+        self._simulation = simulation
+        self.colliders: Sequence[Collider] = [
+            replace(one, restitution=restitution, friction=friction)
+            for one in simulation.shapes
+        ]
+        self.owners, self.count = simulation.owners, simulation.count
+        if not two_way:
+            self.owners, self.count = np.full_like(self.owners, -1), 0
+        self.fastest = 0.0
+        self._states = _Looks(run.look)
+        self._poses = _Looks(lambda t: simulation.poses(*self._states(t)))
+        self._begins = _Looks(lambda t: simulation.poses(*run.look(t, begins=True)))
+        self._number = 0
+
+    def ends(self, t0: float, t1: float) -> FloatArray:
+        """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
+        ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
+        if t1 > t0 and len(ends):
+            ways = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
+            self.fastest = max(self.fastest, float(ways.max()) / (t1 - t0))
+        return ends
+
+    def inverse_masses(
+        self, t: float, owners: IntArray, points: FloatArray, ways: FloatArray
+    ) -> FloatArray:
+        """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
+
+        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        """
+        state, _ = self._states(t)
+        return self._simulation.inverse_masses(state, owners, points, ways)
+
+    def pushed_by(self, pusher: Pusher) -> None:
+        """Take note of who pushes them."""
+        if self.count:
+            self._number = self._run.pushed_by(pusher)
+
+    def push(self, t: float, wrenches: Wrenches) -> None:
+        """Take impulses on its bodies at a time [s], to begin the next step with."""
+        self._run.push(t, self._number, wrenches)
