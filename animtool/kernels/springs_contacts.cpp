@@ -24,6 +24,8 @@ using collide::store;
 constexpr double RESTING = 2;
 // Rounds of moving out of all colliders.
 constexpr int TRIES = 3;
+// Impulse, moment, mass.
+constexpr std::size_t PUSH = 7;
 // Of the size of a mesh, how far what is near a particle serves at first.
 constexpr double FINE = 1e-3;
 
@@ -63,6 +65,14 @@ double thickness_of(const Collider& c, double radius) {
     case Shape::MESH: return c.margin + radius;
   }
   return 0;
+}
+
+// Pushes of one span of time, and of another.
+std::vector<double> both(const std::vector<double>& first, const std::vector<double>& second) {
+  std::vector<double> sum(first);
+  for (std::size_t k = 0; k < sum.size(); ++k)
+    sum[k] = k % PUSH == PUSH - 1 ? std::max(sum[k], second[k]) : sum[k] + second[k];
+  return sum;
 }
 
 Rod::Axis axis_between(Vec a, Vec b) {
@@ -194,6 +204,8 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
   for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
   count_ += surfaces_.size();
   make_patches(particles);
+  pushed_.assign(PUSH * colliders_.size(), 0.0);
+  pushing_ = pushed_;
   clear_.assign(particles, 0.0);
   arm_.assign(particles, 0.0);
 }
@@ -217,6 +229,8 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   if (!any()) return;
   substeps_ = substeps;
   h_ = h;
+  if (cell != last_) pushed_ = both(pushed_, pushing_);
+  std::fill(pushing_.begin(), pushing_.end(), 0.0);
   rigid_.clear();
   colliders_.steps(cell, substeps, h, rigid_);
   // Where a cell is crossed again, or a collider is put elsewhere, nothing is known.
@@ -256,6 +270,14 @@ void SpringContacts::add_surfaces() {
   }
 }
 
+Out<double, 2> SpringContacts::pushes() const {
+  const std::vector<double> sum = both(pushed_, pushing_);
+  Buffer<double> rows(sum.size());
+  std::copy(sum.begin(), sum.end(), rows.get());
+  const std::size_t shape[2] = {sum.size() / PUSH, PUSH};
+  return rows.release(shape);
+}
+
 bool SpringContacts::settle(const SpringNetwork& network, int step,
                             std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v) {
@@ -266,6 +288,7 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     travel = std::max(travel, now_[c].travel({}));
     angle = std::max(angle, now_[c].turn());
   }
+  masses_.assign(colliders_.size(), 0.0);
   least_blow_ = RESTING * h_ * std::sqrt(dot3(network.gravity, network.gravity));
   std::int64_t moved = 0, inside = 0;
   for (std::size_t n = 0; n < network.particles(); ++n) {
@@ -275,8 +298,13 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
     clear_[n] -= way;
     if (clear_[n] > 0) continue;
-    moved += settle_one(n, from, at, v ? v->data() + ROW * n : nullptr);
+    const double mass = 1 / network.inverse_masses[n];
+    moved += settle_one(n, mass, from, at, v ? v->data() + ROW * n : nullptr);
     inside += nearest_ < -colliders_.tolerance();
+  }
+  for (std::size_t c = 0; c < masses_.size(); ++c) {
+    double& most = pushing_[PUSH * c + PUSH - 1];
+    most = std::max(most, masses_[c]);
   }
   touched = std::max(touched, moved);
   if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
@@ -329,15 +357,40 @@ Vec SpringContacts::carried(const StepCollider& c, const Found& found, bool end,
   return surface.way(mesh_at(c, end), found.triangle, point) * c.lasts;
 }
 
-bool SpringContacts::settle_one(std::size_t n, double* before, double* x, double* v) {
+void SpringContacts::note_push(std::size_t c, double mass, Vec point, Vec change) {
+  if (c >= colliders_.size() || dot(change, change) == 0) return;
+  const Vec impulse = change * -mass, moment = cross(point, impulse);
+  double* row = pushing_.data() + PUSH * c;
+  const double values[PUSH - 1] = {impulse.x, impulse.y, impulse.z,
+                                   moment.x,  moment.y,  moment.z};
+  for (std::size_t k = 0; k < PUSH - 1; ++k) row[k] += values[k];
+  masses_[c] += mass;
+}
+
+bool SpringContacts::settle_one(std::size_t n, double mass, double* before, double* x,
+                                double* v) {
   const Vec from = load(before);
   Vec to = load(x), still = from;
   bool moved = false, pushed = true;
-  for (std::size_t c = 0; c < count_; ++c) moved |= sweep(c, n, from, to, v);
+  // Where a solver has no velocities, it takes them from the way of the step.
+  auto speed = [&] { return v ? load(v) : (to - still) * (1 / h_); };
+  Vec last = speed();
+  auto note_change = [&](std::size_t c) {
+    const Vec now = speed();
+    note_push(c, mass, to, now - last);
+    last = now;
+  };
+  for (std::size_t c = 0; c < count_; ++c) {
+    moved |= sweep(c, n, from, to, v);
+    note_change(c);
+  }
   for (int i = 0; i < TRIES && pushed; ++i) {
     pushed = false;
     nearest_ = collide::FAR;
-    for (std::size_t c = 0; c < count_; ++c) pushed |= push(c, n, from, to, still, v);
+    for (std::size_t c = 0; c < count_; ++c) {
+      pushed |= push(c, n, from, to, still, v);
+      note_change(c);
+    }
     moved |= pushed;
   }
   if (pushed) nearest_ = clearance(n, to);

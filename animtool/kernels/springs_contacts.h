@@ -97,6 +97,9 @@ class SpringContacts {
   // given no speed by that: where it was goes with it. Returns whether any was moved.
   bool settle(const SpringNetwork& network, int step, std::vector<double>& before,
               std::vector<double>& x, std::vector<double>* v);
+  // What colliders, surfaces apart, were pushed by (C, 7): impulse and moment about the
+  // origin, and the mass that touched each in one step, at most.
+  Out<double, 2> pushes() const;
   // Particles that were moved in a step, at most, and that were left inside at the end.
   std::int64_t touched = 0, unresolved = 0;
 
@@ -107,7 +110,7 @@ class SpringContacts {
   void enter_surfaces(std::int64_t cell, bool& known);
   void add_surfaces();
   // Whether it is moved; looks how far off all colliders are then.
-  bool settle_one(std::size_t n, double* before, double* x, double* v);
+  bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& still, double* v);
   bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
@@ -118,6 +121,8 @@ class SpringContacts {
   // How what is found there goes in the step.
   collide::Vec carried(const StepCollider& c, const Found& found, bool end,
                        collide::Vec point) const;
+  // Takes note of what a collider does to a particle there.
+  void note_push(std::size_t c, double mass, collide::Vec point, collide::Vec change);
   // How far off the nearest collider is, less than 0 inside.
   double clearance(std::size_t n, collide::Vec x);
   void note(std::size_t n, collide::Vec x, double clear);
@@ -136,6 +141,9 @@ class SpringContacts {
   // The nearest that a round of pushes met, beyond what may be inside.
   double nearest_ = 0;
   std::int64_t last_ = -1;
+  // Pushes of the cells before, and of this one, which may be crossed again (C, PUSH).
+  std::vector<double> pushed_, pushing_;
+  std::vector<double> masses_;  // that touched colliders in this step (C,)
   // How far each particle is from all colliders at least, and what turns reach it by.
   std::vector<double> clear_, arm_;
 };

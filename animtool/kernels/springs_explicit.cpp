@@ -229,7 +229,8 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
     }
     steps.end();
   }
-  return {ended_state(run), ended_torn(run), contacts.unresolved};
+  return {ended_state(run), ended_torn(run), contacts.unresolved,
+          contacts.pushes()};
 }
 
 }  // namespace animtool

@@ -217,7 +217,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     }
   }
   return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
-          contacts.touched, contacts.unresolved, self.ended(), self.through()};
+          contacts.touched, contacts.unresolved, self.ended(), self.through(),
+          contacts.pushes()};
 }
 
 }  // namespace animtool

@@ -357,7 +357,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   back.v = crossing.before.v;
   return {ended_state(run),          ended_state(back), crossing.known,        ended_torn(run),
           crossing.steps, crossing.corrections(), lost,
-          contacts.unresolved};
+          contacts.unresolved, contacts.pushes()};
 }
 
 }  // namespace animtool

@@ -34,18 +34,21 @@ constexpr std::int64_t FARTHEST_CELL = std::int64_t{1} << 52;
 // Refuses what has no steps, none that can be told apart, or so many that it is a mistake.
 void check_cells(const Cells& cells, std::int64_t substeps);
 
-// states (2, N, 3), torn, particles left inside colliders
-using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
+// states (2, N, 3), torn, particles left inside colliders, and what these were pushed by
+// (C, 7): impulse, moment about the origin, and the mass that touched each, at most
+using SpringsStepped =
+    std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t, Out<double, 2>>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,
 // particles in contact and left inside colliders, passages of the surface through itself
-// (C, 3), what went through
+// (C, 3), what went through, pushes
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
                                     std::int64_t, std::int64_t, std::int64_t,
-                                    Out<std::int64_t, 2>, SelfThrough>;
+                                    Out<std::int64_t, 2>, SelfThrough, Out<double, 2>>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
-// particles left inside colliders
+// particles left inside colliders, pushes
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
-                                 std::int64_t, std::int64_t, std::int64_t, std::int64_t>;
+                                 std::int64_t, std::int64_t, std::int64_t, std::int64_t,
+                                 Out<double, 2>>;
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
 

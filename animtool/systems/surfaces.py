@@ -41,6 +41,7 @@ class RigidSystem(Protocol):
     shapes: Sequence[Collider]  # of all bodies (C,)
     owners: IntArray  # the body that each shape is of, -1 of what nothing pushes (C,)
     count: int  # bodies that can be pushed
+    masses: FloatArray  # of these ``(count,)`` [kg]
 
     def poses(self, state: Any, t: float) -> FloatArray:
         """Return where the frames of the shapes are ``(C, 7)`` at a time [s]."""
@@ -128,8 +129,10 @@ class Bodies(_Watching):
             for one in simulation.shapes
         ]
         self.owners, self.count = simulation.owners, simulation.count
+        self.masses = simulation.masses
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0
+            self.masses = np.zeros(0)
         self.fastest = 0.0
         self._states = _Looks(run.look)
         self._poses = _Looks(lambda t: simulation.poses(*self._states(t)))

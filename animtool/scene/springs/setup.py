@@ -75,8 +75,8 @@ class SpringSetup:
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that it meets, and that do not feel it."""
-        return ()
+        """Systems that are run into, and where they are named."""
+        return self.around.needs
 
     @property
     def preroll(self) -> float:
@@ -100,6 +100,7 @@ class SpringSetup:
         reads += ["itself"] if contact_of(self.spec) is not None else []
         reads += [counted(many, "collider")] if many else []
         reads += [one.file.name for one in around.characters]
+        reads += [one.system for one in around.surfaces]
         reads += [mesh.prim for mesh in around.meshes]
         return tuple(reads)
 
@@ -243,15 +244,21 @@ def read_springs(
     body = _body(reader, at, spec)
     colliders = reader.colliders((*at, "colliders"), spec.colliders)
     characters = reader.characters((*at, "characters"), spec.characters)
+    surfaces = reader.surfaces((*at, "systems"), spec.systems)
     meshes = reader.meshes((*at, "meshes"), spec.meshes)
     _check_wind(reader, (*at, "wind"), wind_of(spec))
     _check_options(reader, at, spec)
     reader.note_ranges(at, spec)
+    if options_of(spec).error is not None and any(one.two_way for one in spec.systems):
+        message = "steps that keep an error are found by simulating several times, and "
+        message += "bodies would be pushed each time"
+        hint = "give a step, or leave out two_way"
+        reader.note((*at, "error"), Fault("SIM063", message, hint=hint))
     if body is None:
         return None
     pins, joins = read_pins(reader, (*at, "pins"), spec.pins, body)
     followed = tuple(reader.files)
-    around = Surroundings(tuple(colliders), characters, (), meshes, followed)
+    around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
     return SpringSetup(spec, body, pins, joins, around, at)
 
 

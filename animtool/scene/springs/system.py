@@ -37,6 +37,7 @@ from animtool.sim.trials.trial import Trial
 from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.systems.springs.drawing import Faces, TornMesh
 from animtool.systems.springs.run import SpringRun, Watched
+from animtool.systems.springs.solvers import CELL
 from animtool.systems.springs.spec_parts import FaceWindModel
 from animtool.systems.springs.trial import trial_of
 
@@ -69,6 +70,8 @@ def open_springs(
         opening.phase if opening.progress else None,
     )
     run.clock = opening.clock(whole.begin)
+    for bodies in whole.system.colliders.bodies:
+        bodies.pushed_by(run)
     running: list[RunningSprings] = []
     springs = 0
     for member, setup, rows in zip(members, setups, whole.rows, strict=True):
@@ -169,7 +172,7 @@ class _Whole:
             else:
                 np.add.at(resistance, rows, slowing)
         wind = wind_of(self.spec)
-        colliders = _around(setups).built(opening, self.begin, 0.0)
+        colliders = _around(setups).built(opening, self.begin, CELL)
         system = SpringSystem(
             welded.body,
             pins=every.pins,
@@ -214,7 +217,8 @@ def _around(setups: Sequence[SpringSetup]) -> Surroundings:
     return Surroundings(
         tuple(each for setup in setups for each in setup.around.colliders),
         tuple(each for setup in setups for each in setup.around.characters),
-        meshes=tuple(each for setup in setups for each in setup.around.meshes),
+        tuple(each for setup in setups for each in setup.around.surfaces),
+        tuple(each for setup in setups for each in setup.around.meshes),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from graphlib import TopologicalSorter
+from graphlib import CycleError, TopologicalSorter
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
@@ -50,8 +50,20 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
 
 def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> list[int]:
     """Return some systems, what they are joined to, and what these need."""
-    groups = [group for group in in_order(systems) if not {*group}.isdisjoint(wanted)]
-    return sorted({i for group in groups for i in (*group, *needed(systems, group))})
+    every, found = in_order(systems), {*wanted}
+    while True:
+        groups = [group for group in every if not found.isdisjoint(group)]
+        more = {i for group in groups for i in (*group, *needed(systems, group))}
+        names = {systems[i].name for i in more}
+        # Who pushes one of them moves it.
+        more |= {
+            i
+            for i, system in enumerate(systems)
+            if any(name in names for name, _ in system.setup.pushes)
+        }
+        if more == found:
+            return sorted(found)
+        found = more
 
 
 def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -81,11 +93,30 @@ def check_links(
             sound &= _check_name(document, at, name, system, systems, names, "surface")
         for name, at in setup.pushes if sound else ():
             sound &= _check_name(document, at, name, system, systems, names, "rigid")
+    sound = sound and _check_circles(document, systems)
     for group in in_order(systems) if sound else ():
         place = SYSTEM_KINDS[systems[group[0]].kind].joiner
         if len(group) > 1 and place:
             check = load_object(place)
             check(document, [systems[i] for i in group])  # type: ignore[operator]
+
+
+def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
+    """Note the first system that runs into another which runs into it."""
+    try:
+        in_order(systems)
+    except CycleError as error:
+        groups = _groups(systems)
+        members = {systems[i].name for k in error.args[1] for i in groups[k]}
+        for system in systems:
+            for name, at in system.setup.needs if system.name in members else ():
+                if name in members:
+                    message = f"{listed(sorted(members))} run into each other in a "
+                    message += "circle"
+                    hint = "leave out the one that matters less"
+                    document.add("SCN063", at, message, hint)
+                    return False
+    return True
 
 
 def check_names(

@@ -28,6 +28,8 @@ class MovingBodies(Protocol):
     """The body that each shape is of ``(C,)``, -1 of what nothing pushes."""
     count: int
     """How many bodies can be pushed."""
+    masses: FloatArray
+    """Their masses ``(count,)`` [kg]."""
     fastest: float
     """Speed of the fastest so far [m/s]."""
 

@@ -200,7 +200,7 @@ class SheetStepper:
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
             state.passages,
         )  # fmt: skip
-        reached, _, _, _, _, _, touched, inside, passages, through = outputs
+        reached, _, _, _, _, _, touched, inside, passages, through, _ = outputs
         state = stepped(reached, passages)
         self.tally.add(self._stretch(reached[0]), touched, inside, Through(*through))
         return state

@@ -345,6 +345,11 @@ class RigidSimulation:
         return numbers[self.bodies.outlines.of]
 
     @property
+    def masses(self) -> FloatArray:
+        """Of bodies that can be pushed ``(count,)`` [kg]."""
+        return self.bodies.masses
+
+    @property
     def count(self) -> int:
         """Bodies that can be pushed."""
         return len(self.bodies.dynamic)

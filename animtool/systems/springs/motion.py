@@ -56,6 +56,9 @@ class Grid:
     evaluations: int = 0  # of all springs so far
     lost: bool = False  # whether a cell could not be crossed
     unresolved: int = 0  # particles left inside colliders, at most
+    # What rigid colliders were pushed by in the last cells ``(C, 7)``: impulse, moment
+    # about the origin, and the mass that touched each at once, at most.
+    pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     # Where the surface is through itself ``(C, 3)``, as kernels have it.
     passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     # What went through the surface, at most.

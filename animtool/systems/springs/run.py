@@ -16,9 +16,9 @@ from animtool.errors import Fault, OptionError, Severity, ToleranceError
 from animtool.maths.faces import triangulated
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.springs.drawing import Faces
-from animtool.systems.springs.motion import SpringMotion
+from animtool.systems.springs.motion import Grid, SpringMotion
 from animtool.systems.springs.records import SpringOptions
-from animtool.systems.springs.simulating import simulate_springs
+from animtool.systems.springs.simulating import ON_GRID, simulate_springs
 from animtool.systems.springs.system import SpringSystem
 
 # Told how far it is; None where nobody looks.
@@ -133,6 +133,16 @@ class SpringRun:
             self._on(now, t)
         return self._state, self.torn
 
+    def advance(self, t: float) -> None:
+        """Cross all cells of time that end at a time [s] or before."""
+        assert self._checkpoint is not None
+        grid = self._checkpoint.memory
+        assert isinstance(grid, Grid)
+        cells = math.floor((t - grid.origin) / grid.cell + ON_GRID)
+        end = grid.origin + cells * grid.cell
+        if end > self._checkpoint.time and not self._under_way:
+            self.at(end)
+
     def keep(self, begin: float, step: float) -> Keeping:
         """Keep particles at times from now on, a step apart [s], for `look`."""
         self._keepings.append(Keeping(begin, step, -math.inf))
@@ -172,9 +182,11 @@ class SpringRun:
 
     def _to(self, now: float, t: float) -> SpringMotion:
         times = [now] if t == now else [now, t]
+        self._under_way = True
         motion = simulate_springs(
             self.system, times, self.options, self._checkpoint, progress=self.clock
         )
+        self._under_way = False
         self._check(motion)
         self._checkpoint, self._state = motion.checkpoint, motion.states[-1]
         self.torn = motion.torn
@@ -200,6 +212,7 @@ class SpringRun:
         self._worst = max(self._worst, motion.stretch)
 
     _worst = 0.0
+    _under_way = False  # what is asked meanwhile finds all cells crossed that can be
 
     def _stretched(self) -> float:
         springs = self.system.body.springs

@@ -12,6 +12,7 @@ from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.quantities import length_text, plain
 from animtool.sim.checks import Watch, check_times
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.systems.springs.checks import check_options
@@ -219,6 +220,10 @@ class _Run:
         self.most_substeps = grid.substeps
         self.status = Status.OK
         self.sign = ""
+        # Where bodies are pushed, they feel it before the next cell.
+        self._cells = 1 if system.colliders.bodies else LOOK_EVERY
+        # Share that bodies took at least of what they were pushed by.
+        self.taken = 1.0
         # Of a spring of xpbd, over that at rest.
         self.longest = 1.0
         # What xpbd leaves of a stretch is no energy that it goes on with.
@@ -237,7 +242,7 @@ class _Run:
         on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
         target = near if on_grid else int(np.floor(place))
         while self.grid.index < target and self.status is Status.OK:
-            self._advance(min(LOOK_EVERY, target - self.grid.index))
+            self._advance(min(self._cells, target - self.grid.index))
             if self._progress is not None:
                 self._progress(self.grid.time)
         if self.status is not Status.OK:
@@ -299,6 +304,29 @@ class _Run:
         elif self.grid.lost:
             self.status = Status.NOT_SOLVED
             self.sign = "Newton's method found no solution"
+        else:
+            self._push()
+
+    def _push(self) -> None:
+        """Push bodies of other systems by what was pressed on them.
+
+        What is heavier than a body would throw it off, faster than it came: it gives no
+        more than as much mass as that of the body would.
+        """
+        colliders, t = self._system.colliders, self.grid.time
+        first = len(colliders)
+        for own in colliders.bodies:
+            rows = self.grid.pushes[first : first + len(own.colliders)]
+            first += len(own.colliders)
+            sums = np.zeros((own.count, 7))
+            held = own.owners >= 0
+            np.add.at(sums, own.owners[held], rows[held])
+            share = np.minimum(1.0, own.masses / np.maximum(sums[:, 6], own.masses))
+            self.taken = min(self.taken, float(share.min(initial=1.0)))
+            now = sums[:, :6] * share[:, None]
+            # What presses all through a cell has moved bodies as from its middle.
+            own.push(t, Wrenches(now, self.grid.cell / 2 * now))
+            own.forget(t)
 
 
 def _between(grid: Grid, ahead: Grid, t: float) -> FloatArray:
@@ -357,4 +385,9 @@ def _notices(
         )
         hint = "they start inside, or colliders close in on them from several sides"
         notices.append(warning("SIM123", message, hint))
+    if run.taken < 1:
+        message = "what presses on a rigid body has more mass than it: it is pushed by "
+        message += f"{run.taken:.0%} of that, so that it is not thrown off"
+        hint = "give the body more mass, or less to what lies on it"
+        notices.append(warning("SIM135", message, hint))
     return notices + through_notices(run.grid.through)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -183,9 +184,11 @@ def cell_colliders(
         return None
     steps = grid.index + np.arange(cells + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
-    poses = np.zeros((cells, len(colliders), 2, 7))
+    poses = np.zeros((cells, colliders.rigid, 2, 7))
     for i, collider in enumerate(colliders):
         poses[:, i] = _ends(collider, edges)
+    for k, (begin, end) in enumerate(pairwise(edges.tolist())):
+        poses[k, len(colliders) :] = colliders.body_ends(begin, end)
     at = float(edges[0])
     arrays = colliders.arrays(at, at)
     surfaces = colliders.surfaces.over(grid.origin, grid.cell, grid.index, cells)
@@ -227,7 +230,7 @@ def _explicit(
     cells: int,
 ) -> Grid:
     colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    state, torn, inside = _kernels.step_springs(
+    state, torn, inside, pushes = _kernels.step_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, colliders,
     )  # fmt: skip
@@ -238,6 +241,7 @@ def _explicit(
         state=state,
         torn=torn,
         unresolved=max(grid.unresolved, inside),
+        pushes=pushes,
         steps=grid.steps + steps,
         evaluations=grid.evaluations + steps,
     )
@@ -253,7 +257,10 @@ def _projected(
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
         colliders, system.layers, grid.passages,
     )  # fmt: skip
-    state, torn, substeps, calm, stretch, steps, _, inside, passages, through = outputs
+    (
+        state, torn, substeps, calm, stretch, steps, _, inside, passages, through,
+        pushes,
+    ) = outputs  # fmt: skip
     return replace(
         grid,
         index=grid.index + cells,
@@ -261,6 +268,7 @@ def _projected(
         state=state,
         torn=torn,
         unresolved=max(grid.unresolved, inside),
+        pushes=pushes,
         calm=calm,
         passages=passages,
         through=grid.through.with_more(Through(*through)),
@@ -284,7 +292,7 @@ def _implicit(
         grid.index, grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2,
         SOLVED * size, colliders,
     )  # fmt: skip
-    state, before, known, torn, steps, corrections, lost, inside = outputs
+    state, before, known, torn, steps, corrections, lost, inside, pushes = outputs
     return replace(
         grid,
         index=grid.index + cells,
@@ -292,6 +300,7 @@ def _implicit(
         before=before if known else None,
         torn=torn,
         unresolved=max(grid.unresolved, inside),
+        pushes=pushes,
         steps=grid.steps + steps,
         evaluations=grid.evaluations + corrections,
         lost=lost > 0,

@@ -17,6 +17,7 @@ from animtool.systems.fields import (
     PrimName,
     PrimPath,
     SystemColliderModel,
+    SystemSurfaceModel,
     UsdFile,
 )
 from animtool.systems.springs import SpringOptions
@@ -61,6 +62,11 @@ class SpringsModel(FileModel):
     characters: list[CharacterModel] = key(
         "Characters in motion that it runs into; none is written.",
         [{"file": "walk.clip.yaml", "friction": 0.3}],
+        default=[],
+    )
+    systems: list[SystemSurfaceModel] = key(
+        "Cloth, volumes and rigid bodies of the scene that it runs into.",
+        [{"system": "crates", "two_way": True}],
         default=[],
     )
     meshes: list[MovingMeshModel] = key(

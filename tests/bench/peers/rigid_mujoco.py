@@ -1,6 +1,7 @@
 """Boxes that fall into a container, by MuJoCo. Prints its seconds as JSON.
 
-500 steps a second and Newton's method, as its authors have them by default.
+500 steps a second, as its authors have them by default; of its solvers the fastest:
+Newton's for few boxes, for more conjugate gradients, which take a quarter of its time.
 """
 
 import json
@@ -10,8 +11,9 @@ import mujoco
 import numpy as np
 from clock import timed
 
+FEW = 200
 HEAD = (
-    '<mujoco><option gravity="0 -9.81 0"/><size memory="4G"/>'
+    '<mujoco><option gravity="0 -9.81 0" solver="{}"/><size memory="4G"/>'
     '<default><geom friction=".5"/></default><worldbody>'
 )
 
@@ -20,8 +22,9 @@ def main(source: str, seconds: str, output: str) -> None:
     """Simulate the boxes of ``source``, an npz, and write where they are."""
     arrays = np.load(source)
     side, width = float(arrays["side"]), float(arrays["width"])
+    solver = "Newton" if len(arrays["points"]) <= FEW else "CG"
     walls = [(0, 1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1)]
-    text = HEAD
+    text = HEAD.format(solver)
     for normal in walls:
         place = [0.0 if normal[1] else -width / 2 * n for n in normal]
         text += (

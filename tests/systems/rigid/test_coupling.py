@@ -152,3 +152,93 @@ def test_only_rigid_bodies_are_pushed(tmp_path: Path) -> None:
     }
     with pytest.raises(FormatError, match=r"SCN063.*two_way.*of kind cloth, not rigid"):
         Simulator(tmp_path).scene([{"cloth": flag}, shots(RAIN)])
+
+
+def sheet(**keys: Any) -> dict[str, Any]:
+    """Return a cloth that lies flat and free, without weight."""
+    return {
+        "cloth": {
+            "name": "sheet",
+            "corner": [-0.5, 0, -0.5],
+            "across": [1, 0, 0],
+            "up": [0, 0, 1],
+            "resolution": [11, 11],
+            "mass": 0.5,
+            "gravity": [0, 0, 0],
+            "springs": {"structural": {"stiffness": 500}},
+            "systems": [{"system": "it", "two_way": True, "friction": 0.3}],
+            **keys,
+        }
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("solver", ["symplectic_euler", "xpbd", "bdf2"])
+def test_cloth_and_ball_keep_their_momentum(tmp_path: Path, solver: str) -> None:
+    thrown = ball(0.15, mass=2.0, at=[0.05, 0.3, 0.02], velocity=[0.2, -2, 0.1])
+    entries = [bodies(thrown), sheet(solver=solver)]
+    rigid, cloth = open_systems(Simulator(tmp_path).scene(entries).systems, 1.0)
+    cloth.at(0.0)
+    taken = 0.5 / 121 * cloth.at(0.75).velocities.sum(axis=0)
+    rigid.at(0.75)
+    left = 2.0 * rigid.receive().state.motion[0, 7:10]
+    assert np.linalg.norm(taken) > 0.1
+    assert_allclose(left + taken, 2.0 * np.array([0.2, -2, 0.1]), atol=1e-11)
+
+
+def caught(folder: Path, rate: int) -> np.ndarray:
+    """Return how high a ball is in a hammock, by steps of both."""
+    dropped = ball(0.3, mass=5.0, at=[0, 0.6, 0])
+    hammock = sheet(
+        corner=[-1, 0, -1], across=[2, 0, 0], up=[0, 0, 2], resolution=[7, 7],
+        gravity=[0, -9.81, 0],
+        pins=[{"particles": ["left", "right"]}], solver="bdf2", step=1 / rate,
+        springs={"structural": {"stiffness": 2000, "ratio": 0.05}},
+    )  # fmt: skip
+    entries = [bodies(dropped, step=1 / rate, **FALL), hammock]
+    rows = Simulator(folder).simulate(entries, FRAMES[:13])["it"]
+    return np.array([row.points[0, 1] for row in rows])
+
+
+def test_shorter_steps_come_nearer_to_how_a_hammock_catches(tmp_path: Path) -> None:
+    heights = [caught(tmp_path, rate) for rate in (480, 960, 1920)]
+    first, second = (float(np.abs(heights[k + 1] - heights[k]).max()) for k in range(2))
+    assert heights[2].min() < -0.1
+    assert second < 0.6 * first
+
+
+def test_a_body_is_not_thrown_off_by_what_is_heavier(tmp_path: Path) -> None:
+    light = ball(0.15, mass=0.01, at=[0, 0.3, 0])
+    falling = sheet(mass=50.0, corner=[-0.5, 1.0, -0.5], gravity=[0, -9.81, 0])
+    opened = open_systems(
+        Simulator(tmp_path).scene([bodies(light), falling]).systems, 1.0
+    )
+    speeds = []
+    for t in FRAMES:
+        opened[1].at(t)
+        speeds.append(float(np.linalg.norm(opened[0].at(t).velocities)))
+    # The cloth falls, and comes with some 3 m/s.
+    assert 1.0 < max(speeds) < 12.0
+    assert "SIM135" in [notice.code for notice in opened[1].notices]
+
+
+def test_frames_do_not_matter_to_cloth(tmp_path: Path) -> None:
+    thrown = ball(0.15, mass=2.0, at=[0.05, 0.3, 0.02], velocity=[0.2, -2, 0.1])
+    entries = [bodies(thrown), sheet()]
+    simulator = Simulator(tmp_path)
+    coarse = simulator.simulate(entries, (np.arange(13) / 24).tolist())
+    fine = simulator.simulate(entries, (np.arange(61) / 120).tolist())
+    for name in ("it", "sheet"):
+        for k, row in enumerate(coarse[name]):
+            assert_array_equal(row.points, fine[name][5 * k].points)
+
+
+def test_an_error_is_not_kept_where_bodies_are_pushed(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"SIM063.*error"):
+        Simulator(tmp_path).scene([bodies(CRATE), sheet(error=1e-3)])
+
+
+def test_systems_do_not_run_into_each_other_in_a_circle(tmp_path: Path) -> None:
+    one = sheet(systems=[{"system": "other"}])
+    other = sheet(name="other", systems=[{"system": "sheet"}])
+    with pytest.raises(FormatError, match=r"SCN063.*systems\[0\].*circle"):
+        Simulator(tmp_path).scene([one, other])
