@@ -51,7 +51,7 @@ LAYERS = [
     {"ik"},
     {"formats"},
     {"usd"},
-    {"edit", "sim"},
+    {"edit", "mocap", "sim"},
     {"systems"},
     {"scene"},
     {"batch"},
@@ -59,7 +59,7 @@ LAYERS = [
     {"cli"},
 ]
 # Passes of one kind know nothing of those of another.
-APART = {"edit", "sim"}
+APART = {"edit", "mocap", "sim"}
 RANK = {name: i for i, names in enumerate(LAYERS) for name in names}
 
 
@@ -183,6 +183,7 @@ OPENED = {
     "animtool.usd.skinned": "a file that was just written",
     "animtool.usd.rig_layer": "a layer in memory",
     "animtool.usd.simulated_read": "layers that dependencies has looked at",
+    "animtool.mocap.retarget.names": "a table that is part of animtool",
     "animtool.rules": "pages that are part of animtool",
 }
 READS = {

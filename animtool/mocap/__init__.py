@@ -1,0 +1,1 @@
+"""Motion capture: takes from anywhere onto the rig of a production."""

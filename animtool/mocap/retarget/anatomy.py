@@ -1,0 +1,398 @@
+"""The anatomy of a skeleton: the role of every joint, by its name and its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, Severity, listed
+from animtool.mocap.retarget.fingers import finger_roles
+from animtool.mocap.retarget.names import (
+    Preset,
+    best_preset,
+    find_preset,
+    read_names,
+    role_votes,
+)
+from animtool.mocap.retarget.roles import (
+    ARM,
+    CONTROL,
+    END,
+    LEG,
+    SIDES,
+    TWIST,
+    Anatomy,
+    Found,
+    base_role,
+)
+from animtool.mocap.retarget.structure import Body, hand_of, limb_pairs, split_limb
+from animtool.rig.skeleton import Rig
+from animtool.units import UpAxis
+
+_LIMBS = {"arm": ARM, "leg": LEG}
+# Confidence in a role by how it was found.
+_SURE = {
+    Found.PRESET: 1.0,
+    Found.NAME: 0.9,
+    Found.STRUCTURE: 0.7,
+    Found.FILE: 1.0,
+    Found.NONE: 0.0,
+}
+MAX_NAMED = 4
+
+
+@dataclass(slots=True)
+class _Search:
+    """What is known of a skeleton's joints while it is searched."""
+
+    body: Body
+    roles: list[str]
+    tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
+    guessed: bool = False  # whether the sides are those of the file's order
+
+    def put(self, joint: int, role: str) -> None:
+        """Give a joint a role, where it has none yet."""
+        if joint >= 0 and not self.roles[joint]:
+            self.roles[joint] = role
+
+
+def anatomy(
+    rig: Rig,
+    *,
+    preset: str | None = None,
+    positions: FloatArray | None = None,
+    by_names: bool = True,
+) -> Anatomy:
+    """Return the role of each joint of a skeleton.
+
+    Args:
+        rig: J joints.
+        preset: The convention of its names; None finds it.
+        positions: Of the joints in a pose of a person who stands ``(J, 3)`` [m], world;
+            None is the rest pose. Only sides and fingers depend on it, and only where
+            names do not say them.
+        by_names: Whether names count.
+
+    Raises:
+        OptionError: There is no preset of that name (MAP003).
+    """
+    names = [joint.source_name or joint.name for joint in rig.joints]
+    read = read_names(names, rig.parents)
+    chosen: Preset | None = None
+    if preset is not None:
+        chosen = find_preset(preset)
+    elif by_names:
+        chosen = best_preset(read)
+    votes = role_votes(read, chosen) if by_names else [{} for _ in names]
+    kinds = [name.kind if by_names else "" for name in read]
+    body = Body.of(rig, votes, kinds, positions)
+    search = _Search(body, [""] * len(names))
+    notices = _one_person(search)
+    _find_limbs(search)
+    _trunk(search)
+    for limb in search.tips:
+        _limb(search, limb)
+    _rest(search)
+    notices += _doubts(search)
+    found = [_how(role, votes[j]) for j, role in enumerate(search.roles)]
+    sure = tuple(_SURE[how] for how in found)
+    name = chosen.name if chosen else ""
+    return Anatomy(tuple(search.roles), tuple(found), sure, name, tuple(notices))
+
+
+def _how(role: str, votes: Mapping[str, float]) -> Found:
+    if not role or role in {TWIST, END, CONTROL}:
+        return Found.NONE
+    weight = votes.get(role, 0.0)
+    if weight == 0.0:
+        return Found.STRUCTURE
+    return Found.PRESET if weight == 1.0 else Found.NAME
+
+
+def _one_person(search: _Search) -> list[Fault]:
+    """Leave out all trees but the largest; warn where others are persons too."""
+    body = search.body
+    roots = body.rig.roots
+    if len(roots) < 2:
+        return []
+    main = max(roots, key=lambda r: body.counts[r])
+    others = [r for r in roots if r != main and body.counts[r] >= 8]
+    for j in range(len(search.roles)):
+        if body.rig.upwards(j)[-1] != main:
+            search.roles[j] = CONTROL
+    if not others:
+        return []
+    names = body.rig.names
+    message = (
+        f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is mapped, "
+        f"{listed([repr(names[r]) for r in others], MAX_NAMED)} are not"
+    )
+    hint = "write the others to files of their own"
+    return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _find_limbs(search: _Search) -> None:
+    """Find the lowest joint of each limb and of the head, by names or by the tree."""
+    body = search.body
+    for limb, roles in _LIMBS.items():
+        for side in SIDES:
+            tip = _named_tip(search, {f"{role}_{side}" for role in roles})
+            if tip >= 0:
+                search.tips[f"{limb}_{side}"] = tip
+    if all(f"{limb}_{side}" in search.tips for limb in _LIMBS for side in SIDES):
+        return
+    legs, arms = limb_pairs(body)
+    for limb, pair in (("leg", legs), ("arm", arms)):
+        if pair is None or any(f"{limb}_{side}" in search.tips for side in SIDES):
+            continue
+        ways = [body.heaviest(top) for top in (pair.first, pair.second)]
+        taken = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
+        if taken & {pair.first, pair.second}:
+            continue
+        for side, way in zip(SIDES, ways, strict=True):
+            search.tips[f"{limb}_{side}"] = way[-1]
+    if not any(body.votes):
+        _sides_by_place(search)
+
+
+def _named_tip(search: _Search, roles: set[str]) -> int:
+    """Return the joint with most names of a limb above it; -1 where none has one."""
+    body = search.body
+    best, most = -1, 0.0
+    for j, votes in enumerate(body.votes):
+        if search.roles[j] or roles.isdisjoint(votes):
+            continue
+        above = [roles & body.votes[k].keys() for k in body.rig.upwards(j)]
+        score = len(set().union(*above)) + 0.01 * sum(map(bool, above))
+        if score > most:
+            best, most = j, score
+    return best
+
+
+def _sides_by_place(search: _Search) -> None:
+    """Tell left from right by where limbs are; by the order of the file where same."""
+    body, tips = search.body, search.tips
+    across = _left_of(body, tips)
+    for limb in _LIMBS:
+        pair = [f"{limb}_{side}" for side in SIDES]
+        if not all(name in tips for name in pair):
+            continue
+        left, right = (_mean_place(body, tips[name], limb) for name in pair)
+        gap = float((left - right) @ across)
+        if abs(gap) <= 1e-3 * max(body.size, 1e-30):
+            search.guessed = True
+        elif gap < 0:
+            tips[pair[0]], tips[pair[1]] = tips[pair[1]], tips[pair[0]]
+
+
+def _mean_place(body: Body, tip: int, limb: str) -> FloatArray:
+    """Return where a limb is on average ``(3,)`` [m]."""
+    below = body.rig.upwards(tip)[: 5 if limb == "arm" else 4]
+    return np.asarray(body.positions[below].mean(axis=0))
+
+
+def _left_of(body: Body, tips: Mapping[str, int]) -> FloatArray:
+    """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
+    is_y = body.rig.up is UpAxis.Y
+    up: FloatArray = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
+    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if is_y else [0.0, -1.0, 0.0])
+    if "leg_l" in tips and "leg_r" in tips and "arm_l" in tips:
+        hips = body.common([tips["leg_l"], tips["leg_r"]])
+        chest = body.common([tips["arm_l"], tips["arm_r"]])
+        trunk = body.positions[chest] - body.positions[hips]
+        if np.linalg.norm(trunk) > 0.05 * body.size:
+            up = trunk / np.linalg.norm(trunk)
+    feet: FloatArray = np.zeros(3)
+    for name in ("leg_l", "leg_r"):
+        if name in tips:
+            toe = tips[name]
+            joint = body.rig.joints[toe]
+            feet += body.positions[toe] - body.positions[max(joint.parent, 0)]
+    level = feet - up * float(feet @ up)
+    if np.linalg.norm(level) > 0.3 * max(float(np.linalg.norm(feet)), 1e-30):
+        ahead = level / np.linalg.norm(level)
+    return np.cross(up, ahead)
+
+
+def _trunk(search: _Search) -> None:
+    """Give hips, spine, neck, head and what is above the hips their roles."""
+    body, tips = search.body, search.tips
+    legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
+    arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
+    head = _best_named(search, "head")
+    chest = body.common(arms) if len(arms) == 2 else -1
+    if head < 0 and chest >= 0:
+        head = _head_below(search, chest)
+    upper = [j for j in (chest, head) if j >= 0]
+    fork = body.common([*legs, *upper]) if legs and upper else -1
+    seat = body.common(legs) if len(legs) == 2 else fork
+    hips = _hips(search, fork, seat, upper)
+    if hips < 0:
+        return
+    search.put(hips, "hips")
+    start = fork if fork >= 0 else hips
+    for j in body.rig.upwards(hips)[1:]:
+        if fork <= j < hips or j < start:
+            search.put(j, "root")
+    for j in body.way(start, seat) if seat > start else ():
+        search.put(j, "pelvis")
+    if upper:
+        start = start if start in body.rig.upwards(upper[-1]) else hips
+        _spine(search, start, chest, head)
+
+
+def _spine(search: _Search, start: int, chest: int, head: int) -> None:
+    """Give the joints from the fork at the hips to chest and head their roles."""
+    body = search.body
+    if (
+        chest >= 0
+        and start in body.rig.upwards(chest)
+        and chest not in body.rig.upwards(max(head, 0))
+    ):
+        for j in body.way(start, chest):
+            search.put(j, "spine")
+    search.put(head, "head")
+    top = head if head >= 0 else chest
+    way = body.way(start, top) if start in body.rig.upwards(top) else []
+    named = [i for i, j in enumerate(way) if "neck" in body.votes[j]]
+    after = way.index(chest) + 1 if chest in way else len(way)
+    after = named[0] if named else after
+    for i, j in enumerate(way):
+        search.put(j, "spine" if i < after else "neck")
+
+
+def _best_named(search: _Search, role: str) -> int:
+    """Return the joint whose name says a role most surely, the highest; or -1."""
+    weights = [
+        0.0 if search.roles[j] else votes.get(role, 0.0)
+        for j, votes in enumerate(search.body.votes)
+    ]
+    best = int(np.argmax(weights)) if weights else -1
+    return best if best >= 0 and weights[best] > 0 else -1
+
+
+def _hips(search: _Search, fork: int, seat: int, upper: Sequence[int]) -> int:
+    """Return the hips: as named if near the fork of legs and trunk, else the fork."""
+    body = search.body
+    named = _best_named(search, "hips")
+    if fork < 0:
+        if named >= 0 or not upper:
+            return named
+        above = body.rig.upwards(upper[0])
+        return above[-1]
+    near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
+    candidates = [j for j in near if "hips" in body.votes[j]]
+    weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
+    sure = [j for j in candidates if body.votes[j]["hips"] == weight]
+    return max(sure, key=lambda j: (j == fork, j), default=fork)
+
+
+def _head_below(search: _Search, chest: int) -> int:
+    """Return the head by structure: the first fork or the end of the way above."""
+    body = search.body
+    arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
+    others = [j for j in body.limb_children(chest) if j not in arms]
+    if not others:
+        return -1
+    size = [body.lengths[j] + body.reach[j] + 1e-3 * body.counts[j] for j in others]
+    way = body.heaviest(others[int(np.argmax(size))])
+    forks = [j for j in way if len(body.limb_children(j)) > 1]
+    return forks[0] if forks else way[-1]
+
+
+def _limb(search: _Search, limb: str) -> None:
+    """Give the joints of an arm or a leg, and its fingers, their roles."""
+    body, kind, side = search.body, *limb.split("_")
+    tip = search.tips[limb]
+    others = {
+        j
+        for name, other in search.tips.items()
+        if name != limb
+        for j in body.rig.upwards(other)
+    }
+    way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
+    way = [*way[::-1], *body.heaviest(tip)[1:]]
+    roles = [f"{role}_{side}" for role in _LIMBS[kind]]
+    if kind == "arm":
+        way, branch = _to_hand(search, way, side)
+        labels = split_limb(body, way, [*roles, ""], branch)
+    else:
+        way = _to_toe(search, way, roles)
+        labels = split_limb(body, way, roles)
+    for j, label in zip(way, labels, strict=True):
+        search.put(j, label)
+    hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
+    if kind == "arm" and hands:
+        for j, role in finger_roles(body, hands[-1], side).items():
+            search.put(j, role)
+
+
+def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
+    """Return an arm's way without its fingers, and the joint they branch off."""
+    votes = search.body.votes
+    hands = [i for i, j in enumerate(way) if f"hand_{side}" in votes[j]]
+    if hands:
+        return way[: hands[-1] + 1], way[hands[-1]]
+    branch = hand_of(search.body, way)
+    if branch >= 0:
+        way = way[: way.index(branch) + 1]
+    return way, branch
+
+
+def _to_toe(search: _Search, way: list[int], roles: Sequence[str]) -> list[int]:
+    """Return a leg's way, without the toes of a foot that has several."""
+    body = search.body
+    named = [i for i, j in enumerate(way) if not set(roles).isdisjoint(body.votes[j])]
+    last = max(named, default=2)
+    for i, j in enumerate(way[last:], last):
+        if len(body.limb_children(j)) > 1 and i >= 2:
+            return way[: i + 1]
+    return way
+
+
+def _rest(search: _Search) -> None:
+    """Give the face its roles, and say of other joints why they have none."""
+    body = search.body
+    for j, votes in enumerate(body.votes):
+        for role in votes:
+            if base_role(role) in {"jaw", "eye"} and role not in search.roles:
+                search.put(j, role)
+    for j, kind in enumerate(body.kinds):
+        leaf = not body.children[j]
+        if not search.roles[j] and (kind or (leaf and body.is_tip(j))):
+            search.roles[j] = kind or END
+
+
+def _doubts(search: _Search) -> list[Fault]:
+    """Return what is odd about a skeleton, and what is done instead."""
+    rig, roles = search.body.rig, search.roles
+    faults = []
+    if not any(base_role(role) == "thigh" for role in roles):
+        message = f"{rig.name!r} has no legs"
+        hint = "root motion keeps its scale, and no feet are locked"
+        faults.append(Fault("MAP101", message, hint=hint))
+    if len(rig.joints) > 1 and search.body.size <= 0:
+        message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
+        hint = "joints are mapped by their names alone"
+        faults.append(Fault("MAP102", message, hint=hint))
+    blunt = [j for j, role in enumerate(roles) if _blunt(search, j, role)]
+    if blunt:
+        names = listed([repr(rig.names[j]) for j in blunt], MAX_NAMED)
+        message = f"nothing of {rig.name!r} shows where {names} end"
+        hint = "the hand goes on as the forearm does"
+        faults.append(Fault("MAP104", message, hint=hint))
+    if search.guessed:
+        message = f"nothing tells left from right in {rig.name!r}"
+        hint = "the first limb of the file is taken for the left one; check the map"
+        faults.append(Fault("MAP105", message, hint=hint))
+    return [replace(fault, severity=Severity.WARNING) for fault in faults]
+
+
+def _blunt(search: _Search, joint: int, role: str) -> bool:
+    body = search.body
+    if base_role(role) != "hand" or body.size <= 0:
+        return False
+    return bool(body.reach[joint] <= 0)

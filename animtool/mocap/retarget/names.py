@@ -1,0 +1,249 @@
+"""What the names of joints say: their side, and the role that conventions give them."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import yaml
+
+from animtool._types import IntArray
+from animtool.documents.names import nearest
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.mocap.retarget.roles import (
+    CONTROL,
+    DIGITS,
+    END,
+    ROLES,
+    SIDES,
+    TWIST,
+)
+from animtool.rig.sides import pair_sides
+
+_FILE = resources.files("animtool.mocap.retarget") / "presets.yaml"
+# Namespaces, and prefixes that exporters set before every name.
+_NAMESPACE = re.compile(r"^.*[:|/]")
+_PREFIX = re.compile(
+    r"^(mixamorig\d*[:_]?|(ValveBiped[._])?Bip0*\d+(?=[ _.])|CC_Base_|DEF-|ORG-"
+    r"|J_(Bip|Adj)_|Robot_|Skeleton[ _]?\d+_)(?=.)"
+)
+# Words, in camel case or set off by other characters, and numbers.
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
+_SIDES = {
+    **dict.fromkeys(("left", "lft", "lf", "lt", "l", "左"), "l"),
+    **dict.fromkeys(("right", "rgt", "rt", "rf", "r", "右"), "r"),
+}
+# Words of joints as such, and the letters of the middle.
+_NOISE = {"joint", "jnt", "jt", "bone", "bn", "link", "j", "m", "c", "x", "def", "bind"}
+_TWIST = re.compile(r"twist|roll|捩|(shoulder|elbow|hip|knee)part[0-9]")
+_ENDS = {"end", "nub", "tip", "site", "leaf", "effector", "vertex"}
+_CONTROLS = {
+    *("ik", "fk", "pole", "ctrl", "control", "ctl", "target", "helper", "prop"),
+    *("props", "mch", "drv", "corrective", "share", "weapon", "gun", "camera"),
+}
+# A prefix is common from this share of the names on.
+_SHARED = 0.6
+# Names of a convention that a skeleton must have to be of it.
+_FEWEST = 6
+# The entry of the presets that is none: words of many conventions.
+WORDS = "words"
+
+
+@dataclass(frozen=True, slots=True)
+class ReadName:
+    """A joint's name, taken apart."""
+
+    side: str  # ``l``, ``r`` or empty
+    key: str  # lower case, without prefix, side, separators and zeros before numbers
+    kind: str = ""  # `TWIST`, `END` or `CONTROL`, where a word says so
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """A convention of names."""
+
+    name: str
+    title: str
+    source: str  # where its names were read
+    seen: bool  # whether all names were read there; else some follow from a rule
+    keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
+    joints: Mapping[str, tuple[str, ...]]  # names by role, the usual one first
+
+
+def _split(name: str) -> list[str]:
+    return _WORD.findall(unicodedata.normalize("NFKC", name))
+
+
+def _key(words: Sequence[str]) -> str:
+    """Return words as one, in lower case, without those that say nothing."""
+    lower = [word.lower() for word in words]
+    # A letter with a number, as that of a vertebra, says something.
+    numbered = [word.isdigit() for word in lower[1:]] + [False]
+    kept = [
+        word
+        for word, number in zip(lower, numbered, strict=True)
+        if word not in _NOISE or (number and len(word) == 1)
+    ]
+    return "".join(kept or lower)
+
+
+def _side(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the side that a word says, and the other words."""
+    for i, word in enumerate(words):
+        side = _SIDES.get(word.lower(), "")
+        digit = len(word) == 1 and i + 1 < len(words) and words[i + 1].isdigit()
+        if side and not (digit and word not in "左右"):
+            return side, [*words[:i], *words[i + 1 :]]
+    return "", list(words)
+
+
+def _bare(names: Sequence[str]) -> list[str]:
+    """Return names without namespaces and the prefix that most have."""
+    bare = [_NAMESPACE.sub("", name) or name for name in names]
+    bare = [_PREFIX.sub("", name) for name in bare]
+    starts = Counter(
+        name[: mark.end()] for name in bare for mark in re.finditer(r"[ _.\-]+", name)
+    )
+    common = [
+        start
+        for start, count in starts.items()
+        if count > max(_SHARED * len(bare), 2)
+        and _split(start)
+        and not any(word.lower() in _SIDES for word in _split(start))
+    ]
+    longest = max(common, key=len, default="")
+    return [name.removeprefix(longest) or name for name in bare]
+
+
+def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
+    """Return the names of J joints taken apart.
+
+    >>> read_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
+    ReadName(side='l', key='upleg', kind='')
+    >>> read_names(["lfemur", "rfemur"], [-1, -1])[1]
+    ReadName(side='r', key='femur', kind='')
+    """
+    bare = _bare(names)
+    sides = pair_sides(names, parents)
+    partner = {j: int(sides.partners[j]) for j in range(len(names))}
+    left = set(sides.left)
+    read = []
+    for j, name in enumerate(bare):
+        other = partner[j]
+        side, words = _side(_split(name))
+        if not side and other != j:
+            side = "l" if j in left else "r"
+            words = _split(_without_letter(name, bare[other]))
+        read.append(ReadName(side, _key(words), _kind(name, words)))
+    return read
+
+
+def _without_letter(name: str, other: str) -> str:
+    """Return a name without the one letter in which it differs from its partner's."""
+    differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
+    if len(name) == len(other) and len(differ) == 1:
+        return name[: differ[0]] + " " + name[differ[0] + 1 :]
+    return name
+
+
+def _kind(name: str, words: Sequence[str]) -> str:
+    lower = [word.lower() for word in words if not word.isdigit()]
+    if name.startswith("__") or not _CONTROLS.isdisjoint(lower):
+        return CONTROL
+    if _TWIST.search("".join(map(str.lower, words))):
+        return TWIST
+    return END if lower and (lower[-1] in _ENDS or lower[0] == "leaf") else ""
+
+
+@cache
+def presets() -> Mapping[str, Preset]:
+    """Return the shipped conventions, by name; ``words`` is what many have."""
+    raw: dict[str, Any] = yaml.load(_FILE.read_text("utf-8"), yaml.CSafeLoader)
+    return {name: _preset(name, entry) for name, entry in raw.items()}
+
+
+def _preset(name: str, entry: dict[str, Any]) -> Preset:
+    keys: dict[str, set[str]] = {}
+    joints: dict[str, list[str]] = {}
+    for role, template in _templates(entry["joints"]):
+        keys.setdefault(_key(_side_less(template)), set()).add(role)
+        sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
+        for word, side in sides:
+            text = template.replace("{s}", word)
+            joints.setdefault(f"{role}_{side}", []).append(text)
+        if "{s}" not in template:
+            joints.setdefault(role, []).append(template)
+    return Preset(
+        name,
+        entry["title"],
+        entry["source"],
+        entry["seen"],
+        {key: frozenset(roles) for key, roles in keys.items()},
+        {role: tuple(dict.fromkeys(texts)) for role, texts in joints.items()},
+    )
+
+
+def _side_less(template: str) -> list[str]:
+    bare = _PREFIX.sub("", _NAMESPACE.sub("", template.replace("{s}", " ")))
+    return _split(bare)
+
+
+def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield roles without sides, and the texts of names of each."""
+    for role, value in joints.items():
+        entries = value if isinstance(value, list) else [value]
+        for i, entry in enumerate(entries):
+            names = entry if isinstance(entry, list) else [entry]
+            for text in names:
+                yield (f"{role}_{i + 1}" if role in DIGITS else role), text
+
+
+def find_preset(name: str) -> Preset:
+    """Return a shipped convention.
+
+    Raises:
+        OptionError: There is none of that name (MAP003).
+    """
+    table = presets()
+    if name not in table:
+        hint = nearest(name, sorted(table))
+        raise OptionError(Fault("MAP003", f"unknown preset {excerpt(name)}", hint=hint))
+    return table[name]
+
+
+def best_preset(read: Sequence[ReadName]) -> Preset | None:
+    """Return the convention that most names are of; None where few are of any."""
+    keys = {name.key for name in read if name.kind != CONTROL}
+    scores = {
+        name: (len(keys & preset.keys.keys()), -len(preset.keys))
+        for name, preset in presets().items()
+        if name != WORDS
+    }
+    name = max(scores, key=lambda each: scores[each])
+    return presets()[name] if scores[name][0] >= _FEWEST else None
+
+
+def role_votes(
+    read: Sequence[ReadName], preset: Preset | None
+) -> list[dict[str, float]]:
+    """Return what the names say: weights 0 to 1 of the roles of each of J joints."""
+    words = presets()[WORDS]
+    votes: list[dict[str, float]] = []
+    for name in read:
+        roles: dict[str, float] = {}
+        for table, weight in ((words, 0.8), (preset, 1.0)):
+            for role in table.keys.get(name.key, ()) if table else ():
+                sided = f"{role}_{name.side}" if name.side else role
+                if sided in ROLES and name.kind in {"", TWIST}:
+                    roles[sided] = weight
+        if preset and name.key in preset.keys:
+            # What the convention says goes before what others mean by the word.
+            roles = {role: weight for role, weight in roles.items() if weight == 1.0}
+        votes.append(roles)
+    return votes

@@ -1,0 +1,66 @@
+"""The roles of joints in a person, such as ``hips``, ``forearm_l`` and ``index_2_r``.
+
+A role may be that of several joints, a chain: extra joints within an upper arm all are
+``upper_arm_l``. Fingers have a role for each joint: 0 is the metacarpal, 1 to 3 the
+phalanges; a thumb has 1 (its metacarpal) to 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from animtool.errors import Fault
+
+CENTER = ("root", "hips", "pelvis", "spine", "neck", "head", "jaw")
+ARM = ("clavicle", "upper_arm", "forearm", "hand")
+# What stands between the hips and a thigh moves no leg: it is of the pelvis.
+LEG = ("pelvis", "thigh", "shin", "foot", "toe")
+DIGITS = ("thumb", "index", "middle", "ring", "pinky")
+FINGERS = tuple(f"{digit}_{i}" for digit in DIGITS for i in range(digit == "thumb", 4))
+SIDED = (*ARM, *LEG, *FINGERS, "eye")
+SIDES = ("l", "r")
+ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
+# Joints without a role, of which it is known why they have none.
+TWIST, END, CONTROL = "twist", "end", "control"
+
+
+class Found(StrEnum):
+    """How the role of a joint was found."""
+
+    PRESET = "preset"  # its name is that of a convention
+    NAME = "name"  # its name has a word that many conventions have
+    STRUCTURE = "structure"  # from where it is among the others
+    FILE = "file"  # a map file says so
+    NONE = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Anatomy:
+    """The role of each joint of a skeleton."""
+
+    # One of `ROLES`, or `TWIST`, `END`, `CONTROL` or empty, per joint ``(J,)``.
+    roles: tuple[str, ...]
+    found: tuple[Found, ...]  # ``(J,)``
+    confidence: tuple[float, ...]  # 0 to 1 ``(J,)``
+    preset: str = ""  # the convention of the names; empty for none
+    notices: tuple[Fault, ...] = ()
+
+    def chain(self, role: str) -> tuple[int, ...]:
+        """Return the joints of a role, parents before children."""
+        return tuple(j for j, own in enumerate(self.roles) if own == role)
+
+
+def base_role(role: str) -> str:
+    """Return a role without its side.
+
+    >>> base_role("upper_arm_l"), base_role("spine")
+    ('upper_arm', 'spine')
+    """
+    return role[:-2] if role[-2:] in {"_l", "_r"} else role
+
+
+def humanoid(roles: Sequence[str]) -> bool:
+    """Return whether joints of these roles are those of a person with limbs."""
+    return any(base_role(role) in {"thigh", "upper_arm"} for role in roles)

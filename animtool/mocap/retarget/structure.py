@@ -1,0 +1,353 @@
+"""Where limbs, hands and the trunk are in a skeleton, from its tree and its lengths.
+
+Names, where they say anything, are votes that the same search weighs: one way from a
+skeleton to its anatomy, whatever is known of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.mocap.retarget.roles import CONTROL, END, TWIST
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Rig
+
+# Shorter than this share of the skeleton, a bone has no length.
+_ZERO = 1e-4
+# Limbs of one pair differ in reach by less than this share.
+_ALIKE = 0.15
+# A pair of limbs reaches over at least this share of the skeleton.
+_LIMB = 0.2
+# Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
+_ALONG = 0.97
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Two like subtrees below one joint."""
+
+    parent: int
+    first: int
+    second: int
+    reach: float  # [m]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A skeleton as the search sees it."""
+
+    rig: Rig
+    positions: FloatArray  # of J joints in some pose ``(J, 3)`` [m], world
+    kinds: tuple[str, ...]  # of joints that have no role, by their names ``(J,)``
+    votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        votes: Sequence[dict[str, float]],
+        kinds: Sequence[str],
+        positions: FloatArray | None = None,
+    ) -> Body:
+        """Return a skeleton in a pose; without one, at rest."""
+        if positions is None:
+            rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+            positions = rest.positions[0]
+        return cls(rig, positions, tuple(kinds), tuple(votes))
+
+    @cached_property
+    def children(self) -> list[list[int]]:
+        """Children of each joint, without controls that carry nothing else."""
+        below: list[list[int]] = [[] for _ in self.rig.joints]
+        used = [kind != CONTROL for kind in self.kinds]
+        for j in range(len(used) - 1, -1, -1):
+            parent = self.rig.joints[j].parent
+            if used[j] and parent >= 0:
+                below[parent].insert(0, j)
+                # A control that carries a joint with a role is an extra bone.
+                used[parent] |= bool(self.votes[j]) or bool(below[j])
+        return below
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Lengths of the offsets ``(J,)`` [m]; a root has none."""
+        lengths = np.linalg.norm(self.rig.rest_translations, axis=1)
+        lengths[self.rig.parents < 0] = 0.0
+        return np.asarray(lengths)
+
+    @cached_property
+    def tips(self) -> FloatArray:
+        """Lengths of the last bones, of joints that carry one ``(J,)`` [m]."""
+        return np.array(
+            [
+                max((float(np.linalg.norm(t)) for t in j.tips), default=0.0)
+                for j in self.rig.joints
+            ]
+        )
+
+    @cached_property
+    def reach(self) -> FloatArray:
+        """Length of the longest way down from each joint ``(J,)`` [m]."""
+        reach = self.tips.copy()
+        for j in range(len(reach) - 1, -1, -1):
+            parent = self.rig.joints[j].parent
+            if parent >= 0 and j in self.children[parent]:
+                reach[parent] = max(reach[parent], self.lengths[j] + reach[j])
+        return reach
+
+    @cached_property
+    def size(self) -> float:
+        """Length of the longest way through the skeleton from a root [m]."""
+        return float(max(self.reach[self.rig.roots], default=0.0))
+
+    @cached_property
+    def counts(self) -> list[int]:
+        """Number of joints in the subtree of each."""
+        counts = [1] * len(self.rig.joints)
+        for j in range(len(counts) - 1, -1, -1):
+            if self.rig.joints[j].parent >= 0:
+                counts[self.rig.joints[j].parent] += counts[j]
+        return counts
+
+    def way(self, top: int, bottom: int) -> list[int]:
+        """Return the joints from one to another below it, both included."""
+        way = self.rig.upwards(bottom)[::-1]
+        return way[way.index(top) :]
+
+    def common(self, joints: Sequence[int]) -> int:
+        """Return the lowest joint above or at all of these; -1 where none is."""
+        shared = set(self.rig.upwards(joints[0]))
+        for j in joints[1:]:
+            shared &= set(self.rig.upwards(j))
+        return max(shared, default=-1)
+
+    def limb_children(self, joint: int) -> list[int]:
+        """Return the children that go on: no ends, no twist joints along a bone."""
+        below = [c for c in self.children[joint] if not self._is_end(c)]
+        if len(below) < 2:
+            return below
+        longest = max(below, key=lambda c: self.lengths[c] + self.reach[c])
+        return [c for c in below if c == longest or not self._along(c, longest)]
+
+    def _is_end(self, joint: int) -> bool:
+        return not self.children[joint] and (
+            self.kinds[joint] == END or self.is_tip(joint)
+        )
+
+    def is_tip(self, joint: int) -> bool:
+        """Return whether a leaf only marks where the bone above it ends."""
+        tips = self.rig.joints[joint].tips
+        return bool(tips) and float(self.tips[joint]) <= _ZERO * self.size
+
+    def _along(self, leaf: int, other: int) -> bool:
+        """Return whether a leaf lies on the bone to its sibling, or in the joint."""
+        if self.children[leaf] or self.votes[leaf]:
+            return self.kinds[leaf] == TWIST and not self.votes[leaf]
+        if self.kinds[leaf] == TWIST:
+            return True
+        if self.tips[leaf] > 0:
+            return False
+        a = self.rig.rest_translations[leaf]
+        b = self.rig.rest_translations[other]
+        if self.lengths[leaf] <= _ZERO * self.size:
+            return True
+        cosine = float(a @ b) / max(self.lengths[leaf] * self.lengths[other], 1e-30)
+        return cosine > _ALONG and bool(
+            self.lengths[leaf] <= 1.05 * self.lengths[other]
+        )
+
+    def heaviest(self, joint: int) -> list[int]:
+        """Return the longest way down from a joint, itself first."""
+        way = [joint]
+        while below := self.limb_children(way[-1]):
+            way.append(max(below, key=lambda c: self.lengths[c] + self.reach[c]))
+        return way
+
+    def pairs(self) -> list[_Pair]:
+        """Return pairs of like limbs, those of the longest reach first."""
+        found = []
+        for parent in range(len(self.rig.joints)):
+            for a, b in combinations(self.children[parent], 2):
+                reaches = [self.lengths[c] + self.reach[c] for c in (a, b)]
+                low, high = sorted(reaches)
+                if high < _LIMB * self.size or high - low > _ALIKE * high:
+                    continue
+                if min(self.counts[a], self.counts[b]) < 2:
+                    continue
+                found.append(
+                    (
+                        abs(self.counts[a] - self.counts[b]),
+                        high - low,
+                        _Pair(parent, a, b, high),
+                    )
+                )
+        # Each joint is of one pair: the likest.
+        best: list[_Pair] = []
+        taken: set[int] = set()
+        for _, _, pair in sorted(found, key=lambda f: f[:2]):
+            if pair.first not in taken and pair.second not in taken:
+                best.append(pair)
+                taken |= {pair.first, pair.second}
+        return sorted(best, key=lambda p: -p.reach)
+
+
+def limb_pairs(body: Body) -> tuple[_Pair | None, _Pair | None]:
+    """Return the pair of legs and the pair of arms, as far as the tree shows them."""
+    pairs = body.pairs()
+    outer: list[_Pair] = []
+    for pair in pairs:
+        above = set(body.rig.upwards(pair.parent))
+        if not any({p.first, p.second} & above for p in outer):
+            outer.append(pair)
+    if not outer:
+        return None, None
+    if len(outer) == 1:
+        only = outer[0]
+        return (None, only) if _arm_like(body, only) > 0 else (only, None)
+    return max(
+        ((a, b) for a in outer[:4] for b in outer[:4] if a is not b),
+        key=lambda pair: _leg_score(body, *pair),
+    )
+
+
+def _arm_like(body: Body, pair: _Pair) -> float:
+    """Return how much a pair looks like arms rather than legs."""
+    ends = [_branches(body, body.heaviest(c)) for c in (pair.first, pair.second)]
+    hand = max(ends[0][1], ends[1][1])
+    above = body.rig.joints[pair.parent].parent >= 0
+    return (hand >= 4) * 2.0 + above * 1.0 - 0.5
+
+
+def _leg_score(body: Body, legs: _Pair, arms: _Pair) -> float:
+    """Return how well two pairs do as legs and arms."""
+    score = 0.0
+    above = body.rig.upwards(arms.parent)
+    score += 2.0 * (legs.parent in above)
+    score -= 2.0 * (arms.parent in body.rig.upwards(legs.parent)[1:])
+    depth = [len(body.rig.upwards(p.parent)) for p in (legs, arms)]
+    score += float(np.sign(depth[1] - depth[0]))
+    hands = [
+        max(_branches(body, body.heaviest(c))[1] for c in (p.first, p.second))
+        for p in (legs, arms)
+    ]
+    score += 1.5 * float(np.sign(hands[1] - hands[0]))
+    # The head is another branch where the arms are.
+    others = [
+        sum(
+            body.counts[c] > 0 and body.lengths[c] + body.reach[c] > 0.04 * body.size
+            for c in body.children[p.parent]
+        )
+        - 2
+        for p in (legs, arms)
+    ]
+    score += 0.5 * (others[1] > 0)
+    score += (legs.reach + arms.reach) / max(body.size, 1e-30)
+    return float(score)
+
+
+def _branches(body: Body, way: Sequence[int]) -> tuple[int, int]:
+    """Return the joint of a way with most branches that go on, and their number."""
+    best, most = way[-1], 1
+    for j in way:
+        count = len(body.limb_children(j))
+        if count > most:
+            best, most = j, count
+    return best, most
+
+
+def hand_of(body: Body, way: Sequence[int]) -> int:
+    """Return the joint of an arm's way from which fingers branch off; -1 for none."""
+    joint, count = _branches(body, way)
+    return joint if count > 1 else -1
+
+
+def split_limb(
+    body: Body, way: Sequence[int], roles: Sequence[str], branch: int = -1
+) -> list[str]:
+    """Return the role of each joint of a limb's way, in the order of the roles.
+
+    Args:
+        body: The skeleton.
+        way: Joints of the limb, downwards.
+        roles: Five: before the limb, its two long bones, what is at its end, and
+            behind that; empty where the limb has none.
+        branch: The joint where the end begins, where the tree shows it.
+    """
+    n = len(way)
+    lengths = [float(body.lengths[j]) for j in way] + [float(body.tips[way[-1]])]
+    total = max(sum(lengths[1:]), 1e-30)
+    at = np.cumsum([0.0, *lengths[1:]])
+    best, best_score = [""] * n, -np.inf
+    for cuts in combinations(range(n + 1), 3):
+        upper, lower, end = cuts
+        if end > n or lower >= n:
+            continue
+        for last in range(end + 1, n + 1) if end < n else [n]:
+            parts = [upper, lower, end, last, n]
+            labels = [
+                role
+                for role, (a, b) in zip(roles, pairwise([0, *parts]), strict=True)
+                for _ in range(b - a)
+            ]
+            score = _named(body, way, labels)
+            score += _shaped(way, (at, total), parts, roles, branch)
+            if score > best_score:
+                best, best_score = labels, score
+    return best
+
+
+def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
+    """Return how far the names agree; the first joint of a role counts most."""
+    score, before = 0.0, ""
+    for j, label in zip(way, labels, strict=True):
+        votes = body.votes[j]
+        first = label != before
+        if label in votes:
+            score += (10.0 if first else 6.0) * votes[label]
+        elif votes:
+            score -= 6.0
+        elif first and label:
+            score -= 0.5
+        before = label
+    return score
+
+
+def _shaped(
+    way: Sequence[int],
+    lengths: tuple[FloatArray, float],
+    parts: Sequence[int],
+    roles: Sequence[str],
+    branch: int,
+) -> float:
+    """Return how far the lengths are those of a limb."""
+    at, total = lengths
+    upper, lower, end, last, n = parts
+    low = float(at[min(end, n)] - at[lower])
+    up = float(at[lower] - at[upper])
+    if total <= 1e-29:
+        return -abs(upper - 1) - abs(lower - upper - 1) - abs(end - lower - 1)
+    floor = 1e-3 * total
+    score = -2.0 * abs(np.log((up + floor) / (low + floor)))
+    score += 3.0 * (up + low) / total
+    # Few joints before the limb, and none where the first is long itself.
+    before = float(at[upper] - at[0])
+    score -= 1.5 * max(0.0, before / max(up, floor) - 0.8) + 0.1 * abs(upper - 1)
+    score -= 0.2 * (lower - upper - 1 + max(end - lower - 1, 0))
+    if branch >= 0:
+        score += 3.0 if end < n and way[end] == branch else -3.0
+    elif end == n:
+        score -= 1.0
+    if end < n:
+        # What is behind the two long bones is shorter than either.
+        behind = float(at[n] - at[end])
+        score -= 1.5 * max(0.0, behind / max(min(up, low), floor) - 0.9)
+        score -= 0.2 * (last - end - 1)
+    if not roles[4]:
+        score -= 1.0 * (last < n) * (branch < 0)
+    return float(score)
