@@ -33,7 +33,7 @@ LIMBS: dict[str, tuple[str, Vector]] = {
 _ACROSS = dict(zip(DIGITS, (0.03, 0.025, 0.003, -0.018, -0.036), strict=True))
 
 
-def _fingers(metacarpals: bool) -> dict[str, tuple[str, Vector]]:
+def _fingers(*, metacarpals: bool) -> dict[str, tuple[str, Vector]]:
     joints: dict[str, tuple[str, Vector]] = {
         "thumb_1": ("hand", (0.022, -0.012, 0.026)),
         "thumb_2": ("thumb_1", (0.027, 0, 0.036)),
@@ -51,6 +51,10 @@ def _fingers(metacarpals: bool) -> dict[str, tuple[str, Vector]]:
     return joints
 
 
+# Of the left hand, without and with metacarpals.
+DIGIT_JOINTS = {each: _fingers(metacarpals=each) for each in (False, True)}
+
+
 def person(
     rename: Callable[[str], str] = str,
     *,
@@ -65,7 +69,7 @@ def person(
         fingers: Whether it has any.
         metacarpals: Whether the fingers have them.
     """
-    limbs = {**LIMBS, **(_fingers(metacarpals) if fingers else {})}
+    limbs = {**LIMBS, **(DIGIT_JOINTS[metacarpals] if fingers else {})}
     tree = dict(CENTER)
     for side, sign in (("l", 1), ("r", -1)):
         for role, (parent, (x, y, z)) in limbs.items():

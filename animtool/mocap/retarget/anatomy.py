@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,11 +28,28 @@ from animtool.mocap.retarget.roles import (
     Found,
     base_role,
 )
-from animtool.mocap.retarget.structure import Body, hand_of, limb_pairs, split_limb
+from animtool.mocap.retarget.structure import (
+    Body,
+    Limb,
+    hand_of,
+    limb_pairs,
+    split_limb,
+)
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis
 
 _LIMBS = {"arm": ARM, "leg": LEG}
+_SHAPES = {
+    f"{name}_{side}": Limb(
+        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
+        *lengths,
+    )
+    for side in SIDES
+    for name, roles, lengths in (
+        ("arm", ARM, (1.1, 0.5, 0.5, True)),
+        ("leg", LEG, (1.02, 0.25, 0.45, False)),
+    )
+}
 # Confidence in a role by how it was found.
 _SURE = {
     Found.PRESET: 1.0,
@@ -42,6 +59,8 @@ _SURE = {
     Found.NONE: 0.0,
 }
 MAX_NAMED = 4
+# Cosine between trunk and legs of a person who stands, at most.
+_UPRIGHT = -0.7
 
 
 @dataclass(slots=True)
@@ -85,13 +104,19 @@ def anatomy(
     if preset is not None:
         chosen = find_preset(preset)
     elif by_names:
-        chosen = best_preset(read)
+        chosen = best_preset(names, read)
     votes = role_votes(read, chosen) if by_names else [{} for _ in names]
     kinds = [name.kind if by_names else "" for name in read]
-    body = Body.of(rig, votes, kinds, positions)
+    body = Body.of(rig, votes, kinds)
     search = _Search(body, [""] * len(names))
     notices = _one_person(search)
     _find_limbs(search)
+    stands = _standing(search, body.positions)
+    if stands is None and positions is not None:
+        search.body = replace(body, positions=positions)
+        stands = _standing(search, positions)
+    if not any(body.votes):
+        _sides_by_place(search, stands, at_rest=search.body is body)
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
@@ -154,8 +179,6 @@ def _find_limbs(search: _Search) -> None:
             continue
         for side, way in zip(SIDES, ways, strict=True):
             search.tips[f"{limb}_{side}"] = way[-1]
-    if not any(body.votes):
-        _sides_by_place(search)
 
 
 def _named_tip(search: _Search, roles: set[str]) -> int:
@@ -172,49 +195,71 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
     return best
 
 
-def _sides_by_place(search: _Search) -> None:
+def _standing(search: _Search, positions: FloatArray) -> FloatArray | None:
+    """Return the way up of a person who stands ``(3,)``; None where nobody does."""
+    body, tips = search.body, search.tips
+    if not all(f"{limb}_{side}" in tips for limb in _LIMBS for side in SIDES):
+        return None
+    legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
+    hips, chest = body.common(legs), body.common(arms)
+    trunk = positions[chest] - positions[hips]
+    # Toes and hands point anywhere: where limbs are on the whole says more.
+    drops = [
+        positions[body.way(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
+    ]
+    drop = np.asarray(drops).mean(axis=0)
+    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
+    if min(lengths) <= 0.05 * body.size:
+        return None
+    cosine = float(trunk @ drop) / (lengths[0] * lengths[1])
+    return trunk / lengths[0] - drop / lengths[1] if cosine < _UPRIGHT else None
+
+
+def _sides_by_place(search: _Search, up: FloatArray | None, *, at_rest: bool) -> None:
     """Tell left from right by where limbs are; by the order of the file where same."""
     body, tips = search.body, search.tips
-    across = _left_of(body, tips)
+    across = _left_of(search, up, at_rest=at_rest)
     for limb in _LIMBS:
         pair = [f"{limb}_{side}" for side in SIDES]
         if not all(name in tips for name in pair):
             continue
-        left, right = (_mean_place(body, tips[name], limb) for name in pair)
-        gap = float((left - right) @ across)
+        top = body.common([tips[name] for name in pair])
+        ways = [body.way(top, tips[name])[1:] for name in pair]
+        # Hands and feet may cross, where limbs begin they do not.
+        for upper in (2, None):
+            left, right = (body.positions[way[:upper]].mean(axis=0) for way in ways)
+            gap = float((left - right) @ across)
+            if abs(gap) > 0.01 * body.size:
+                break
         if abs(gap) <= 1e-3 * max(body.size, 1e-30):
             search.guessed = True
         elif gap < 0:
             tips[pair[0]], tips[pair[1]] = tips[pair[1]], tips[pair[0]]
 
 
-def _mean_place(body: Body, tip: int, limb: str) -> FloatArray:
-    """Return where a limb is on average ``(3,)`` [m]."""
-    below = body.rig.upwards(tip)[: 5 if limb == "arm" else 4]
-    return np.asarray(body.positions[below].mean(axis=0))
-
-
-def _left_of(body: Body, tips: Mapping[str, int]) -> FloatArray:
+def _left_of(search: _Search, up: FloatArray | None, *, at_rest: bool) -> FloatArray:
     """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
-    is_y = body.rig.up is UpAxis.Y
-    up: FloatArray = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
-    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if is_y else [0.0, -1.0, 0.0])
-    if "leg_l" in tips and "leg_r" in tips and "arm_l" in tips:
-        hips = body.common([tips["leg_l"], tips["leg_r"]])
-        chest = body.common([tips["arm_l"], tips["arm_r"]])
-        trunk = body.positions[chest] - body.positions[hips]
-        if np.linalg.norm(trunk) > 0.05 * body.size:
-            up = trunk / np.linalg.norm(trunk)
+    body, tips = search.body, search.tips
+    if up is None:
+        is_y = body.rig.up is UpAxis.Y
+        up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
+    # Who stands along an axis looks along the one that the field takes for ahead.
+    axis = int(np.argmax(np.abs(up)))
+    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
+    unit = np.eye(3)[axis] * np.sign(up[axis])
     feet: FloatArray = np.zeros(3)
-    for name in ("leg_l", "leg_r"):
-        if name in tips:
-            toe = tips[name]
-            joint = body.rig.joints[toe]
-            feet += body.positions[toe] - body.positions[max(joint.parent, 0)]
-    level = feet - up * float(feet @ up)
-    if np.linalg.norm(level) > 0.3 * max(float(np.linalg.norm(feet)), 1e-30):
-        ahead = level / np.linalg.norm(level)
-    return np.cross(up, ahead)
+    for name in {"leg_l", "leg_r"} & tips.keys():
+        toe = tips[name]
+        bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
+        tip = body.tips_at_rest[toe] if at_rest else np.zeros(3)
+        for bone in (bones, tip):
+            level = bone - unit * float(bone @ unit)
+            # A shin or an ankle that leans says nothing of where feet point.
+            if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
+                feet += level
+    if np.linalg.norm(feet) > 0.01 * body.size:
+        ahead = feet / np.linalg.norm(feet)
+    return np.cross(unit, ahead)
 
 
 def _trunk(search: _Search) -> None:
@@ -229,18 +274,18 @@ def _trunk(search: _Search) -> None:
     upper = [j for j in (chest, head) if j >= 0]
     fork = body.common([*legs, *upper]) if legs and upper else -1
     seat = body.common(legs) if len(legs) == 2 else fork
-    hips = _hips(search, fork, seat, upper)
-    if hips < 0:
-        return
+    hips = _hips(search, fork, seat)
     search.put(hips, "hips")
-    start = fork if fork >= 0 else hips
-    for j in body.rig.upwards(hips)[1:]:
+    start = max(fork, hips) if fork < 0 else fork
+    if start < 0 and upper:
+        start = body.rig.upwards(upper[-1])[-1]
+    for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
         if fork <= j < hips or j < start:
             search.put(j, "root")
     for j in body.way(start, seat) if seat > start else ():
         search.put(j, "pelvis")
     if upper:
-        start = start if start in body.rig.upwards(upper[-1]) else hips
+        start = start if start in body.rig.upwards(upper[-1]) else max(hips, 0)
         _spine(search, start, chest, head)
 
 
@@ -274,15 +319,12 @@ def _best_named(search: _Search, role: str) -> int:
     return best if best >= 0 and weights[best] > 0 else -1
 
 
-def _hips(search: _Search, fork: int, seat: int, upper: Sequence[int]) -> int:
+def _hips(search: _Search, fork: int, seat: int) -> int:
     """Return the hips: as named if near the fork of legs and trunk, else the fork."""
     body = search.body
     named = _best_named(search, "hips")
     if fork < 0:
-        if named >= 0 or not upper:
-            return named
-        above = body.rig.upwards(upper[0])
-        return above[-1]
+        return named
     near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
     candidates = [j for j in near if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
@@ -315,19 +357,18 @@ def _limb(search: _Search, limb: str) -> None:
     }
     way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
     way = [*way[::-1], *body.heaviest(tip)[1:]]
-    roles = [f"{role}_{side}" for role in _LIMBS[kind]]
     if kind == "arm":
         way, branch = _to_hand(search, way, side)
-        labels = split_limb(body, way, [*roles, ""], branch)
+        labels = split_limb(body, way, _SHAPES[limb], branch)
     else:
-        way = _to_toe(search, way, roles)
-        labels = split_limb(body, way, roles)
+        way = _to_toe(search, way)
+        labels = split_limb(body, way, _SHAPES[limb])
     for j, label in zip(way, labels, strict=True):
-        search.put(j, label)
+        search.put(j, "" if body.kinds[j] == CONTROL else label)
     hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
     if kind == "arm" and hands:
-        for j, role in finger_roles(body, hands[-1], side).items():
-            search.put(j, role)
+        for j, role in finger_roles(body, hands, side).items():
+            search.put(j, "" if body.kinds[j] == CONTROL else role)
 
 
 def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
@@ -342,11 +383,10 @@ def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int
     return way, branch
 
 
-def _to_toe(search: _Search, way: list[int], roles: Sequence[str]) -> list[int]:
+def _to_toe(search: _Search, way: list[int]) -> list[int]:
     """Return a leg's way, without the toes of a foot that has several."""
     body = search.body
-    named = [i for i, j in enumerate(way) if not set(roles).isdisjoint(body.votes[j])]
-    last = max(named, default=2)
+    last = max((i for i, j in enumerate(way) if body.votes[j]), default=2)
     for i, j in enumerate(way[last:], last):
         if len(body.limb_children(j)) > 1 and i >= 2:
             return way[: i + 1]

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animtool.mocap.retarget.roles import DIGITS, END
+from animtool.mocap.retarget.roles import DIGITS, END, MITTEN
 from animtool.mocap.retarget.structure import Body
 
 
-def finger_roles(body: Body, hand: int, side: str) -> dict[int, str]:
-    """Return the roles of the joints below a hand."""
-    ways = _ways(body, hand)
+def finger_roles(body: Body, hands: Sequence[int], side: str) -> dict[int, str]:
+    """Return the roles of the joints below the joints of a hand."""
+    ways = _ways(body, hands)
     if not ways:
         return {}
-    digits = _digits(body, ways, hand)
+    digits = _digits(body, ways, hands[-1])
     # What two fingers share is of the shorter one, and of a finger before a thumb.
     order = sorted(
         range(len(ways)), key=lambda i: (len(ways[i]), digits[i] == "thumb", i)
@@ -34,10 +34,11 @@ def finger_roles(body: Body, hand: int, side: str) -> dict[int, str]:
     return roles
 
 
-def _ways(body: Body, hand: int) -> list[list[int]]:
+def _ways(body: Body, hands: Sequence[int]) -> list[list[int]]:
     """Return the way to the last joint of each finger, without the hand."""
     ways: list[list[int]] = []
-    stack = [[child] for child in body.limb_children(hand)[::-1]]
+    below = [child for hand in hands for child in body.limb_children(hand)]
+    stack = [[child] for child in below[::-1] if child not in hands]
     while stack:
         way = stack.pop()
         below = body.limb_children(way[-1])
@@ -55,7 +56,7 @@ def _digits(body: Body, ways: Sequence[list[int]], hand: int) -> list[str]:
             role.split("_")[0]
             for j in way
             for role in body.votes[j]
-            if role.split("_")[0] in DIGITS
+            if role.split("_")[0] in {*DIGITS, MITTEN}
         )
         digits.append(named.most_common(1)[0][0] if named else "")
     if any(digits):
@@ -66,6 +67,10 @@ def _digits(body: Body, ways: Sequence[list[int]], hand: int) -> list[str]:
 def _digits_by_place(body: Body, ways: Sequence[list[int]], hand: int) -> list[str]:
     """Return digits in the order of the knuckles, the thumb's nearest the wrist."""
     count = len(ways)
+    if count <= 2 and max(map(len, ways)) < 3:
+        # All fingers in one, next to a thumb that is shorter or begins first.
+        thumb = min(range(count), key=lambda i: (len(ways[i]), -i))
+        return ["thumb" if i == thumb and count > 1 else MITTEN for i in range(count)]
     if count == 1:
         return ["index"]
     wrist = body.positions[hand]
@@ -98,6 +103,8 @@ def _phalanges(
     body: Body, way: Sequence[int], digit: str, side: str, thumb: int
 ) -> dict[int, str]:
     """Return the role of each joint of a finger."""
+    if digit == MITTEN:
+        return {j: f"{MITTEN}_{side}" for j in way}
     anchors = [
         int(role.split("_")[1]) - i
         for i, j in enumerate(way)
@@ -105,10 +112,13 @@ def _phalanges(
         if role.startswith(f"{digit}_")
     ]
     if anchors:
-        first = Counter(anchors).most_common(1)[0][0]
+        counts = Counter(anchors)
+        first = min(counts, key=lambda start: (-counts[start], start))
     else:
-        # A finger with a joint more than the thumb begins with its metacarpal.
-        first = int(digit == "thumb" or len(way) <= max(thumb, 3))
+        # A finger with a joint more than the thumb begins with its metacarpal, and so
+        # does one of four joints of which the last carries a bone.
+        extra = len(way) > 3 and (body.tips[way[-1]] > 0 or len(way) > thumb)
+        first = int(not extra)
     roles = {}
     for i, j in enumerate(way):
         number = i + first

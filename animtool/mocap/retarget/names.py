@@ -37,10 +37,12 @@ _PREFIX = re.compile(
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
 _SIDES = {
     **dict.fromkeys(("left", "lft", "lf", "lt", "l", "左"), "l"),
-    **dict.fromkeys(("right", "rgt", "rt", "rf", "r", "右"), "r"),
+    **dict.fromkeys(("right", "rgt", "rt", "r", "右"), "r"),
 }
-# Words of joints as such, and the letters of the middle.
-_NOISE = {"joint", "jnt", "jt", "bone", "bn", "link", "j", "m", "c", "x", "def", "bind"}
+# Words of joints as such, and the letters of the middle, set off by other characters.
+_NOISE = re.compile(
+    r"(?<![^\W_])(joint|jnt|jt|bone|bn|link|def|bind|[jmcx])(?![^\W_])", re.IGNORECASE
+)
 _TWIST = re.compile(r"twist|roll|捩|(shoulder|elbow|hip|knee)part[0-9]")
 _ENDS = {"end", "nub", "tip", "site", "leaf", "effector", "vertex"}
 _CONTROLS = {
@@ -75,22 +77,19 @@ class Preset:
     keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
     joints: Mapping[str, tuple[str, ...]]  # names by role, the usual one first
 
+    @property
+    def texts(self) -> frozenset[str]:
+        """All its names, as they are."""
+        return frozenset(name for names in self.joints.values() for name in names)
+
 
 def _split(name: str) -> list[str]:
-    return _WORD.findall(unicodedata.normalize("NFKC", name))
+    text = unicodedata.normalize("NFKC", name)
+    return _WORD.findall(_NOISE.sub(" ", text)) or _WORD.findall(text)
 
 
 def _key(words: Sequence[str]) -> str:
-    """Return words as one, in lower case, without those that say nothing."""
-    lower = [word.lower() for word in words]
-    # A letter with a number, as that of a vertebra, says something.
-    numbered = [word.isdigit() for word in lower[1:]] + [False]
-    kept = [
-        word
-        for word, number in zip(lower, numbered, strict=True)
-        if word not in _NOISE or (number and len(word) == 1)
-    ]
-    return "".join(kept or lower)
+    return "".join(words).lower()
 
 
 def _side(words: Sequence[str]) -> tuple[str, list[str]]:
@@ -135,21 +134,20 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     left = set(sides.left)
     read = []
     for j, name in enumerate(bare):
-        other = partner[j]
         side, words = _side(_split(name))
-        if not side and other != j:
-            side = "l" if j in left else "r"
-            words = _split(_without_letter(name, bare[other]))
+        shorter = _without_letter(name, bare[partner[j]])
+        if shorter:
+            side, words = "l" if j in left else "r", _split(shorter)
         read.append(ReadName(side, _key(words), _kind(name, words)))
     return read
 
 
 def _without_letter(name: str, other: str) -> str:
-    """Return a name without the one letter in which it differs from its partner's."""
+    """Return a name without the letter that tells it from its partner's, or nothing."""
     differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
-    if len(name) == len(other) and len(differ) == 1:
-        return name[: differ[0]] + " " + name[differ[0] + 1 :]
-    return name
+    if len(name) != len(other) or len(differ) != 1:
+        return ""
+    return name[: differ[0]] + " " + name[differ[0] + 1 :]
 
 
 def _kind(name: str, words: Sequence[str]) -> str:
@@ -217,11 +215,16 @@ def find_preset(name: str) -> Preset:
     return table[name]
 
 
-def best_preset(read: Sequence[ReadName]) -> Preset | None:
+def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None:
     """Return the convention that most names are of; None where few are of any."""
     keys = {name.key for name in read if name.kind != CONTROL}
     scores = {
-        name: (len(keys & preset.keys.keys()), -len(preset.keys))
+        name: (
+            # Names as they are, prefix and all, tell those apart that share words.
+            len(keys & preset.keys.keys())
+            + 0.1 * len(preset.texts.intersection(names)),
+            -len(preset.keys),
+        )
         for name, preset in presets().items()
         if name != WORDS
     }

@@ -19,7 +19,9 @@ ARM = ("clavicle", "upper_arm", "forearm", "hand")
 LEG = ("pelvis", "thigh", "shin", "foot", "toe")
 DIGITS = ("thumb", "index", "middle", "ring", "pinky")
 FINGERS = tuple(f"{digit}_{i}" for digit in DIGITS for i in range(digit == "thumb", 4))
-SIDED = (*ARM, *LEG, *FINGERS, "eye")
+# All fingers but the thumb as one, as in a mitten.
+MITTEN = "fingers"
+SIDED = (*ARM, *LEG, *FINGERS, MITTEN, "eye")
 SIDES = ("l", "r")
 ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
 # Joints without a role, of which it is known why they have none.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, pairwise
+from itertools import combinations, combinations_with_replacement, pairwise
 
 import numpy as np
 
@@ -43,23 +43,24 @@ class Body:
     """A skeleton as the search sees it."""
 
     rig: Rig
-    positions: FloatArray  # of J joints in some pose ``(J, 3)`` [m], world
+    # Of J joints in the pose that the search looks at ``(J, 3)`` [m], world.
+    positions: FloatArray
+    tips_at_rest: FloatArray  # last bones, zero for none ``(J, 3)`` [m], world
     kinds: tuple[str, ...]  # of joints that have no role, by their names ``(J,)``
     votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
 
     @classmethod
     def of(
-        cls,
-        rig: Rig,
-        votes: Sequence[dict[str, float]],
-        kinds: Sequence[str],
-        positions: FloatArray | None = None,
+        cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
     ) -> Body:
-        """Return a skeleton in a pose; without one, at rest."""
-        if positions is None:
-            rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
-            positions = rest.positions[0]
-        return cls(rig, positions, tuple(kinds), tuple(votes))
+        """Return a skeleton at rest."""
+        rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+        tips = np.zeros((len(rig.joints), 3))
+        for j, joint in enumerate(rig.joints):
+            if joint.tips:
+                farthest = max(joint.tips, key=lambda tip: sum(x * x for x in tip))
+                tips[j] = rest.linear[0, j] @ np.asarray(farthest)
+        return cls(rig, rest.positions[0], tips, tuple(kinds), tuple(votes))
 
     @cached_property
     def children(self) -> list[list[int]]:
@@ -136,14 +137,34 @@ class Body:
         return [c for c in below if c == longest or not self._along(c, longest)]
 
     def _is_end(self, joint: int) -> bool:
-        return not self.children[joint] and (
-            self.kinds[joint] == END or self.is_tip(joint)
-        )
+        if self.children[joint] or self.votes[joint]:
+            return False
+        return self.kinds[joint] == END or self.is_tip(joint)
 
     def is_tip(self, joint: int) -> bool:
         """Return whether a leaf only marks where the bone above it ends."""
         tips = self.rig.joints[joint].tips
-        return bool(tips) and float(self.tips[joint]) <= _ZERO * self.size
+        if not tips or not self._marked or self.children[joint]:
+            return False
+        return float(self.tips[joint]) <= _ZERO * self.size
+
+    @cached_property
+    def _marked(self) -> bool:
+        """Whether leaves with a bone of no length are ends, and not joints.
+
+        Some files give no bone a last length; there, fingers of four joints show that
+        the last ones are ends.
+        """
+        leaves = [j for j, below in enumerate(self.children) if not below]
+        if any(self.tips[j] > _ZERO * self.size for j in leaves):
+            return True
+        return sum(self._run(leaf) >= 4 for leaf in leaves) >= 6
+
+    def _run(self, leaf: int) -> int:
+        """Return how many joints there are from a leaf to where its chain begins."""
+        above = self.rig.upwards(leaf)
+        forks = [i for i, j in enumerate(above) if len(self.children[j]) > 1]
+        return min(forks, default=len(above))
 
     def _along(self, leaf: int, other: int) -> bool:
         """Return whether a leaf lies on the bone to its sibling, or in the joint."""
@@ -151,7 +172,7 @@ class Body:
             return self.kinds[leaf] == TWIST and not self.votes[leaf]
         if self.kinds[leaf] == TWIST:
             return True
-        if self.tips[leaf] > 0:
+        if self.rig.joints[leaf].tips:
             return False
         a = self.rig.rest_translations[leaf]
         b = self.rig.rest_translations[other]
@@ -178,7 +199,8 @@ class Body:
                 low, high = sorted(reaches)
                 if high < _LIMB * self.size or high - low > _ALIKE * high:
                     continue
-                if min(self.counts[a], self.counts[b]) < 2:
+                fewer, more = sorted((self.counts[a], self.counts[b]))
+                if fewer < 2 or more > 1.2 * fewer + 2:
                     continue
                 found.append(
                     (
@@ -267,36 +289,49 @@ def hand_of(body: Body, way: Sequence[int]) -> int:
     return joint if count > 1 else -1
 
 
+@dataclass(frozen=True, slots=True)
+class Limb:
+    """What the joints of a limb are called, and how long its bones are of a person."""
+
+    roles: tuple[str, ...]  # before it, its two long bones, its end, what is behind
+    ratio: float  # of the upper long bone to the lower one
+    before: float  # length before it, of the upper bone's
+    end: float  # length from the end's joint on, of the lower bone's
+    led: bool  # whether most skeletons have a joint before it
+
+
+# How far the logarithms of those lengths vary.
+_RATIO_SPREAD, _BEFORE_SPREAD, _END_SPREAD = 0.2, 0.7, 0.5
+
+
 def split_limb(
-    body: Body, way: Sequence[int], roles: Sequence[str], branch: int = -1
+    body: Body, way: Sequence[int], limb: Limb, branch: int = -1
 ) -> list[str]:
-    """Return the role of each joint of a limb's way, in the order of the roles.
+    """Return the role of each joint of a limb's way, in the order of its roles.
 
     Args:
         body: The skeleton.
         way: Joints of the limb, downwards.
-        roles: Five: before the limb, its two long bones, what is at its end, and
-            behind that; empty where the limb has none.
+        limb: What it is.
         branch: The joint where the end begins, where the tree shows it.
     """
     n = len(way)
-    lengths = [float(body.lengths[j]) for j in way] + [float(body.tips[way[-1]])]
-    total = max(sum(lengths[1:]), 1e-30)
-    at = np.cumsum([0.0, *lengths[1:]])
+    lengths = [float(body.lengths[j]) for j in way[1:]] + [float(body.tips[way[-1]])]
+    at = np.cumsum([0.0, *lengths])
     best, best_score = [""] * n, -np.inf
-    for cuts in combinations(range(n + 1), 3):
-        upper, lower, end = cuts
-        if end > n or lower >= n:
-            continue
-        for last in range(end + 1, n + 1) if end < n else [n]:
-            parts = [upper, lower, end, last, n]
+    for upper, lower, end in combinations_with_replacement(range(n + 1), 3):
+        for last in range(min(end + 1, n), n + 1):
+            parts = [0, upper, lower, end, last, n]
             labels = [
                 role
-                for role, (a, b) in zip(roles, pairwise([0, *parts]), strict=True)
+                for role, (a, b) in zip(limb.roles, pairwise(parts), strict=True)
                 for _ in range(b - a)
             ]
-            score = _named(body, way, labels)
-            score += _shaped(way, (at, total), parts, roles, branch)
+            score = _named(body, way, labels) + _shaped(at, parts, limb)
+            if branch >= 0:
+                score += 4.0 if end < n and way[end] == branch else -4.0
+            elif limb.led is False and end < n - 1:
+                score += _bend(body, [way[lower], way[end], way[end + 1]])
             if score > best_score:
                 best, best_score = labels, score
     return best
@@ -307,47 +342,46 @@ def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
     score, before = 0.0, ""
     for j, label in zip(way, labels, strict=True):
         votes = body.votes[j]
-        first = label != before
         if label in votes:
-            score += (10.0 if first else 6.0) * votes[label]
+            score += (20.0 if label != before else 12.0) * votes[label]
         elif votes:
-            score -= 6.0
-        elif first and label:
-            score -= 0.5
+            score -= 12.0
         before = label
     return score
 
 
-def _shaped(
-    way: Sequence[int],
-    lengths: tuple[FloatArray, float],
-    parts: Sequence[int],
-    roles: Sequence[str],
-    branch: int,
-) -> float:
-    """Return how far the lengths are those of a limb."""
-    at, total = lengths
-    upper, lower, end, last, n = parts
-    low = float(at[min(end, n)] - at[lower])
-    up = float(at[lower] - at[upper])
-    if total <= 1e-29:
-        return -abs(upper - 1) - abs(lower - upper - 1) - abs(end - lower - 1)
-    floor = 1e-3 * total
-    score = -2.0 * abs(np.log((up + floor) / (low + floor)))
-    score += 3.0 * (up + low) / total
-    # Few joints before the limb, and none where the first is long itself.
-    before = float(at[upper] - at[0])
-    score -= 1.5 * max(0.0, before / max(up, floor) - 0.8) + 0.1 * abs(upper - 1)
-    score -= 0.2 * (lower - upper - 1 + max(end - lower - 1, 0))
-    if branch >= 0:
-        score += 3.0 if end < n and way[end] == branch else -3.0
-    elif end == n:
-        score -= 1.0
-    if end < n:
-        # What is behind the two long bones is shorter than either.
-        behind = float(at[n] - at[end])
-        score -= 1.5 * max(0.0, behind / max(min(up, low), floor) - 0.9)
-        score -= 0.2 * (last - end - 1)
-    if not roles[4]:
-        score -= 1.0 * (last < n) * (branch < 0)
+def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
+    """Return how far a limb's lengths and numbers of joints are those of a person."""
+    _, upper, lower, end, _, n = parts
+    counts = [b - a for a, b in pairwise(parts)]
+    score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
+    score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
+    score -= 0.5 * abs(counts[0] - limb.led) + 0.5 * max(counts[3] - 1, 0)
+    score -= 0.5 * max(counts[4] - 1, 0)
+    before, up = float(at[upper] - at[0]), float(at[lower] - at[upper])
+    low, behind = float(at[end] - at[lower]), float(at[n] - at[end])
+    if up > 0 and low > 0:
+        score -= _off(up / low, limb.ratio, _RATIO_SPREAD)
+    elif at[n] > 0:
+        score -= 8.0
+    if before > 0 and up > 0:
+        score -= _off(max(before / up, 0.3 * limb.before), limb.before, _BEFORE_SPREAD)
+    if behind > 0 and low > 0 and end < n and limb.roles[4]:
+        score -= _off(behind / low, limb.end, _END_SPREAD)
+    elif behind > 0 and low > 0:
+        score -= _off(max(behind / low, limb.end), limb.end, _END_SPREAD)
     return float(score)
+
+
+def _off(value: float, expected: float, spread: float) -> float:
+    """Return half the square of how far a ratio is off, in spreads, up to 12."""
+    return min(0.5 * float(np.log(value / expected) / spread) ** 2, 12.0)
+
+
+def _bend(body: Body, joints: Sequence[int]) -> float:
+    """Return 0 to 1: how far the way through three joints bends, as at an ankle."""
+    first, second = np.diff(body.positions[list(joints)], axis=0)
+    size = float(np.linalg.norm(first) * np.linalg.norm(second))
+    if size <= 0:
+        return 0.0
+    return float(np.clip(1.0 - (first @ second) / size, 0.0, 1.0))
