@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from animtool._types import FloatArray, IntArray
+from animtool.physics import Physics
 
 # Named arrays of points: ``(N,)`` whole or real numbers, or vectors ``(N, 3)``.
 Primvars: TypeAlias = Mapping[str, FloatArray | IntArray]
@@ -63,6 +64,7 @@ class TransformsFrame:
     # Of each, the same in every frame, where each becomes a prim of its own; else none.
     names: tuple[str, ...] = ()
     still: frozenset[int] = frozenset()  # places of those with names that never move
+    physics: Physics | None = None  # of those with names, if it is to be written
 
 
 Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame | TransformsFrame

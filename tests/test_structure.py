@@ -43,7 +43,7 @@ LAYERS = [
     {"rules"},
     {"rig"},
     {"transforms"},
-    {"clock", "frames", "motion", "take", "take_checks"},
+    {"clock", "physics", "frames", "motion", "take", "take_checks"},
     {"passthrough"},
     {"passes", "reorient", "keyed"},
     {"clip"},

@@ -17,6 +17,10 @@ IDENTITY.setflags(write=False)
 SMALL_ANGLE = 1e-5
 
 
+# Unit vectors whose product is nearer to -1 than this are opposite.
+OPPOSITE = 1e-12
+
+
 def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Return the product a·b: first b, then a. Shapes ``(..., 4)``.
 
@@ -92,6 +96,19 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
     return np.concatenate(
         [vector, np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1))], axis=-1
     )
+
+
+def between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the shortest turn of a unit vector ``(3,)`` to another; half a turn back.
+
+    >>> between(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])).tolist()
+    [0.0, 1.0, 0.0, 0.0]
+    """
+    share = 1.0 + float(a @ b)
+    if share < OPPOSITE:
+        side = np.eye(3)[int(np.argmin(np.abs(a)))]
+        return normalize(np.append(side - (side @ a) * a, 0.0))
+    return normalize(np.append(_cross(a, b), share))
 
 
 def exp(vector: ArrayLike) -> FloatArray:

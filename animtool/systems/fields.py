@@ -204,6 +204,12 @@ class PrototypeModel(FileModel):
     )
 
 
+class PhysicsStageModel(FollowedPrimModel):
+    """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
+
+    prim: PrimPath = key("All below this prim is read.", "/Yard", default="/")
+
+
 class SystemSpec(FileModel):
     """What a scene says of a system that steps evenly: subclass it, and add keys.
 

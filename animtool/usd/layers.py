@@ -291,6 +291,13 @@ def author_order(spec: Any, *names: str) -> None:
     attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
+def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
+    """Apply API schemas to a prim, in place of those that it has."""
+    found = Sdf.TokenListOp()
+    found.prependedItems = list(schemas)
+    spec.SetInfo("apiSchemas", found)
+
+
 def vector(row: FloatArray) -> Any:
     """Return a vector ``(3,)`` as USD has it."""
     return Gf.Vec3d(*row.tolist())
@@ -305,6 +312,11 @@ def quaternion(row: FloatArray) -> Any:
     """
     x, y, z, w = row.tolist()
     return Gf.Quatd(w, x, y, z)
+
+
+def quatf(row: FloatArray) -> Any:
+    """Return a quaternion ``(4,)``, x y z w, in float32."""
+    return Gf.Quatf(quaternion(row))
 
 
 class Samples:

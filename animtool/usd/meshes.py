@@ -15,7 +15,13 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Strands, Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.finite import Labels, check_value, narrowed
-from animtool.usd.layers import attribute, author_order, prim, relationship
+from animtool.usd.layers import (
+    apply_schemas,
+    attribute,
+    author_order,
+    prim,
+    relationship,
+)
 from animtool.usd.names import RigPaths, distinct_names
 from animtool.usd.point_based import author_faces, author_linear, author_width
 
@@ -70,9 +76,7 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
 
 def _bound(spec: Any, token: str) -> None:
     """Bind a prim to one joint as a whole."""
-    schemas = Sdf.TokenListOp()
-    schemas.prependedItems = ["SkelBindingAPI"]
-    spec.SetInfo("apiSchemas", schemas)
+    apply_schemas(spec, ["SkelBindingAPI"])
     own = Vt.TokenArray([token])
     attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
     for name, kind, value in (
@@ -143,9 +147,7 @@ def author_meshes(
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
             _placed(spec, surface.geom_bind, meters_per_unit)
         if bound and (surface.skin is not None or surface.shapes):
-            schemas = Sdf.TokenListOp()
-            schemas.prependedItems = ["SkelBindingAPI"]
-            spec.SetInfo("apiSchemas", schemas)
+            apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
                 notices += _skin(spec, surface, surface.skin, tokens, meters_per_unit)
             if surface.shapes:

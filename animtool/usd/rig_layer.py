@@ -20,11 +20,13 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.layers import (
+    apply_schemas,
     attribute,
     author_order,
     new_layer,
     prim,
     quaternion,
+    quatf,
     relationship,
     save_layer,
 )
@@ -78,17 +80,11 @@ def author_physics(
 
 def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
     spec = prim(layer, path, "Xform")
-    _apply(spec, ["PhysicsRigidBodyAPI"])
+    apply_schemas(spec, ["PhysicsRigidBodyAPI"])
     attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
     attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
     attribute(spec, "xformOp:orient", _TYPES.Quatd, quaternion(turn))
     author_order(spec, "xformOp:translate", "xformOp:orient")
-
-
-def _apply(spec: Any, schemas: list[str]) -> None:
-    found = Sdf.TokenListOp()
-    found.prependedItems = schemas
-    spec.SetInfo("apiSchemas", found)
 
 
 def _joint(
@@ -112,8 +108,8 @@ def _joint(
     zero = Gf.Vec3f(0.0)
     attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*place.tolist()))
     attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
-    attribute(spec, "physics:localRot0", _TYPES.Quatf, _quatf(outer))
-    attribute(spec, "physics:localRot1", _TYPES.Quatf, _quatf(frame))
+    attribute(spec, "physics:localRot0", _TYPES.Quatf, quatf(outer))
+    attribute(spec, "physics:localRot1", _TYPES.Quatf, quatf(frame))
     if axis:
         attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
     if isinstance(joint.limits, RangeLimit):
@@ -122,12 +118,9 @@ def _joint(
         attribute(spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale)
         attribute(spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale)
     elif isinstance(joint.limits, BallLimit):
-        _ball(spec, joint.limits)
-
-
-def _quatf(turn: FloatArray) -> Any:
-    x, y, z, w = turn.tolist()
-    return Gf.Quatf(w, x, y, z)
+        twists = joint.limits.twist is not None
+        if schemas := author_ball(spec, joint.limits, locked=twists):
+            apply_schemas(spec, schemas)
 
 
 def _prim_type(joint: Joint) -> str:
@@ -157,23 +150,29 @@ def _frame(joint: Joint) -> tuple[str, FloatArray]:
     return "X", so3.from_matrix(BallLimit(twist_axis=joint.axis).axes.T)
 
 
-def _ball(spec: Any, limits: BallLimit) -> None:
+def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
+    """Write the limits of a ball; return the schemas that it needs.
+
+    One that is ``locked`` in place by limits, for it twists, is no spherical joint.
+    """
     swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
-    if limits.twist is None:
+    if not locked:
         if swing is not None:
             # The first cone leans towards Y, which is a turn about Z.
             attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
             attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
-        return
-    low, high = np.degrees(limits.twist).tolist()
-    ranges = {"rotX": LOCKED if low == high == 0 else (low, high)}
+        return []
+    ranges: dict[str, tuple[float, float]] = {}
+    if limits.twist is not None:
+        low, high = np.degrees(limits.twist).tolist()
+        ranges["rotX"] = LOCKED if low == high == 0 else (low, high)
     if swing is not None:
         ranges |= {"rotY": (-swing[0], swing[0]), "rotZ": (-swing[1], swing[1])}
     ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
-    _apply(spec, [f"PhysicsLimitAPI:{name}" for name in ranges])
     for name, (low, high) in ranges.items():
         attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
         attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
+    return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
 def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
@@ -208,7 +207,7 @@ def _read_joint(made: Any, meters_per_unit: float) -> PhysicsJoint:
     token = made.GetAttribute("physics:axis").Get() or "X"
     axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
     if kind is JointType.BALL:
-        return PhysicsJoint(name, kind, limits=_read_ball(made, axis))
+        return PhysicsJoint(name, kind, limits=read_ball(made, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
     low, high = (
         made.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
@@ -226,7 +225,9 @@ def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _read_ball(made: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+def read_ball(made: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+    """Return the limits of a ball about an axis; None is any way."""
+
     def limit(name: str) -> tuple[float, float] | None:
         low, high = (
             made.GetAttribute(f"limit:{name}:physics:{end}").Get()
@@ -274,9 +275,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
         _, said = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
-        schemas = Sdf.TokenListOp()
-        schemas.prependedItems = ["SkelBindingAPI"]
-        root.SetInfo("apiSchemas", schemas)
+        apply_schemas(root, ["SkelBindingAPI"])
         relationship(root, "skel:skeleton", paths.skeleton)
     stage = Usd.Stage.Open(layer)
     made = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))

@@ -21,7 +21,8 @@ from animtool.usd.chunks import (
     author_span,
     growing_crate,
 )
-from animtool.usd.frame_writer import FrameWriter, place_of
+from animtool.usd.frame_forms import place_of
+from animtool.usd.frame_writer import FrameWriter
 from animtool.usd.layers import (
     StageMetadata,
     attribute,
@@ -55,7 +56,8 @@ class SimulatedJob:
 
     def writers(self) -> list[FrameWriter]:
         """Return the writers at their beginning."""
-        return [FrameWriter(path, self.meters_per_unit) for path in self.paths]
+        unit, turn = self.meters_per_unit, self.turn
+        return [FrameWriter(path, unit, turn) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:

@@ -18,7 +18,13 @@ from animtool.rig.parts import ArraySource, Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
 from animtool.usd.finite import Labels, narrowed
-from animtool.usd.layers import attribute, author_model, prim, relationship
+from animtool.usd.layers import (
+    apply_schemas,
+    attribute,
+    author_model,
+    prim,
+    relationship,
+)
 from animtool.usd.names import RigPaths, UsdNames
 
 _EXTRAS_VERSION = 1
@@ -143,9 +149,7 @@ def author_binding(
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
         spec = prim(layer, paths.binding, over=True)
-    schemas = Sdf.TokenListOp()
-    schemas.prependedItems = ["SkelBindingAPI"]
-    spec.SetInfo("apiSchemas", schemas)
+    apply_schemas(spec, ["SkelBindingAPI"])
     if animation:
         relationship(spec, "skel:animationSource", paths.animation)
     if skeleton:
@@ -198,9 +202,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     normals = Vt.Vec3fArray.FromNumpy(outwards.reshape(-1, 3).astype(np.float32))
     faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
     spec = prim(layer, f"{paths.root}/Bones", "Mesh")
-    schemas = Sdf.TokenListOp()
-    schemas.prependedItems = ["SkelBindingAPI"]
-    spec.SetInfo("apiSchemas", schemas)
+    apply_schemas(spec, ["SkelBindingAPI"])
     types = Sdf.ValueTypeNames
     counts = Vt.IntArray.FromNumpy(np.full(len(faces) // 3, 3, np.int32))
     attribute(spec, "faceVertexCounts", types.IntArray, counts)

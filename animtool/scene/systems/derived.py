@@ -14,6 +14,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
 from animtool.frames import MeshFrame
+from animtool.physics import Physics
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem, SystemFacts
 from animtool.scene.systems.entries import PLACING, EntryReader
@@ -23,6 +24,7 @@ from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.systems.fields import (
     Part,
+    PhysicsStageModel,
     PlacedModel,
     PrototypeModel,
     RecordModel,
@@ -158,6 +160,8 @@ class PartReader(EntryReader):
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
             if issubclass(annotation, PrototypeModel):
                 return self.prototype
+            if issubclass(annotation, PhysicsStageModel):
+                return self.physics
             collides = issubclass(annotation, SystemColliderModel)
             return self.collider if collides else self._entry
         inner = (self._reader(one, check=check) for one in get_args(annotation))
@@ -181,6 +185,22 @@ class PartReader(EntryReader):
             except AnimtoolError as error:
                 self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
         return made
+
+    def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:
+        """Return what UsdPhysics says of a stage."""
+        from animtool.usd.body_physics_read import read_bodies
+
+        path = self.input((*at, "file"), model.file)
+        if path is None:
+            return None
+        self.files.append(path)
+        try:
+            return read_bodies(path, model.prim, model.frame)
+        except AnimtoolError as error:
+            for fault in error.faults:
+                message = ": ".join([fault.where or model.prim, fault.message])
+                self.note((*at, "prim"), replace(fault, code="SIM051", message=message))
+            return None
 
     def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return what an entry is read as, and note its own faults if asked to."""

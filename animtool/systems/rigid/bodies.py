@@ -85,7 +85,11 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         refuse(f"{model.name!r} has a mass and a density", "keep one", "density")
     several = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
-        (part["shape"], np.array(own.at, np.float64), _turn(own.rotate, model.name, k))
+        (
+            part["shape"],
+            np.array(own.at, np.float64),
+            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
+        )
         for k, (own, part) in enumerate(several)
     ]
     if model.shape is not None:
@@ -143,7 +147,8 @@ def _weighed(
         if np.count_nonzero(moments) < 2:
             message = f"{model.name!r} must have two moments of inertia above 0"
             refuse(message, "a rod has one of 0", "inertia")
-        inertia = np.diag(moments)
+        turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
+        inertia = turn @ np.diag(moments) @ turn.T
     return mass, centre, inertia
 
 
@@ -362,7 +367,7 @@ class Bodies:
     def outlines(self) -> Outlines:
         """All as others run into them; of meshes their hulls."""
         rows = [
-            (Collider(_outline(shape), name=self.names[i]), i, at, turn)
+            (Collider(outline(shape), name=self.names[i]), i, at, turn)
             for i, k in enumerate(self.of.tolist())
             for shape, at, turn in self.kinds[k].shapes
         ]
@@ -419,7 +424,7 @@ class Bodies:
         return self.names.index(name)
 
 
-def _outline(shape: Shape) -> Shape:
+def outline(shape: Shape) -> Shape:
     """Return a shape as others run into it: of a mesh, its hull."""
     if not isinstance(shape, Mesh):
         return shape
@@ -443,10 +448,10 @@ def _starts(counts: Sequence[int]) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _turn(wxyz: Sequence[float], name: str, k: int) -> FloatArray:
+def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
     turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse(f"a rotation of {name!r} is all 0", "", f"shapes[{k}].rotate")
+        refuse(f"a rotation of {name!r} is all 0", "", key)
     return so3.normalize(turn)
 
 

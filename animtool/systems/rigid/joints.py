@@ -15,7 +15,7 @@ from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse
 from animtool.systems.rigid.spec import RigidJointModel
 
-_KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
+KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
 # What only some types have.
 _OWN = {
     "limits": ("pin", "prismatic"),
@@ -36,6 +36,8 @@ class Joints:
     rows: IntArray  # type and both bodies (K, 3)
     numbers: FloatArray  # (K, 26)
     anchors: Sequence[Poses]  # frames of the animation, of those that have one
+    names: Sequence[str] = ()
+    above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
     notices: Sequence[Fault] = ()
     # Other pairs of bodies that do not meet (P, 2).
     apart: IntArray = field(default_factory=lambda: NO_PAIRS)
@@ -48,13 +50,25 @@ class Joints:
         return np.array(ends, np.float64).reshape(-1, 2, 7)
 
 
+def together(several: Sequence[Joints]) -> Joints:
+    """Return joints of one spec as one."""
+    return Joints(
+        np.concatenate([one.rows for one in several]),
+        np.concatenate([one.numbers for one in several]),
+        [poses for one in several for poses in one.anchors],
+        [name for one in several for name in one.names],
+        [body for one in several for body in one.above],
+        [notice for one in several for notice in one.notices],
+    )
+
+
 def joints_of(
     models: Sequence[RigidJointModel],
     parts: Sequence[Mapping[str, Any]],
     bodies: Bodies,
 ) -> Joints:
     """Return the joints of a spec; what makes no sense is refused (SIM061)."""
-    rows, numbers, anchors = [], [], []
+    rows, numbers, anchors, above = [], [], [], []
     notices: list[Fault] = []
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, part) in enumerate(zip(models, parts, strict=True)):
@@ -73,7 +87,7 @@ def joints_of(
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis(model, name, at))
         on_b = seen_by(bodies, second, frame)
-        first, anchor = -1, Poses()
+        first, anchor, other = -1, Poses(), -1
         if model.to is None:
             anchor = poses
             on_a = np.concatenate([np.zeros(3), _axis(model, name, at)])
@@ -88,15 +102,18 @@ def joints_of(
                 first, on_a = place[other], seen_by(bodies, other, frame)
             else:
                 anchor = bodies.poses[other]
-                on_a = _within(anchor.at(bodies.begin), frame)
-        rows.append((_KINDS[model.type], first, place[second]))
+                on_a = within(anchor.at(bodies.begin), frame)
+        rows.append((KINDS[model.type], first, place[second]))
         numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
+        above.append(other)
         notices += _far(bodies, second, frame, name, at)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, 26),
         anchors,
+        [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
+        above,
         notices,
     )
 
@@ -109,13 +126,10 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
         refuse(
             f"the axis of {name!r} has no direction", "axis: [0, 1, 0]", f"{at}.axis"
         )
-    x, y, z = axis / size
-    if x < -1 + 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    return so3.normalize(np.array([0.0, -z, y, 1 + x]))
+    return so3.between(np.array([1.0, 0.0, 0.0]), axis / size)
 
 
-def _within(pose: FloatArray, frame: FloatArray) -> FloatArray:
+def within(pose: FloatArray, frame: FloatArray) -> FloatArray:
     """Return a frame as another one sees it ``(7,)``."""
     back = so3.conjugate(pose[3:])
     at = so3.rotate(back, frame[:3] - pose[:3])
@@ -126,7 +140,7 @@ def seen_by(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
     """Return a frame of the world as the principal axes of a body see it ``(7,)``."""
     kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
     at = pose[:3] + so3.rotate(pose[3:], kind.centre)
-    return _within(np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame)
+    return within(np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame)
 
 
 def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:

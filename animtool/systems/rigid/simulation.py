@@ -14,13 +14,20 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
+from animtool.physics import Physics
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.force import Force
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import Joints, joints_of
+from animtool.systems.rigid.joints import Joints, joints_of, together
+from animtool.systems.rigid.physics import (
+    body_entries,
+    described,
+    stage_joints,
+    still_colliders,
+)
 from animtool.systems.rigid.spec import PushModel, RigidModel
 from animtool.systems.simulation import Diagnostics, SimContext, growing
 
@@ -127,12 +134,24 @@ class RigidSimulation:
             OptionError: Something of it makes no sense (SIM020, SIM061).
         """
         parts, given = context.parts, context.colliders
-        bodies = Bodies.of_models(spec.bodies, parts["bodies"], context.begin)
-        joints = joints_of(spec.joints, parts.get("joints", ()), bodies)
+        stages: Sequence[Physics] = parts.get("stages", ())
+        models, entries = list(spec.bodies), list(parts.get("bodies", ()))
+        for stage in stages:
+            more = body_entries(stage)
+            models += more[0]
+            entries += more[1]
+        bodies = Bodies.of_models(models, entries, context.begin)
+        joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
+        first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
         around = [*given, *bodies.colliders()]
+        for stage in stages:
+            joints.append(stage_joints(stage, bodies, first))
+            first += len(stage.bodies)
+            around += still_colliders(stage)
         colliders = Colliders(around, given.sheets, given.bodies)
         forces = parts.get("forces", ())
-        return RigidSimulation(spec, context.begin, bodies, joints, colliders, forces)
+        whole = together(joints) if stages else joints[0]
+        return RigidSimulation(spec, context.begin, bodies, whole, colliders, forces)
 
     def initial(self) -> RigidState:
         """Return where all begin."""
@@ -316,6 +335,7 @@ class RigidSimulation:
             meshes,
             names=tuple(bodies.names) if self._spec.prims == "xforms" else (),
             still=bodies.still,
+            physics=self._physics,
         )
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
@@ -386,6 +406,13 @@ class RigidSimulation:
         turning = np.divide(own, moments, out=np.zeros_like(own), where=moments > 0)
         found: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
         return found
+
+    @cached_property
+    def _physics(self) -> Physics | None:
+        """What other engines go on from, if it is to be written."""
+        if not self._spec.physics:
+            return None
+        return described(self.bodies, self.joints, self._colliders, self._forces)
 
     def energy(self, state: RigidState) -> Energy:
         """Return the energy of a state, potential where forces have one."""

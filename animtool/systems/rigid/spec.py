@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Quaternion, Real, Vector, Whole, key
+from animtool.errors import Fault
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
     ForceEntry,
     MovingMeshModel,
+    PhysicsStageModel,
     PlacedModel,
     PrototypeModel,
     ShapeEntry,
@@ -105,6 +107,11 @@ class BodyModel(PlacedModel):
         "mass [kg m²]. Not given: those of its shapes.",
         [1, 2, 3],
         default=None,
+    )
+    inertia_axes: Quaternion = key(
+        "How the axes of `inertia` are turned in its frame: a quaternion w, x, y, z.",
+        [0.9239, 0, 0.3827, 0],
+        default=[1.0, 0.0, 0.0, 0.0],
     )
     centre: Vector | None = key(
         "Its centre of mass, in its frame [m]. Not given: that of its shapes.",
@@ -239,9 +246,16 @@ class RigidModel(SystemSpec):
         "explicit_euler",
     )
 
-    bodies: Annotated[list[BodyModel], Len(1, 100_000)] = key(
+    bodies: Annotated[list[BodyModel], Len(0, 100_000)] = key(
         "The bodies.",
         [{"name": "crate", "shape": {"box": {"size": [1, 1, 1]}}, "at": [0, 3, 0]}],
+        default=[],
+    )
+    stages: list[PhysicsStageModel] = key(
+        "USD stages whose rigid bodies, joints and colliders are among them, as "
+        "UsdPhysics says.",
+        [{"file": "yard.usda", "prim": "/Yard"}],
+        default=[],
     )
     joints: list[RigidJointModel] = key(
         "What holds them together.",
@@ -298,8 +312,25 @@ class RigidModel(SystemSpec):
         "xforms",
         default="instancer",
     )
+    physics: bool = key(
+        "Whether UsdPhysics is written with `prims: xforms`, for other engines.",
+        True,
+        default=False,
+    )
     sleep: SleepModel = key(
         "When bodies that hardly move are left alone.",
         {"speed": 0},
         default=SleepModel(),
     )
+
+    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
+        """Return which keys make no sense together (SIM061)."""
+        faults = []
+        if not self.bodies and not self.stages:
+            hint = "name some, or a stage that has some"
+            faults.append(Fault("SIM061", "there are no bodies", hint=hint))
+        if self.physics and self.prims != "xforms":
+            message = "UsdPhysics is said of prims, and copies of an instancer are none"
+            fault = Fault("SIM061", message, hint="prims: xforms", where="physics")
+            faults.append(fault)
+        return faults

@@ -1,0 +1,83 @@
+"""Rigid bodies as they begin, so that other engines can go on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault
+
+STILL: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhysicsShape:
+    """A shape that bodies collide with."""
+
+    # `sphere` (radius), `capsule` (radius, length of its segment along y), `box` (three
+    # sides), `plane` (none: what is below y = 0) or `mesh` (none: its triangles).
+    kind: str
+    size: tuple[float, ...] = ()  # [m]
+    pose: FloatArray = field(default_factory=STILL.copy)  # origin [m], quaternion (7,)
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (P, 3) [m]
+    triangles: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    friction: float = 0.5
+    restitution: float = 0.0
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhysicsBody:
+    """A body, in its own frame where nothing else is said."""
+
+    name: str
+    pose: FloatArray  # of its frame in the world (7,)
+    shapes: Sequence[PhysicsShape]
+    density: float = 1000.0  # of its shapes, where there is no mass [kg/m³]
+    mass: float | None = None  # [kg]
+    centre: FloatArray | None = None  # of mass (3,) [m]
+    moments: FloatArray | None = None  # about its principal axes (3,) [kg m²]
+    axes: FloatArray = field(default_factory=STILL[3:].copy)  # these (4,)
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))  # of the world
+    spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # likewise [rad/s]
+    kinematic: bool = False
+    times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
+    path: FloatArray | None = None  # poses at these, of what is kinematic (T, 7)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointDrive:
+    """What draws a joint."""
+
+    stiffness: float  # [N m/rad] or [N/m]
+    damping: float  # [N m s/rad] or [N s/m]
+    target: float = 0.0  # [rad] or [m]
+    turn: FloatArray = field(default_factory=STILL[3:].copy)  # of a ball (4,)
+    most: float | None = None  # torque [N m] or force [N]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhysicsJoint:
+    """A joint of two bodies; x is its axis."""
+
+    name: str
+    kind: str  # `fixed`, `pin`, `ball` or `prismatic`
+    bodies: tuple[int, int]  # -1 is the world
+    frames: tuple[FloatArray, FloatArray]  # of the joint in both (7,)
+    limits: tuple[float, float] | None = None  # [rad] or [m]; twist of a ball
+    swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
+    drive: JointDrive | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Physics:
+    """Bodies, what holds them together, and what they run into."""
+
+    bodies: Sequence[PhysicsBody]
+    joints: Sequence[PhysicsJoint] = ()
+    colliders: Sequence[PhysicsShape] = ()  # that never move, in the world
+    gravity: FloatArray = field(default_factory=lambda: np.zeros(3))  # [m/s²]
+    notices: Sequence[Fault] = ()

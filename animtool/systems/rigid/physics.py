@@ -1,0 +1,273 @@
+"""Bodies and joints of a spec as other engines have them, and the other way round."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.physics import (
+    JointDrive,
+    Physics,
+    PhysicsBody,
+    PhysicsJoint,
+    PhysicsShape,
+)
+from animtool.sim.colliders import (
+    Box,
+    Capsule,
+    Collider,
+    Colliders,
+    Mesh,
+    Plane,
+    Poses,
+    Shape,
+    Sphere,
+)
+from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.forces.pulls import Gravity
+from animtool.systems.rigid.bodies import Bodies, outline
+from animtool.systems.rigid.joints import KINDS, Joints, within
+from animtool.systems.rigid.spec import BodyModel
+
+Y = np.array([0.0, 1.0, 0.0])
+
+
+def described(
+    bodies: Bodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
+) -> Physics:
+    """Return what bodies are as they begin.
+
+    Of colliders those that never move; of forces gravity.
+    """
+    gravity = [f.acceleration for f in forces if isinstance(f, Gravity)]
+    still = [one for one in colliders if len(one.poses.moments) == 1]
+    return Physics(
+        [_body(bodies, i) for i in range(len(bodies.names))],
+        list(_joints(bodies, joints)),
+        [
+            _shape(one.shape, one.poses.rows[0], one.friction, one.restitution)
+            for one in still
+            if not one.container
+        ],
+        np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
+    )
+
+
+def _body(bodies: Bodies, i: int) -> PhysicsBody:
+    kind = bodies.kinds[bodies.of[i]]
+    model = kind.model
+    shapes = [
+        _shape(
+            outline(shape),
+            np.concatenate([at, turn]),
+            model.friction,
+            model.restitution,
+        )
+        for shape, at, turn in kind.shapes
+    ]
+    return PhysicsBody(
+        bodies.names[i],
+        bodies.poses[i].at(bodies.begin),
+        shapes,
+        model.density,
+        kind.mass,
+        kind.centre,
+        kind.moments,
+        kind.axes,
+        np.array(model.velocity, np.float64),
+        np.radians(model.spin),
+        not bodies.moved[i],
+    )
+
+
+def _shape(
+    shape: Shape, pose: FloatArray, friction: float, restitution: float
+) -> PhysicsShape:
+    """Return a shape about its own middle, its axis y."""
+    kind, at, axis = "mesh", np.zeros(3), Y
+    size: tuple[float, ...] = ()
+    points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    match shape:
+        case Sphere():
+            kind, size, at = "sphere", (shape.radius,), np.array(shape.centre)
+        case Capsule():
+            kind, size = "capsule", (shape.radius, shape.length)
+            at, axis = np.array(shape.centre), np.array(shape.axis)
+        case Box():
+            kind, size = "box", tuple(map(float, shape.size))
+        case Plane():
+            kind, axis = "plane", np.array(shape.normal)
+            at = shape.anchors()[0]
+        case Mesh():
+            points, corners = shape.welded()
+            triangles = corners.astype(np.int64)
+    turn = so3.between(Y, axis / np.linalg.norm(axis))
+    place = np.concatenate(
+        [pose[:3] + so3.rotate(pose[3:], at), so3.multiply(pose[3:], turn)]
+    )
+    return PhysicsShape(kind, size, place, points, triangles, friction, restitution)
+
+
+def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
+    names = {number: kind for kind, number in KINDS.items()}
+    dynamic = bodies.dynamic
+    for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
+        first, second = row[1:].tolist()
+        on_a, on_b = numbers[:7], _in_body(bodies, second, numbers[7:14])
+        above = joints.above[k]
+        if first >= 0:
+            above, on_a = int(dynamic[first]), _in_body(bodies, first, on_a)
+        elif above < 0:
+            pose = joints.anchors[k].at(bodies.begin)
+            on_a = _placed(pose, on_a)
+        low, high, *swing = numbers[14:18].tolist()
+        target, most = float(numbers[18]), float(numbers[25])
+        drive = None
+        if numbers[23:25].any():
+            stiffness, damping = numbers[23:25].tolist()
+            strongest = None if most < 0 else most
+            drive = JointDrive(stiffness, damping, target, numbers[19:23], strongest)
+        yield PhysicsJoint(
+            joints.names[k],
+            names[int(row[0])],
+            (above, int(dynamic[second])),
+            (on_a, on_b),
+            None if low > high else (low, high),
+            None if swing[0] < 0 else (swing[0], swing[1]),
+            drive,
+        )
+
+
+def _placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return a frame in another one, as what has that sees it ``(7,)``."""
+    at = pose[:3] + so3.rotate(pose[3:], frame[:3])
+    return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
+
+
+def _in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
+    """Return a frame of principal axes as one of the body ``(7,)``."""
+    kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
+    return _placed(np.concatenate([kind.centre, kind.axes]), frame)
+
+
+def body_entries(physics: Physics) -> tuple[list[BodyModel], list[dict[str, Any]]]:
+    """Return bodies as entries of a spec, and what their keys are read as."""
+    models, parts = [], []
+    for body in physics.bodies:
+        first = body.shapes[0]
+        keys: dict[str, Any] = {
+            "name": body.name,
+            "density": body.density,
+            "friction": first.friction,
+            "restitution": first.restitution,
+            "kinematic": body.kinematic,
+            "shapes": [
+                {
+                    "shape": {"sphere": None},
+                    "at": shape.pose[:3].tolist(),
+                    "rotate": shape.pose[[6, 3, 4, 5]].tolist(),
+                }
+                for shape in body.shapes
+            ],
+        }
+        if body.mass is not None:
+            del keys["density"]
+            keys["mass"] = body.mass
+        if body.centre is not None:
+            keys["centre"] = body.centre.tolist()
+        if body.moments is not None:
+            keys["inertia"] = body.moments.tolist()
+            keys["inertia_axes"] = body.axes[[3, 0, 1, 2]].tolist()
+        if not body.kinematic:
+            keys["velocity"] = body.velocity.tolist()
+            keys["spin"] = np.degrees(body.spin).tolist()
+        models.append(BodyModel.model_validate(keys))
+        rows = body.pose[None] if body.path is None else body.path
+        times = body.times if body.path is not None else np.zeros(1)
+        poses = Poses(times, rows[:, :3], rows[:, 3:])
+        shapes = [{"shape": shape_of(shape)} for shape in body.shapes]
+        parts.append({"poses": poses, "shapes": shapes})
+    return models, parts
+
+
+def shape_of(shape: PhysicsShape) -> Shape:
+    """Return a shape in its own frame."""
+    match shape.kind:
+        case "sphere":
+            return Sphere(shape.size[0])
+        case "capsule":
+            return Capsule(shape.size[0], shape.size[1])
+        case "box":
+            return Box(shape.size)
+        case "plane":
+            return Plane()
+    return Mesh(shape.points, shape.triangles)
+
+
+def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
+    """Return the joints of a stage whose bodies begin at a number."""
+    place = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    rows, numbers, anchors, above, names = [], [], [], [], []
+    for joint in physics.joints:
+        pair = [i if i < 0 else i + first for i in joint.bodies]
+        frames, drive, limits = list(joint.frames), joint.drive, joint.limits
+        target = 0.0 if drive is None else drive.target
+        turn = so3.IDENTITY if drive is None else drive.turn
+        if pair[1] not in place:
+            # What hangs on the other is the first, and is turned the other way.
+            pair.reverse()
+            frames.reverse()
+            limits = None if limits is None else (-limits[1], -limits[0])
+            target, turn = -target, so3.conjugate(turn)
+        if pair[1] not in place:
+            continue
+        on_b, other, anchor = _of_centre(bodies, pair[1], frames[1]), pair[0], Poses()
+        on_a, number = frames[0], place.get(other, -1)
+        if number >= 0:
+            on_a = _of_centre(bodies, other, on_a)
+        elif other >= 0:
+            anchor = bodies.poses[other]
+        swing = (-1.0, -1.0) if joint.swing is None else joint.swing
+        drives = [0.0, 0.0, -1.0]
+        if drive is not None:
+            most = -1.0 if drive.most is None else drive.most
+            drives = [drive.stiffness, drive.damping, most]
+        rows.append((KINDS[joint.kind], number, place[pair[1]]))
+        numbers.append(
+            [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *turn, *drives]
+        )
+        anchors.append(anchor)
+        above.append(other)
+        names.append(joint.name)
+    return Joints(
+        np.array(rows, np.int64).reshape(-1, 3),
+        np.array(numbers, np.float64).reshape(-1, 26),
+        anchors,
+        names,
+        above,
+        physics.notices,
+    )
+
+
+def _of_centre(bodies: Bodies, i: int, frame: FloatArray) -> FloatArray:
+    """Return a frame of a body as its principal axes see it ``(7,)``."""
+    kind = bodies.kinds[bodies.of[i]]
+    return within(np.concatenate([kind.centre, kind.axes]), frame)
+
+
+def still_colliders(physics: Physics) -> list[Collider]:
+    """Return what never moves."""
+    return [
+        Collider(
+            shape_of(one),
+            Poses.fixed(one.pose[:3], one.pose[3:]),
+            one.name,
+            restitution=one.restitution,
+            friction=one.friction,
+        )
+        for one in physics.colliders
+    ]
