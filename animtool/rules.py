@@ -35,6 +35,7 @@ class Kind(StrEnum):
     CLIP = "clip"
     SCENE = "scene"
     TARGETS = "targets"
+    MAP = "map"
     BVH = "bvh"
     USD = "usd"
 

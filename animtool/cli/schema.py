@@ -31,6 +31,7 @@ def completion(console: Console, shell: str) -> None:
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",
+    "map": "animtool.mocap.retarget.file:MapModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",
     "targets": "animtool.ik.schema:TargetsModel",

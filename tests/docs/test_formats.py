@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +14,7 @@ import pytest
 import yaml
 from pydantic import Field, TypeAdapter
 from support.key_tables import PAGE, Key, field_of, filled, keys_of, marked, models_of
+from support.people import named, person
 
 from animtool import Clip, Rig, bake
 from animtool.batch.discover import find_batch
@@ -22,9 +23,12 @@ from animtool.batch.recipe import INPUT_NAMES
 from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
+from animtool.mocap.retarget import map_joints
+from animtool.mocap.retarget.roles import DIGITS, ROLES, base_role
 from animtool.rig.expressions import FUNCTIONS
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind
+from animtool.rig.skeleton import Joint
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.systems.particles.forces import FORCES, find_force
@@ -190,6 +194,28 @@ def test_targets_load(project: Path, text: str) -> None:
     still = rest_take(rig, tracks.clock)
     found = solve_take(still, tracks, still=True)
     assert len(found.statuses) == 24
+
+
+@pytest.mark.parametrize("text", WHOLE["map"])
+def test_maps_load(project: Path, text: str) -> None:
+    (project / "one.map.yaml").write_text(text, "utf-8")
+    source, _ = person(named("mixamo"))
+    source = replace(source, joints=(*source.joints, Joint("mixamorig:HeadTop_End", 5)))
+    target = Rig.load(project / "hero.rig.yaml")
+    found = map_joints(source, target, map_file=project / "one.map.yaml")
+    stated = [pair for pair in found.pairs if pair.found == "file"]
+    assert [target.names[pair.target] for pair in stated] == [
+        *("hips", "spine", "elbow_l"),
+    ]
+
+
+def test_the_roles_of_maps_are_listed() -> None:
+    listed = TEXT.split("A `role` is one of")[1].split("\n\n")[0]
+    named = set(re.findall(r"`([a-z_0-9]+)`", listed))
+    bare = {base_role(role) for role in ROLES}
+    bare -= {f"{digit}_{i}" for digit in DIGITS[2:] for i in range(4)}
+    bare -= {"thumb_2", "index_1", "index_2"}
+    assert named == bare | {"_l", "_r"} | set(DIGITS[2:])
 
 
 @pytest.mark.parametrize("text", WHOLE["scene"])

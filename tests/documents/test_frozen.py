@@ -15,7 +15,9 @@ from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
+from animtool.mocap.retarget.file import load_map, resolved_map
 from animtool.rig.file import load_rig
+from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.scene.tracks import TrackNames
@@ -66,6 +68,23 @@ def test_clip_1() -> None:
     clip = load_clip(file, load_rig(file.rig))
     assert [len(c.times) for c in clip.channels] == [2, 2, 5, 2, 3, 2, 1, 1, 1]
     assert (clip.first, float(clip.last)) == (-1, 12.5)
+
+
+def test_map_1() -> None:
+    names = ["Hips", "Spine", "Spine1", "LeftArm", "HeadTop_End"]
+    source = Rig("take", tuple(Joint(name, -1) for name in names))
+    names = ["hips", "spine_1", "spine_2", "spine_3", "arm_l", "twist_l", "ik_hand_l"]
+    target = Rig("rig", tuple(Joint(name, -1) for name in names))
+    found = resolved_map(load_map(FROZEN / "map-1.map.yaml"), source, target)
+    entries = [(each.source, each.target, each.role) for each in found.entries]
+    assert entries == [
+        ((0,), (0,), ""),
+        ((1, 2), (1, 2, 3), "spine"),
+        ((3,), (4,), "upper_arm_l"),
+    ]
+    assert found.twists == ((5, 4, 0.25),)
+    assert (found.ignored_source, found.ignored_target) == ({4}, {6})
+    assert not found.only
 
 
 def test_scene_1(tmp_path: Path) -> None:

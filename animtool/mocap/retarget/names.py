@@ -102,7 +102,7 @@ def _side(words: Sequence[str]) -> tuple[str, list[str]]:
     return "", list(words)
 
 
-def _bare(names: Sequence[str]) -> list[str]:
+def bare_names(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and the prefix that most have."""
     bare = [_NAMESPACE.sub("", name) or name for name in names]
     bare = [_PREFIX.sub("", name) for name in bare]
@@ -128,7 +128,7 @@ def read_names(names: Sequence[str], parents: IntArray) -> list[ReadName]:
     >>> read_names(["lfemur", "rfemur"], [-1, -1])[1]
     ReadName(side='r', key='femur', kind='')
     """
-    bare = _bare(names)
+    bare = bare_names(names)
     sides = pair_sides(names, parents)
     partner = {j: int(sides.partners[j]) for j in range(len(names))}
     left = set(sides.left)

@@ -22,6 +22,13 @@ def open_batch(document: Document) -> Opened:
     return Opened(Kind.BATCH, [], batch_of_document(document))
 
 
+def open_map(document: Document) -> Opened:
+    """Return a map file; which skeletons it is for, it does not say."""
+    from animtool.mocap.retarget.file import map_of_document  # loads the kernels
+
+    return Opened(Kind.MAP, [], map_of_document(document))
+
+
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
 DOCUMENT_SUFFIXES = tuple(
@@ -40,6 +47,7 @@ _OPENERS = {
     Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
+    Kind.MAP: "animtool.validation.subjects.open:open_map",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }
