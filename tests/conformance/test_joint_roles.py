@@ -167,5 +167,9 @@ def test_every_capture_maps_onto_the_shipped_biped(path: Path) -> None:
     theirs = known_roles(biped)
     assert theirs is not None
     mapped = {(truth[pair.source], theirs[pair.target]) for pair in found.pairs}
+    # A hand whose fingers are one moves each of them.
+    mitten = {pair for pair in mapped if pair[0].startswith("fingers")}
+    assert {role[:-4] for _, role in mitten} <= {"index", "middle", "ring", "pinky"}
+    mapped -= mitten
     assert {role for role, _ in mapped} == set(truth) & set(theirs) - {""}
     assert all(role == other for role, other in mapped)

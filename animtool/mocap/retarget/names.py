@@ -17,9 +17,11 @@ from animtool._types import IntArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.mocap.retarget.roles import (
+    ARM,
     CONTROL,
     DIGITS,
     END,
+    LEG,
     ROLES,
     SIDES,
     TWIST,
@@ -55,6 +57,8 @@ _SHARED = 0.6
 _FEWEST = 6
 # The entry of the presets that is none: words of many conventions.
 WORDS = "words"
+# What a word weighs that many conventions have, and what it means in any other one.
+_WORD_WEIGHT, _OTHER = 0.8, 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,17 +240,27 @@ def role_votes(
     read: Sequence[ReadName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return what the names say: weights 0 to 1 of the roles of each of J joints."""
-    words = presets()[WORDS]
-    votes: list[dict[str, float]] = []
+    known, words = preset.keys if preset else {}, presets()[WORDS].keys
+    votes = []
     for name in read:
-        roles: dict[str, float] = {}
-        for table, weight in ((words, 0.8), (preset, 1.0)):
-            for role in table.keys.get(name.key, ()) if table else ():
-                sided = f"{role}_{name.side}" if name.side else role
-                if sided in ROLES and name.kind in {"", TWIST}:
-                    roles[sided] = weight
-        if preset and name.key in preset.keys:
-            # What the convention says goes before what others mean by the word.
-            roles = {role: weight for role, weight in roles.items() if weight == 1.0}
-        votes.append(roles)
+        # What the convention says goes before what others mean by the word.
+        table, weight = (known, 1.0) if name.key in known else (words, _WORD_WEIGHT)
+        weights = dict.fromkeys(table.get(name.key, ()), weight)
+        if weights:
+            others = dict.fromkeys(_limb_words().get(name.key, ()), _OTHER)
+            weights = {**others, **weights}
+        suffix = f"_{name.side}" if name.side else ""
+        sided = {role + suffix: weight for role, weight in weights.items()}
+        plain = name.kind in {"", TWIST}
+        votes.append({r: w for r, w in sided.items() if plain and r in ROLES})
     return votes
+
+
+@cache
+def _limb_words() -> Mapping[str, frozenset[str]]:
+    """Return the roles in limbs that any convention gives a name, by its key."""
+    roles: dict[str, set[str]] = {}
+    for preset in presets().values():
+        for key, own in preset.keys.items():
+            roles.setdefault(key, set()).update(own & {*ARM, *LEG})
+    return {key: frozenset(own) for key, own in roles.items() if own}
