@@ -164,7 +164,7 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         for i, name in enumerate(names):
             if name not in sides[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
-                hint = nearest(name, rigs[side].names)
+                hint = nearest(name, sides[side])
                 document.add("MAP001", (*where, i), message, hint)
         return tuple(sides[side][name] for name in names if name in sides[side])
 
