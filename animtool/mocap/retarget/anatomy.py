@@ -31,7 +31,6 @@ from animtool.mocap.retarget.roles import (
 from animtool.mocap.retarget.structure import (
     Body,
     Limb,
-    hand_of,
     limb_pairs,
     split_limb,
 )
@@ -70,6 +69,7 @@ class _Search:
     body: Body
     roles: list[str]
     tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
+    unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
     guessed: bool = False  # whether the sides are those of the file's order
 
     def put(self, joint: int, role: str) -> None:
@@ -115,8 +115,7 @@ def anatomy(
     if stands is None and positions is not None:
         search.body = replace(body, positions=positions)
         stands = _standing(search, positions)
-    if not any(body.votes):
-        _sides_by_place(search, stands, at_rest=search.body is body)
+    _sides_by_place(search, stands, at_rest=search.body is body)
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
@@ -167,18 +166,12 @@ def _find_limbs(search: _Search) -> None:
             tip = _named_tip(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
                 search.tips[f"{limb}_{side}"] = tip
-    if all(f"{limb}_{side}" in search.tips for limb in _LIMBS for side in SIDES):
-        return
-    legs, arms = limb_pairs(body)
-    for limb, pair in (("leg", legs), ("arm", arms)):
-        if pair is None or any(f"{limb}_{side}" in search.tips for side in SIDES):
-            continue
-        ways = [body.heaviest(top) for top in (pair.first, pair.second)]
-        taken = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
-        if taken & {pair.first, pair.second}:
-            continue
-        for side, way in zip(SIDES, ways, strict=True):
-            search.tips[f"{limb}_{side}"] = way[-1]
+    for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
+        known = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
+        if pair and not known & set(pair) and f"{limb}_l" not in search.tips:
+            search.unsided.append(limb)
+            for side, top in zip(SIDES, pair, strict=True):
+                search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
 
 
 def _named_tip(search: _Search, roles: set[str]) -> int:
@@ -219,10 +212,8 @@ def _sides_by_place(search: _Search, up: FloatArray | None, *, at_rest: bool) ->
     """Tell left from right by where limbs are; by the order of the file where same."""
     body, tips = search.body, search.tips
     across = _left_of(search, up, at_rest=at_rest)
-    for limb in _LIMBS:
+    for limb in search.unsided:
         pair = [f"{limb}_{side}" for side in SIDES]
-        if not all(name in tips for name in pair):
-            continue
         top = body.common([tips[name] for name in pair])
         ways = [body.way(top, tips[name])[1:] for name in pair]
         # Hands and feet may cross, where limbs begin they do not.
@@ -251,7 +242,7 @@ def _left_of(search: _Search, up: FloatArray | None, *, at_rest: bool) -> FloatA
     for name in {"leg_l", "leg_r"} & tips.keys():
         toe = tips[name]
         bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
-        tip = body.tips_at_rest[toe] if at_rest else np.zeros(3)
+        tip = body.last_bones[toe] if at_rest else np.zeros(3)
         for bone in (bones, tip):
             level = bone - unit * float(bone @ unit)
             # A shin or an ankle that leans says nothing of where feet point.
@@ -357,12 +348,10 @@ def _limb(search: _Search, limb: str) -> None:
     }
     way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
     way = [*way[::-1], *body.heaviest(tip)[1:]]
-    if kind == "arm":
-        way, branch = _to_hand(search, way, side)
-        labels = split_limb(body, way, _SHAPES[limb], branch)
-    else:
-        way = _to_toe(search, way)
-        labels = split_limb(body, way, _SHAPES[limb])
+    way, branch = (
+        _to_hand(search, way, side) if kind == "arm" else (_to_toe(search, way), -1)
+    )
+    labels = split_limb(body, way, _SHAPES[limb], branch)
     for j, label in zip(way, labels, strict=True):
         search.put(j, "" if body.kinds[j] == CONTROL else label)
     hands = [j for j, label in zip(way, labels, strict=True) if label == f"hand_{side}"]
@@ -377,20 +366,21 @@ def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int
     hands = [i for i, j in enumerate(way) if f"hand_{side}" in votes[j]]
     if hands:
         return way[: hands[-1] + 1], way[hands[-1]]
-    branch = hand_of(search.body, way)
-    if branch >= 0:
-        way = way[: way.index(branch) + 1]
-    return way, branch
+    branch, count = search.body.branches(way)
+    if count < 2:
+        return way, -1
+    return way[: way.index(branch) + 1], branch
 
 
 def _to_toe(search: _Search, way: list[int]) -> list[int]:
     """Return a leg's way, without the toes of a foot that has several."""
     body = search.body
+    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in way]
+    named = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
     last = max((i for i, j in enumerate(way) if body.votes[j]), default=2)
-    for i, j in enumerate(way[last:], last):
-        if len(body.limb_children(j)) > 1 and i >= 2:
-            return way[: i + 1]
-    return way
+    forks = [i for i, j in enumerate(way) if len(body.limb_children(j)) > 1]
+    ends = [*named, *(i for i in forks if i >= max(last, 2))]
+    return way[: ends[0] + 1] if ends else way
 
 
 def _rest(search: _Search) -> None:
@@ -408,31 +398,25 @@ def _rest(search: _Search) -> None:
 
 def _doubts(search: _Search) -> list[Fault]:
     """Return what is odd about a skeleton, and what is done instead."""
-    rig, roles = search.body.rig, search.roles
-    faults = []
+    body, rig, roles = search.body, search.body.rig, search.roles
+    hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
+    blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]
+    texts = []
     if not any(base_role(role) == "thigh" for role in roles):
-        message = f"{rig.name!r} has no legs"
         hint = "root motion keeps its scale, and no feet are locked"
-        faults.append(Fault("MAP101", message, hint=hint))
-    if len(rig.joints) > 1 and search.body.size <= 0:
+        texts.append(("MAP101", f"{rig.name!r} has no legs", hint))
+    if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
-        hint = "joints are mapped by their names alone"
-        faults.append(Fault("MAP102", message, hint=hint))
-    blunt = [j for j, role in enumerate(roles) if _blunt(search, j, role)]
+        texts.append(("MAP102", message, "joints are mapped by their names alone"))
     if blunt:
-        names = listed([repr(rig.names[j]) for j in blunt], MAX_NAMED)
+        names = listed(blunt, MAX_NAMED)
         message = f"nothing of {rig.name!r} shows where {names} end"
-        hint = "the hand goes on as the forearm does"
-        faults.append(Fault("MAP104", message, hint=hint))
+        texts.append(("MAP104", message, "the hand goes on as the forearm does"))
     if search.guessed:
         message = f"nothing tells left from right in {rig.name!r}"
         hint = "the first limb of the file is taken for the left one; check the map"
-        faults.append(Fault("MAP105", message, hint=hint))
-    return [replace(fault, severity=Severity.WARNING) for fault in faults]
-
-
-def _blunt(search: _Search, joint: int, role: str) -> bool:
-    body = search.body
-    if base_role(role) != "hand" or body.size <= 0:
-        return False
-    return bool(body.reach[joint] <= 0)
+        texts.append(("MAP105", message, hint))
+    return [
+        Fault(code, message, hint=hint, severity=Severity.WARNING)
+        for code, message, hint in texts
+    ]

@@ -7,7 +7,6 @@ phalanges; a thumb has 1 (its metacarpal) to 3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -61,8 +60,3 @@ def base_role(role: str) -> str:
     ('upper_arm', 'spine')
     """
     return role[:-2] if role[-2:] in {"_l", "_r"} else role
-
-
-def humanoid(roles: Sequence[str]) -> bool:
-    """Return whether joints of these roles are those of a person with limbs."""
-    return any(base_role(role) in {"thigh", "upper_arm"} for role in roles)

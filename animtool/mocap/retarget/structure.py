@@ -9,7 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement, pairwise
+from itertools import (
+    combinations,
+    combinations_with_replacement,
+    pairwise,
+    permutations,
+)
 
 import numpy as np
 
@@ -24,18 +29,14 @@ _ZERO = 1e-4
 _ALIKE = 0.15
 # A pair of limbs reaches over at least this share of the skeleton.
 _LIMB = 0.2
+# Joints of a limb that are told apart; the time it takes grows with the fourth power.
+_MOST = 16
 # Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
 _ALONG = 0.97
 
 
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """Two like subtrees below one joint."""
-
-    parent: int
-    first: int
-    second: int
-    reach: float  # [m]
+# Two like subtrees below one joint.
+Pair = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Body:
     rig: Rig
     # Of J joints in the pose that the search looks at ``(J, 3)`` [m], world.
     positions: FloatArray
-    tips_at_rest: FloatArray  # last bones, zero for none ``(J, 3)`` [m], world
+    last_bones: FloatArray  # at rest, zero for none ``(J, 3)`` [m], world
     kinds: tuple[str, ...]  # of joints that have no role, by their names ``(J,)``
     votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
 
@@ -85,12 +86,7 @@ class Body:
     @cached_property
     def tips(self) -> FloatArray:
         """Lengths of the last bones, of joints that carry one ``(J,)`` [m]."""
-        return np.array(
-            [
-                max((float(np.linalg.norm(t)) for t in j.tips), default=0.0)
-                for j in self.rig.joints
-            ]
-        )
+        return np.asarray(np.linalg.norm(self.last_bones, axis=1))
 
     @cached_property
     def reach(self) -> FloatArray:
@@ -133,7 +129,7 @@ class Body:
         below = [c for c in self.children[joint] if not self._is_end(c)]
         if len(below) < 2:
             return below
-        longest = max(below, key=lambda c: self.lengths[c] + self.reach[c])
+        longest = max(below, key=self.extent)
         return [c for c in below if c == longest or not self._along(c, longest)]
 
     def _is_end(self, joint: int) -> bool:
@@ -167,126 +163,82 @@ class Body:
         return min(forks, default=len(above))
 
     def _along(self, leaf: int, other: int) -> bool:
-        """Return whether a leaf lies on the bone to its sibling, or in the joint."""
-        if self.children[leaf] or self.votes[leaf]:
-            return self.kinds[leaf] == TWIST and not self.votes[leaf]
-        if self.kinds[leaf] == TWIST:
-            return True
-        if self.rig.joints[leaf].tips:
+        """Return whether a joint lies on the bone to its sibling, or in the joint."""
+        if self.votes[leaf] or self.kinds[leaf] == TWIST:
+            return not self.votes[leaf]
+        if self.children[leaf] or self.rig.joints[leaf].tips:
             return False
-        a = self.rig.rest_translations[leaf]
-        b = self.rig.rest_translations[other]
-        if self.lengths[leaf] <= _ZERO * self.size:
+        length, bone = float(self.lengths[leaf]), float(self.lengths[other])
+        if length <= _ZERO * self.size:
             return True
-        cosine = float(a @ b) / max(self.lengths[leaf] * self.lengths[other], 1e-30)
-        return cosine > _ALONG and bool(
-            self.lengths[leaf] <= 1.05 * self.lengths[other]
-        )
+        offsets = self.rig.rest_translations
+        cosine = float(offsets[leaf] @ offsets[other]) / max(length * bone, 1e-30)
+        return cosine > _ALONG and length <= 1.05 * bone
+
+    def extent(self, joint: int) -> float:
+        """Return the length of the longest way from a joint's parent through it [m]."""
+        return float(self.lengths[joint] + self.reach[joint])
 
     def heaviest(self, joint: int) -> list[int]:
         """Return the longest way down from a joint, itself first."""
         way = [joint]
         while below := self.limb_children(way[-1]):
-            way.append(max(below, key=lambda c: self.lengths[c] + self.reach[c]))
+            way.append(max(below, key=self.extent))
         return way
 
-    def pairs(self) -> list[_Pair]:
-        """Return pairs of like limbs, those of the longest reach first."""
-        found = []
-        for parent in range(len(self.rig.joints)):
-            for a, b in combinations(self.children[parent], 2):
-                reaches = [self.lengths[c] + self.reach[c] for c in (a, b)]
-                low, high = sorted(reaches)
-                if high < _LIMB * self.size or high - low > _ALIKE * high:
-                    continue
-                fewer, more = sorted((self.counts[a], self.counts[b]))
-                if fewer < 2 or more > 1.2 * fewer + 2:
-                    continue
-                found.append(
-                    (
-                        abs(self.counts[a] - self.counts[b]),
-                        high - low,
-                        _Pair(parent, a, b, high),
-                    )
-                )
-        # Each joint is of one pair: the likest.
-        best: list[_Pair] = []
-        taken: set[int] = set()
-        for _, _, pair in sorted(found, key=lambda f: f[:2]):
-            if pair.first not in taken and pair.second not in taken:
-                best.append(pair)
-                taken |= {pair.first, pair.second}
-        return sorted(best, key=lambda p: -p.reach)
+    def branches(self, way: Sequence[int]) -> tuple[int, int]:
+        """Return the joint of a way from which most ways go on, and their number."""
+        counts = [len(self.limb_children(j)) for j in way]
+        most = max(counts)
+        return way[counts.index(most)], most
 
 
-def limb_pairs(body: Body) -> tuple[_Pair | None, _Pair | None]:
+def limb_pairs(body: Body) -> tuple[Pair | None, Pair | None]:
     """Return the pair of legs and the pair of arms, as far as the tree shows them."""
-    pairs = body.pairs()
-    outer: list[_Pair] = []
-    for pair in pairs:
-        above = set(body.rig.upwards(pair.parent))
-        if not any({p.first, p.second} & above for p in outer):
+    outer: list[Pair] = []
+    for pair in sorted(_pairs(body), key=lambda pair: -body.extent(pair[0])):
+        above = set(body.rig.upwards(pair[0]))
+        if not any(above & set(other) for other in outer):
             outer.append(pair)
-    if not outer:
-        return None, None
-    if len(outer) == 1:
-        only = outer[0]
-        return (None, only) if _arm_like(body, only) > 0 else (only, None)
-    return max(
-        ((a, b) for a in outer[:4] for b in outer[:4] if a is not b),
-        key=lambda pair: _leg_score(body, *pair),
-    )
+    if len(outer) > 1:
+        return max(permutations(outer[:4], 2), key=lambda two: _leg_score(body, *two))
+    if outer:
+        hand = max(body.branches(body.heaviest(c))[1] for c in outer[0])
+        return (None, outer[0]) if hand >= 4 else (outer[0], None)
+    return None, None
 
 
-def _arm_like(body: Body, pair: _Pair) -> float:
-    """Return how much a pair looks like arms rather than legs."""
-    ends = [_branches(body, body.heaviest(c)) for c in (pair.first, pair.second)]
-    hand = max(ends[0][1], ends[1][1])
-    above = body.rig.joints[pair.parent].parent >= 0
-    return (hand >= 4) * 2.0 + above * 1.0 - 0.5
+def _pairs(body: Body) -> list[Pair]:
+    """Return pairs of like subtrees, each joint with the one that is most like it."""
+    found = []
+    for below in body.children:
+        long = [c for c in below if body.extent(c) >= _LIMB * body.size]
+        for a, b in combinations([c for c in long if body.counts[c] > 1], 2):
+            low, high = sorted((body.extent(a), body.extent(b)))
+            fewer, more = sorted((body.counts[a], body.counts[b]))
+            if high - low <= _ALIKE * high and more <= 1.2 * fewer + 2:
+                found.append((more - fewer, high - low, (a, b)))
+    best: list[Pair] = []
+    for _, _, pair in sorted(found):
+        if not any(set(pair) & set(other) for other in best):
+            best.append(pair)
+    return best
 
 
-def _leg_score(body: Body, legs: _Pair, arms: _Pair) -> float:
+def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
     """Return how well two pairs do as legs and arms."""
-    score = 0.0
-    above = body.rig.upwards(arms.parent)
-    score += 2.0 * (legs.parent in above)
-    score -= 2.0 * (arms.parent in body.rig.upwards(legs.parent)[1:])
-    depth = [len(body.rig.upwards(p.parent)) for p in (legs, arms)]
-    score += float(np.sign(depth[1] - depth[0]))
-    hands = [
-        max(_branches(body, body.heaviest(c))[1] for c in (p.first, p.second))
-        for p in (legs, arms)
+    hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
+    ways = [body.rig.upwards(hips), body.rig.upwards(chest)]
+    score = 2.0 * (hips in ways[1]) - 2.0 * (chest in ways[0][1:])
+    score += float(np.sign(len(ways[1]) - len(ways[0])))
+    fingers = [
+        max(body.branches(body.heaviest(c))[1] for c in pair) for pair in (legs, arms)
     ]
-    score += 1.5 * float(np.sign(hands[1] - hands[0]))
+    score += 1.5 * float(np.sign(fingers[1] - fingers[0]))
     # The head is another branch where the arms are.
-    others = [
-        sum(
-            body.counts[c] > 0 and body.lengths[c] + body.reach[c] > 0.04 * body.size
-            for c in body.children[p.parent]
-        )
-        - 2
-        for p in (legs, arms)
-    ]
-    score += 0.5 * (others[1] > 0)
-    score += (legs.reach + arms.reach) / max(body.size, 1e-30)
-    return float(score)
-
-
-def _branches(body: Body, way: Sequence[int]) -> tuple[int, int]:
-    """Return the joint of a way with most branches that go on, and their number."""
-    best, most = way[-1], 1
-    for j in way:
-        count = len(body.limb_children(j))
-        if count > most:
-            best, most = j, count
-    return best, most
-
-
-def hand_of(body: Body, way: Sequence[int]) -> int:
-    """Return the joint of an arm's way from which fingers branch off; -1 for none."""
-    joint, count = _branches(body, way)
-    return joint if count > 1 else -1
+    long = [c for c in body.children[chest] if body.extent(c) > 0.04 * body.size]
+    score += 0.5 * (len(long) > 2)
+    return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,9 +267,9 @@ def split_limb(
         limb: What it is.
         branch: The joint where the end begins, where the tree shows it.
     """
+    beyond, way = way[_MOST:], way[:_MOST]
     n = len(way)
-    lengths = [float(body.lengths[j]) for j in way[1:]] + [float(body.tips[way[-1]])]
-    at = np.cumsum([0.0, *lengths])
+    at = np.cumsum([0.0, *body.lengths[way[1:]], body.tips[way[-1]]])
     best, best_score = [""] * n, -np.inf
     for upper, lower, end in combinations_with_replacement(range(n + 1), 3):
         for last in range(min(end + 1, n), n + 1):
@@ -330,11 +282,11 @@ def split_limb(
             score = _named(body, way, labels) + _shaped(at, parts, limb)
             if branch >= 0:
                 score += 4.0 if end < n and way[end] == branch else -4.0
-            elif limb.led is False and end < n - 1:
+            elif not limb.led and end < n - 1:
                 score += _bend(body, [way[lower], way[end], way[end + 1]])
             if score > best_score:
                 best, best_score = labels, score
-    return best
+    return best + [""] * len(beyond)
 
 
 def _named(body: Body, way: Sequence[int], labels: Sequence[str]) -> float:
@@ -356,8 +308,8 @@ def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
     counts = [b - a for a, b in pairwise(parts)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
-    score -= 0.5 * abs(counts[0] - limb.led) + 0.5 * max(counts[3] - 1, 0)
-    score -= 0.5 * max(counts[4] - 1, 0)
+    score -= 0.5 * abs(counts[0] - limb.led)
+    score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
     before, up = float(at[upper] - at[0]), float(at[lower] - at[upper])
     low, behind = float(at[end] - at[lower]), float(at[n] - at[end])
     if up > 0 and low > 0:
@@ -366,10 +318,9 @@ def _shaped(at: FloatArray, parts: Sequence[int], limb: Limb) -> float:
         score -= 8.0
     if before > 0 and up > 0:
         score -= _off(max(before / up, 0.3 * limb.before), limb.before, _BEFORE_SPREAD)
-    if behind > 0 and low > 0 and end < n and limb.roles[4]:
-        score -= _off(behind / low, limb.end, _END_SPREAD)
-    elif behind > 0 and low > 0:
-        score -= _off(max(behind / low, limb.end), limb.end, _END_SPREAD)
+    if behind > 0 and low > 0:
+        least = 0.0 if end < n and limb.roles[4] else limb.end
+        score -= _off(max(behind / low, least), limb.end, _END_SPREAD)
     return float(score)
 
 
