@@ -168,7 +168,9 @@ def _find_limbs(search: _Search) -> None:
                 search.tips[f"{limb}_{side}"] = tip
     for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
         known = {j for tip in search.tips.values() for j in body.rig.upwards(tip)}
-        if pair and not known & set(pair) and f"{limb}_l" not in search.tips:
+        known |= {j for j, role in enumerate(search.roles) if role}
+        named = any(f"{limb}_{side}" in search.tips for side in SIDES)
+        if pair and not named and known.isdisjoint(pair):
             search.unsided.append(limb)
             for side, top in zip(SIDES, pair, strict=True):
                 search.tips[f"{limb}_{side}"] = body.heaviest(top)[-1]
@@ -283,16 +285,12 @@ def _trunk(search: _Search) -> None:
 def _spine(search: _Search, start: int, chest: int, head: int) -> None:
     """Give the joints from the fork at the hips to chest and head their roles."""
     body = search.body
-    if (
-        chest >= 0
-        and start in body.rig.upwards(chest)
-        and chest not in body.rig.upwards(max(head, 0))
-    ):
+    if chest not in body.rig.upwards(head):
         for j in body.way(start, chest):
             search.put(j, "spine")
     search.put(head, "head")
     top = head if head >= 0 else chest
-    way = body.way(start, top) if start in body.rig.upwards(top) else []
+    way = body.way(start, top)
     named = [i for i, j in enumerate(way) if "neck" in body.votes[j]]
     after = way.index(chest) + 1 if chest in way else len(way)
     after = named[0] if named else after
@@ -315,7 +313,7 @@ def _hips(search: _Search, fork: int, seat: int) -> int:
     body = search.body
     named = _best_named(search, "hips")
     if fork < 0:
-        return named
+        return named if named >= 0 else seat
     near = set(body.rig.upwards(fork)) | set(body.way(fork, max(seat, fork)))
     candidates = [j for j in near if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
@@ -348,6 +346,8 @@ def _limb(search: _Search, limb: str) -> None:
     }
     way = [j for j in body.rig.upwards(tip) if j not in others and not search.roles[j]]
     way = [*way[::-1], *body.heaviest(tip)[1:]]
+    if not way:
+        return
     way, branch = (
         _to_hand(search, way, side) if kind == "arm" else (_to_toe(search, way), -1)
     )

@@ -113,9 +113,9 @@ class Body:
         return counts
 
     def way(self, top: int, bottom: int) -> list[int]:
-        """Return the joints from one to another below it, both included."""
+        """Return the joints from one to another below it; none where it is not."""
         way = self.rig.upwards(bottom)[::-1]
-        return way[way.index(top) :]
+        return way[way.index(top) :] if top in way else []
 
     def common(self, joints: Sequence[int]) -> int:
         """Return the lowest joint above or at all of these; -1 where none is."""
@@ -212,8 +212,12 @@ def _pairs(body: Body) -> list[Pair]:
     """Return pairs of like subtrees, each joint with the one that is most like it."""
     found = []
     for below in body.children:
-        long = [c for c in below if body.extent(c) >= _LIMB * body.size]
-        for a, b in combinations([c for c in long if body.counts[c] > 1], 2):
+        long = [
+            c
+            for c in below
+            if body.counts[c] > 1 and body.extent(c) >= _LIMB * body.size
+        ]
+        for a, b in combinations(sorted(long, key=body.extent)[-_MOST:], 2):
             low, high = sorted((body.extent(a), body.extent(b)))
             fewer, more = sorted((body.counts[a], body.counts[b]))
             if high - low <= _ALIKE * high and more <= 1.2 * fewer + 2:

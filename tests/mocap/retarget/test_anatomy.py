@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.people import named, person
 
+from animtool.errors import OptionError
+from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.roles import CONTROL, END, TWIST, Found
+from animtool.mocap.retarget.roles import CONTROL, END, FINGERS, ROLES, TWIST, Found
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
@@ -190,6 +195,42 @@ def test_ends_and_controls_have_no_role() -> None:
     rig = replace(rig, joints=(*rig.joints, *extra))
     roles |= {"head_end": END, "index_4_l": END, "ik_hand_l": CONTROL, "tail": ""}
     assert known(rig, rig, roles) == 1.0
+
+
+WORDS = [
+    *("Hips", "Spine", "Neck", "Head", "LeftArm", "RightArm", "LeftUpLeg", "RightLeg"),
+    *("LeftHand", "RightHandIndex1", "LeftFoot", "thumb_l", "root", "x", "__a", "end"),
+    *("ik_hand", "LeftToe", "RightShoulder", "twist_l"),
+]
+LENGTHS = st.sampled_from([0.0, 0.01, 0.1, 0.1, 0.4, -0.4])
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 40), st.sampled_from(WORDS), LENGTHS, LENGTHS, st.booleans()
+        ),
+        max_size=40,
+    ),
+    st.booleans(),
+)
+def test_any_tree_has_roles_and_any_two_map_or_are_refused(
+    tree: list[tuple[int, str, float, float, bool]], by_names: bool
+) -> None:
+    joints = []
+    for i, (parent, word, x, y, tip) in enumerate(tree):
+        tips = ((0.0, y, 0.0),) if tip else ()
+        name, above = f"{word}.{i:03}", parent % (i + 1) - 1
+        joints.append(Joint(name, above, translation=(x, y, 0.0), tips=tips))
+    rig = Rig("any", tuple(joints))
+    found = anatomy(rig, by_names=by_names)
+    assert set(found.roles) <= {*ROLES, TWIST, END, CONTROL, ""}
+    singles = ["hips", "head", *(f"{role}_{s}" for role in FINGERS for s in "lr")]
+    assert all(found.roles.count(role) <= 1 for role in singles)
+    biped, _ = person()
+    with suppress(OptionError):
+        map_joints(rig, biped)
+        map_joints(biped, rig)
 
 
 def test_nobody_is_no_error() -> None:
