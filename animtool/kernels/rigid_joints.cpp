@@ -22,24 +22,22 @@ class Writing {
  public:
   Writing(const Speed& a, const Speed& b, double h) : a_(a), b_(b), h_(h) {}
 
-  void along(Vec line, Vec arm_a, Vec arm_b, double error, double given, int slot) {
+  Row& along(Vec line, Vec arm_a, Vec arm_b, double error, double given, int slot) {
     Row row;
     row.line = line, row.arm_a = cross(arm_a, line), row.arm_b = cross(arm_b, line);
-    add(row, error, given, slot);
+    return add(row, error, given, slot);
   }
-  void about(Vec axis, double error, double given, int slot) {
+  Row& about(Vec axis, double error, double given, int slot) {
     Row row;
     row.arm_a = row.arm_b = axis;
-    add(row, error, given, slot);
+    return add(row, error, given, slot);
   }
-  Row& last() { return rows.of[rows.count - 1]; }
 
-  void limit() {
-    last().kind = Row::LIMIT;
-    last().least = 0;
+  static void limit(Row& row) {
+    row.kind = Row::LIMIT;
+    row.least = 0;
   }
-  void drive(const Joint& joint) {
-    Row& row = last();
+  void drive(Row& row, const Joint& joint) const {
     row.kind = Row::DRIVE;
     const double give = h_ * (joint.damping + h_ * joint.stiffness);
     row.leak = 1 / give;
@@ -51,15 +49,17 @@ class Writing {
   Rows rows;
 
  private:
-  void add(Row row, double error, double given, int slot) {
+  // What nothing can turn, such as a rod about itself, has no equation.
+  Row& add(Row row, double error, double given, int slot) {
     const double k = dot(row.line, row.line) * (a_.ease + b_.ease) +
                      dot(row.arm_a, a_.turned(row.arm_a)) + dot(row.arm_b, b_.turned(row.arm_b));
     row.error = error, row.given = given, row.slot = slot;
     row.mass = k > 0 ? 1 / k : 0;
     row.most = ANY, row.least = -ANY;
-    if (k > 0) rows.of[rows.count++] = row;
+    return (k > 0 ? rows.of[rows.count++] : unmoved_) = row;
   }
 
+  Row unmoved_;
   const Speed &a_, &b_;
   double h_;
 };
@@ -94,13 +94,11 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   if (slides) {
     const double slide = dot(x, off), given = -dot(x, going);
     if (limited) {
-      to.along(x, reach_a, arm_b, slide - joint.low, given, SLOT_LOW), to.limit();
-      to.along(-x, reach_a, arm_b, joint.high - slide, -given, SLOT_HIGH), to.limit();
+      to.limit(to.along(x, reach_a, arm_b, slide - joint.low, given, SLOT_LOW));
+      to.limit(to.along(-x, reach_a, arm_b, joint.high - slide, -given, SLOT_HIGH));
     }
-    if (driven(joint)) {
-      to.along(x, reach_a, arm_b, slide - joint.target, given, SLOT_DRIVE);
-      to.drive(joint);
-    }
+    if (driven(joint))
+      to.drive(to.along(x, reach_a, arm_b, slide - joint.target, given, SLOT_DRIVE), joint);
     return to.rows;
   }
   if (joint.kind == Joined::FIXED) return to.rows;
@@ -112,8 +110,8 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
   const Vec axis = ball && lean > 1e-6 ? (x + far) * (1 / lean) : x;
   if (limited) {
     const double given = -dot(axis, a.spin);
-    to.about(axis, twist - joint.low, given, SLOT_LOW), to.limit();
-    to.about(-axis, joint.high - twist, -given, SLOT_HIGH), to.limit();
+    to.limit(to.about(axis, twist - joint.low, given, SLOT_LOW));
+    to.limit(to.about(-axis, joint.high - twist, -given, SLOT_HIGH));
   }
   if (ball && joint.swing[0] >= 0) {
     const Vec bend = cross(x, far);
@@ -123,19 +121,17 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
       const double u = local.y * joint.swing[1], v = local.z * joint.swing[0];
       const double size = std::sqrt(u * u + v * v);
       const double most = size > 0 ? joint.swing[0] * joint.swing[1] / size : 0;
-      to.about(-about, most - angle, dot(about, a.spin), SLOT_SWING), to.limit();
+      to.limit(to.about(-about, most - angle, dot(about, a.spin), SLOT_SWING));
     }
   }
   if (!driven(joint)) return to.rows;
   if (!ball) {
-    to.about(x, twist - joint.target, -dot(x, a.spin), SLOT_DRIVE), to.drive(joint);
+    to.drive(to.about(x, twist - joint.target, -dot(x, a.spin), SLOT_DRIVE), joint);
     return to.rows;
   }
   const Vec error = rotate(a.turn, vector_of(between * conjugate(joint.goal)));
-  for (int i = 0; i < 3; ++i) {
-    to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_DRIVE + i);
-    to.drive(joint);
-  }
+  for (int i = 0; i < 3; ++i)
+    to.drive(to.about(axes[i], dot(axes[i], error), -dot(axes[i], a.spin), SLOT_DRIVE + i), joint);
   return to.rows;
 }
 

@@ -99,7 +99,9 @@ def _step(rng: Rng) -> dict[str, Any]:
         "colliders": colliders(rng),
         "anchors": anchors,
         "step": 0.01,
-        "method": int(rng.integers(0, 4)),
+        # Others, which spoiled numbers have too, blow up where bodies turn by some
+        # radians in a small step.
+        "method": 0,
         "substeps": int(rng.integers(1, 4)),
         "rounds": int(rng.integers(1, 4)),
         "tolerance": 1e-4,

@@ -284,6 +284,17 @@ def test_limits_hold(tmp_path: Path, side: int) -> None:
     assert_allclose(found.to(3.0)[0], [0.3 * side, -0.4, 0], atol=1e-3)
 
 
+@pytest.mark.parametrize("spin", [-90, 90])
+@pytest.mark.parametrize("keys", [{"limits": [-5, 5]}, {"drive": {"stiffness": 9}}])
+def test_limits_about_a_rod_leave_the_rest_of_its_joint(
+    tmp_path: Path, keys: dict[str, Any], spin: float
+) -> None:
+    rod = ball(0.1, mass=1, inertia=[0, 0.3, 0.3], spin=[0, 0, spin])
+    pin = {"type": "pin", "body": "ball", "axis": [1, 0, 0], **keys}
+    found = Rigid(tmp_path, rod, joints=[pin], forces=[], step=0.01, substeps=1)
+    assert_allclose(found.run.at(0.01).rotations, [[0, 0, 0, 1]], atol=1e-3)
+
+
 def test_drives_hold_what_springs_hold(tmp_path: Path) -> None:
     arm = box((0.6, 0.1, 0.1), at=[0.3, 0, 0], mass=2)
     drive = {"stiffness": 300, "damping": 30, "target": 10}
