@@ -61,10 +61,10 @@ class TransformsFrame:
     copied: IntArray  # which of the meshes each is (N,)
     meshes: tuple[MeshFrame, ...]  # about their own origins, the same in every frame
     primvars: Primvars = field(default_factory=dict)
-    # Of each, the same in every frame, where each becomes a prim of its own; else none.
-    names: tuple[str, ...] = ()
-    still: frozenset[int] = frozenset()  # places of those with names that never move
-    physics: Physics | None = None  # of those with names, if it is to be written
+    names: tuple[str, ...] = ()  # of each, the same in every frame; or none
+    xforms: bool = False  # whether each becomes a prim of its own, by its name
+    still: frozenset[int] = frozenset()  # places of such that never move
+    physics: Physics | None = None  # of such, if it is to be written
 
 
 Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame | TransformsFrame

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from animtool.cli.console import columns
 from animtool.clock import frame_label
-from animtool.errors import counted
+from animtool.errors import counted, excerpt
 from animtool.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
@@ -45,9 +45,13 @@ def _line(mesh: MeshReport) -> str:
     written = mesh.written
     where = ""
     if written.error:
-        where = (
-            f" (vertex {written.error_vertex}, frame {frame_label(written.error_code)})"
+        point = written.error_vertex
+        which = (
+            f"body {excerpt(written.names[point])}"
+            if written.names
+            else f"vertex {point}"
         )
+        where = f" ({which}, frame {frame_label(written.error_code)})"
     moves = "still, no samples"
     if written.samples:
         moves = f"{counted(written.samples, 'frame')}, {size_text(written.bytes)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -19,7 +20,6 @@ from animtool.frames import (
 )
 from animtool.maths import so3
 from animtool.maths.faces import vertex_normals
-from animtool.similar import distinct
 from animtool.usd.layers import (
     attribute,
     author_order,
@@ -28,7 +28,7 @@ from animtool.usd.layers import (
     relationship,
     vector,
 )
-from animtool.usd.names import legal_name
+from animtool.usd.names import UsdNames, distinct_names
 from animtool.usd.point_based import (
     ATTRIBUTES,
     Kind,
@@ -219,14 +219,14 @@ class _Xforms(FrameForm[TransformsFrame]):
         """Return the operations of those that move."""
         return {
             f"{part}.{name}": kind
-            for i, part in enumerate(part_names(frame.names))
+            for i, part in enumerate(part_names(frame.names).names)
             if i not in frame.still
             for name, kind in _OPERATIONS.items()
         }
 
     def divide(self, spec: Any, frame: TransformsFrame) -> None:
         """Write the Xforms, in order."""
-        for part in part_names(frame.names):
+        for part in part_names(frame.names).names:
             prim(spec.layer, f"{spec.path}/{part}", "Xform")
 
     def describe(self, writer: Writer, spec: Any, frame: TransformsFrame) -> None:
@@ -236,7 +236,7 @@ class _Xforms(FrameForm[TransformsFrame]):
         """
         layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
-        for i, part in enumerate(part_names(frame.names)):
+        for i, part in enumerate(writer.parts):
             own = layer.GetPrimAtPath(f"{spec.path}/{part}")
             names = list(_OPERATIONS)
             if i in frame.still:
@@ -290,15 +290,15 @@ def _placed(frame: TransformsFrame, i: int, unit: float) -> tuple[Any, Any]:
     return vector(frame.points[i] / unit), quaternion(frame.rotations[i])
 
 
-def part_names(names: Sequence[str]) -> list[str]:
+def part_names(names: Sequence[str]) -> UsdNames:
     """Return legal and distinct names of copies.
 
-    >>> part_names(["brick[3]", "brick_3"])
+    >>> part_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
-    legal = [legal_name(name.removesuffix("]")) for name in names]
-    taken = [PROTOTYPES, PHYSICS]
-    return distinct([*taken, *legal])[len(taken) :]
+    every = [PROTOTYPES, PHYSICS, *names]
+    found = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    return replace(found, names=found.names[2:])
 
 
 def _prototypes(writer: Writer, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
@@ -337,8 +337,8 @@ _XFORMS = _Xforms()
 
 def form_of(frame: Frame) -> FrameForm[Any]:
     """Return how a frame is written."""
-    named = isinstance(frame, TransformsFrame) and frame.names
-    return _XFORMS if named else FORMS[type(frame)]
+    divided = isinstance(frame, TransformsFrame) and frame.xforms
+    return _XFORMS if divided else FORMS[type(frame)]
 
 
 def _primvar_kind(name: str, values: npt.NDArray[Any]) -> Kind:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import Float32Array, FloatArray, IntArray
-from animtool.frames import Frame
+from animtool.frames import Frame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.usd.finite import (
@@ -47,11 +47,15 @@ class FrameWriter:
     @cached_property
     def parts(self) -> list[str]:
         """Names of the prims below, of a frame that has names."""
-        return part_names(self._first.names)
+        return part_names(self._first.names).names
 
     def begin(self, layer: Any, frame: Frame) -> None:
         """Write the prim of a first frame: attributes, and what no frame changes."""
         self._first, form = frame, form_of(frame)
+        if isinstance(frame, TransformsFrame):
+            self.report.names = frame.names
+            if frame.xforms:
+                self.report.notices += part_names(frame.names).notices
         self._kinds = form.kinds(frame)
         spec = prim(layer, self.report.path, form.type_name)
         form.divide(spec, frame)
@@ -131,7 +135,9 @@ class FrameWriter:
 
     def _labels(self, name: str) -> Labels:
         place, own = place_of(self.report.path, name)
-        return Labels(f"{place}.{own}", "" if "." in name else "point")
+        names = () if name == "extent" else self.report.names
+        of = "body" if names else "point"
+        return Labels(f"{place}.{own}", "" if "." in name else of, names)
 
     def write_still(self, layer: Any, path: str, frame: Frame) -> None:
         """Write a frame as a prim that never moves."""

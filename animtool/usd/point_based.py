@@ -14,6 +14,7 @@ import numpy as np
 from pxr import Sdf, Vt
 
 from animtool._types import Float32Array, FloatArray
+from animtool.errors import Fault
 from animtool.usd.layers import Samples, attribute
 
 _TYPES = Sdf.ValueTypeNames
@@ -59,6 +60,8 @@ class CachedMesh:
     error: float = 0.0  # largest distance that rounding moved a point [m]
     error_code: float = 0.0  # time code of that
     error_vertex: int = 0  # the point that moved
+    names: Sequence[str] = ()  # of points that are bodies
+    notices: list[Fault] = field(default_factory=list)
 
     def moved(self, error: float, code: float, vertex: int) -> None:
         """Keep the larger error [m], its time code and point."""

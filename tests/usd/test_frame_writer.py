@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Sdf, Usd, UsdGeom
 
+from animtool.errors import OutputError
 from animtool.frames import (
     CurvesFrame,
     Frame,
@@ -106,3 +108,17 @@ def test_copies_of_meshes_are_where_they_are_told() -> None:
         np.array(instancer.GetExtentAttr().Get(1.0)), np.array(expected), rtol=1e-5
     )
     assert len(instancer.GetPositionsAttr().Get(2.0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "which"), [((), "point 1"), (("nut", "bolt", "rod"), "body 'bolt'")]
+)
+def test_what_is_too_large_is_of_a_body_or_a_point(
+    names: tuple[str, ...], which: str
+) -> None:
+    frame = replace(COPIES, names=names)
+    writer = FrameWriter("/it", 1.0)
+    writer.begin(Sdf.Layer.CreateAnonymous(".usda"), frame)
+    points = POINTS * [[1], [1e39], [1]]
+    with pytest.raises(OutputError, match=f"{which} at frame 2 is 4e"):
+        writer.values(2.0, replace(frame, points=points))

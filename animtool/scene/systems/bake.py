@@ -75,6 +75,7 @@ class SystemPrims:
             assert plan.output is not None
             names, size = system_files(plan.output), plan.options.chunk
             files, written = chunk_simulated(job, rows, draft.layer, names, size)
+            run.note(written)
             refuse_warnings(run.notices, strict=plan.options.strict)
             run.save_states(folder)
             # A layer always has its own.
@@ -83,6 +84,7 @@ class SystemPrims:
 
             def grow(growing: Growing) -> None:
                 written.extend(grow_simulated(job, rows, growing))
+                run.note(written)
                 refuse_warnings(run.notices, strict=plan.options.strict)
                 run.save_states(folder)
 

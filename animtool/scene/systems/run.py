@@ -97,7 +97,7 @@ class SystemRun:
             if getattr(system.setup, "writes", ())
         }
         self._kept: dict[int, tuple[float, Reached[Any]]] = {}
-        self._vain: list[Fault] = []
+        self._odd: list[Fault] = []
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
@@ -121,7 +121,7 @@ class SystemRun:
         alike = named_alike([self.systems[i] for i in self.written])
         return (
             alike
-            + self._vain
+            + self._odd
             + [
                 system.place.put(notice)
                 for system, opened in zip(self.systems, self._open, strict=True)
@@ -180,7 +180,7 @@ class SystemRun:
                 place = self.systems[i].place
                 hint = "name one of the frames that are written"
                 fault = place.fault("SIM185", message, hint, Severity.WARNING)
-                self._vain.append(fault)
+                self._odd.append(fault)
 
     def _foresee(self, times: Sequence[float]) -> None:
         """Let surfaces that may tear know where they will."""
@@ -226,6 +226,14 @@ class SystemRun:
             row = self._open[i].at(t)
         self.seconds[i] += time.perf_counter() - began
         return row
+
+    def note(self, written: Sequence[CachedMesh]) -> None:
+        """Add what is odd about prims to the notices, each at its system."""
+        self._odd += [
+            self.systems[i].place.put(notice)
+            for i, found in zip(self.written, written, strict=True)
+            for notice in found.notices
+        ]
 
     def reports(self, written: Sequence[CachedMesh]) -> list[MeshReport]:
         """Return what became of each that is written."""

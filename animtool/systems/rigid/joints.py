@@ -107,7 +107,8 @@ def joints_of(
         numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
         above.append(other)
-        notices += _far(bodies, second, frame, name, at)
+        for body in (second, other) if other >= 0 else (second,):
+            notices += _far(bodies, body, frame, name, at)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, 26),

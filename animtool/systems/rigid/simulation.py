@@ -333,7 +333,8 @@ class RigidSimulation:
             np.ones((count, 3)),
             bodies.of,
             meshes,
-            names=tuple(bodies.names) if self._spec.prims == "xforms" else (),
+            names=tuple(bodies.names),
+            xforms=self._spec.prims == "xforms",
             still=bodies.still,
             physics=self._physics,
         )

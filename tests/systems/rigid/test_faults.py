@@ -267,10 +267,15 @@ def test_bodies_that_begin_in_others_are_warned_of(
 
 
 @pytest.mark.parametrize(("distance", "warns"), [(3.9, 0), (4.1, 1)])
+@pytest.mark.parametrize("kinematic", [False, True])
+@pytest.mark.parametrize("end", ["body", "to"])
 def test_a_joint_far_from_its_body_is_warned_of(
-    tmp_path: Path, distance: float, warns: int
+    tmp_path: Path, distance: float, warns: int, end: str, *, kinematic: bool
 ) -> None:
-    """SIM127: from four times what the body reaches on."""
-    bodies, joints = joint(at=[0, distance, 0])
-    found = Rigid(tmp_path, *bodies, joints=joints, forces=[])
+    """SIM127: from four times what the body reaches on, of both that it joins."""
+    ends: dict[str, Any] = {} if end == "body" else {"body": "bar", "to": "ball"}
+    bar = box((1, 99, 1)) | {"name": "bar"}
+    near = ball(1, kinematic=kinematic and end == "to")
+    bodies, joints = joint(near, bar, at=[0, distance, 0], **ends)
+    found = Rigid(tmp_path, *bodies, joints=joints, forces=[], sleep={"speed": 0})
     assert warned(found, "SIM127") == ["joints[1].at"] * warns

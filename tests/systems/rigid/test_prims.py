@@ -12,8 +12,11 @@ from pxr import Gf, Usd, UsdGeom
 from support.rigid import FLOOR, box
 from support.simulated import Simulator
 
-from animtool import BakeOptions
+from animtool import BakeOptions, bake
+from animtool.cli.plan_summary import mesh_text
+from animtool.errors import AnimtoolError
 from animtool.report.compare_points import compare_points
+from animtool.scene.prims import BakeReport
 from animtool.units import LengthUnit, UpAxis
 from animtool.usd.simulated_read import describe_points
 
@@ -100,3 +103,23 @@ def test_info_counts_samples_of_what_places_a_mesh(tmp_path: Path) -> None:
     assert found.frames == 9
     assert [prim.samples for prim in found.prims] == [9, 9, 9, 0, 9]
     assert (found.prims[0].first, found.prims[0].last) == (1.0, 9.0)
+
+
+def _bake(folder: Path, prims: str, bodies: Any = BODIES, **keys: Any) -> BakeReport:
+    system = {"rigid": {"name": "it", "step": 0.02, "bodies": bodies, "prims": prims}}
+    scene = Simulator(folder).scene([system])
+    return bake(scene.path, folder / "shot.usdc", BakeOptions(**keys))
+
+
+def test_names_that_become_one_are_warned_of(tmp_path: Path) -> None:
+    (notice,) = _bake(tmp_path, "xforms").notices
+    assert (notice.code, notice.where) == ("USD101", "systems[0].rigid")
+    assert notice.message.startswith("'brick[1]' and 'brick_1' both become 'brick_1'")
+    assert _bake(tmp_path, "instancer", overwrite=True).notices == []
+    with pytest.raises(AnimtoolError, match="USD101"):
+        _bake(tmp_path, "xforms", overwrite=True, strict=True)
+
+
+def test_the_largest_error_names_its_body(tmp_path: Path) -> None:
+    (take,) = _bake(tmp_path, "instancer").takes
+    assert "(body 'brick_1', frame " in mesh_text(take)[-1]
