@@ -129,7 +129,8 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
 
     name: str = key("For messages.", "step_1", default="")
     shape: ShapeEntry = key(
-        "`plane`, `sphere`, `capsule`, `box` or `mesh`.", {"box": {"size": [2, 0.2, 1]}}
+        "`plane`, `sphere`, `capsule`, `box`, `mesh` or `height_field`.",
+        {"box": {"size": [2, 0.2, 1]}},
     )
     container: bool = key(
         "Particles are to stay inside; of `kill`, those outside go.",

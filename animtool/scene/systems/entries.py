@@ -26,7 +26,7 @@ from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.systems.character_motion import CharacterCollider
 from animtool.scene.systems.surroundings import MovingMesh, SurfaceCollider
-from animtool.sim.colliders import SHAPES, Collider, Mesh, Poses
+from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
@@ -294,6 +294,8 @@ class EntryReader:
             return None
         if table[name] is Mesh:
             return self._mesh((*at, name), given or {})
+        if table[name] is HeightField:
+            return self._height_field((*at, name), given or {})
         return self.record((*at, name), table[name], given or {}, name)
 
     def record(
@@ -301,10 +303,7 @@ class EntryReader:
     ) -> Kind | None:
         """Return a record of options, all of which are checked."""
         names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-        unknown = [key for key in given if key not in names]
-        for key in unknown:
-            message = f"unknown option {key!r} of {name}"
-            self.note((*at, key), Fault("SCN001", message, hint=nearest(key, names)))
+        unknown = self._unknown(at, given, names, name)
         known = {key: value for key, value in given.items() if key in names}
         try:
             made = TypeAdapter(kind).validate_python(known)
@@ -314,19 +313,51 @@ class EntryReader:
             return None
         return None if unknown else made
 
+    def _unknown(
+        self, at: Location, given: dict[str, Any], names: Sequence[str], name: str
+    ) -> list[str]:
+        """Return the options that there are none of, each noted."""
+        unknown = [key for key in given if key not in names]
+        for key in unknown:
+            message = f"unknown option {key!r} of {name}"
+            self.note((*at, key), Fault("SCN001", message, hint=nearest(key, names)))
+        return unknown
+
     def _mesh(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh whose arrays a file has."""
-        arrays = []
-        for key in ("points", "triangles"):
-            text = given.get(key)
-            if not isinstance(text, str):
-                message = f"a mesh has {key}, such as stairs.npz#{key}"
-                self.note((*at, key) if key in given else at, Fault("SCN002", message))
-                continue
-            arrays.append(self.array((*at, key), text, key))
-        if len(arrays) < 2 or arrays[0] is None or arrays[1] is None:
+        unknown = self._unknown(at, given, ["points", "triangles"], "mesh")
+        points, triangles = (
+            self._named_array(at, given, key, f"a mesh has {key}, such as stairs.npz")
+            for key in ("points", "triangles")
+        )
+        if unknown or points is None or triangles is None:
             return None
-        return Mesh(arrays[0], np.asarray(arrays[1], np.int64))
+        return Mesh(points, np.asarray(triangles, np.int64))
+
+    def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
+        """Return the mesh of the heights that a file has."""
+        what = "a height field has heights, such as hill.npz"
+        heights = self._named_array(at, given, "heights", what)
+        rest = {key: value for key, value in given.items() if key != "heights"}
+        field = self.record(at, HeightField, rest, "height_field")
+        if heights is None or field is None:
+            return None
+        faults = [("size", why) for why in field.faults()]
+        faults += [("heights", why) for why in field.height_faults(heights)]
+        for key, why in faults:
+            self.note((*at, key), Fault("SIM020", why))
+        return None if faults else field.mesh(heights)
+
+    def _named_array(
+        self, at: Location, given: dict[str, Any], key: str, what: str
+    ) -> npt.NDArray[np.float64] | None:
+        """Return the array that an option names, which must be given."""
+        text = given.get(key)
+        if isinstance(text, str):
+            return self.array((*at, key), text, key)
+        place = (*at, key) if key in given else at
+        self.note(place, Fault("SCN002", f"{what}#{key}"))
+        return None
 
     def array(
         self, at: Location, text: str, default: str

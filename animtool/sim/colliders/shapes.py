@@ -178,11 +178,51 @@ class Mesh:
         return []
 
 
+@dataclass(frozen=True, slots=True)
+class HeightField:
+    """Heights over a rectangle about the origin, as a mesh that is met from above.
+
+    Attributes:
+        size: Both sides of the rectangle, along x and z [m].
+    """
+
+    size: Vector
+
+    def mesh(self, heights: ArrayLike) -> Mesh:
+        """Return the mesh of heights ``(R, C)`` [m]: rows along z, columns along x."""
+        y = np.asarray(heights, np.float64)
+        x, z = (
+            np.linspace(-side / 2, side / 2, count)
+            for side, count in zip(self.size, y.shape[::-1], strict=True)
+        )
+        points = np.stack(np.broadcast_arrays(x, y, z[:, None]), axis=-1)
+        number = np.arange(y.size).reshape(y.shape)
+        a, b = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
+        c, d = number[1:, :-1].ravel(), number[1:, 1:].ravel()
+        triangles = np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 3)
+        return Mesh(points.reshape(-1, 3), triangles)
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        if len(self.size) != 2:
+            return [f"its size must be two numbers, not {len(self.size)}"]
+        return _size_faults("size", self.size)
+
+    @staticmethod
+    def height_faults(heights: ArrayLike) -> list[str]:
+        """Return what makes no sense of heights."""
+        shape = np.shape(heights)
+        if len(shape) == 2 and min(shape) >= 2:
+            return []
+        return [f"its heights must be two rows of two or more, not of shape {shape}"]
+
+
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
-# By the names that files have for them.
+# By the names that files have for them; a height field becomes a mesh.
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
     "capsule": Capsule,
+    "height_field": HeightField,
     "mesh": Mesh,
     "plane": Plane,
     "sphere": Sphere,

@@ -101,6 +101,9 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     cores, solids, notices = [], [], []
     for k, (shape, at, turn) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
+        if "height_field" in (model.shape or model.shapes[k].shape):
+            message = f"a shape of {model.name!r}: a height field has no inside"
+            refuse(message, "it is a collider, not a body", key)
         try:
             core = core_of(shape)
         except ValueError as error:

@@ -43,8 +43,8 @@ from animtool.systems.simulation import Reached, SimulationRun
 from animtool.take import Take
 from animtool.units import UpAxis
 
-# A mesh is read from files, which a pass has none of.
-_SHAPES = {name: kind for name, kind in SHAPES.items() if name != "mesh"}
+# Others are read from files, which a pass has none of.
+_SHAPES = {name: SHAPES[name] for name in ("box", "capsule", "plane", "sphere")}
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
