@@ -14,7 +14,15 @@ from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Joint, Pose
 
-_WORDS = {"left": "right", "lft": "rgt", "lf": "rt", "lt": "rt", "l": "r", "左": "右"}
+# Words of the left side, and those of the right that go with them.
+SIDE_WORDS = {
+    "left": "right",
+    "lft": "rgt",
+    "lf": "rt",
+    "lt": "rt",
+    "l": "r",
+    "左": "右",
+}
 _LEFT, _RIGHT = (
     rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"
     for word in ("left", "right")
@@ -151,7 +159,7 @@ def _others(name: str) -> Iterator[tuple[int, str]]:
 
 def _right(mark: re.Match[str]) -> str:
     word = mark[0]
-    right = _WORDS[word.lower()]
+    right = SIDE_WORDS[word.lower()]
     if word.isupper():
         return right.upper()
     return right.capitalize() if word[0].isupper() else right

@@ -26,7 +26,7 @@ from animtool.mocap.retarget.roles import (
     SIDES,
     TWIST,
 )
-from animtool.rig.sides import pair_sides
+from animtool.rig.sides import SIDE_WORDS, pair_sides
 
 _FILE = resources.files("animtool.mocap.retarget") / "presets.yaml"
 # Namespaces, and prefixes that exporters set before every name.
@@ -37,10 +37,7 @@ _PREFIX = re.compile(
 )
 # Words, in camel case or set off by other characters, and numbers.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|左|右|[^\W0-9A-Za-z_左右]+")
-_SIDES = {
-    **dict.fromkeys(("left", "lft", "lf", "lt", "l", "左"), "l"),
-    **dict.fromkeys(("right", "rgt", "rt", "r", "右"), "r"),
-}
+_SIDES = {**dict.fromkeys(SIDE_WORDS, "l"), **dict.fromkeys(SIDE_WORDS.values(), "r")}
 # Words of joints as such, and the letters of the middle, set off by other characters.
 _NOISE = re.compile(
     r"(?<![^\W_])(joint|jnt|jt|bone|bn|link|def|bind|[jmcx])(?![^\W_])", re.IGNORECASE

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.full_rigs import FULL_RIGS, full_rig
 from support.people import named, person
 
 from animtool.errors import OptionError
@@ -126,6 +127,34 @@ def test_twist_joints_are_no_fingers_and_no_bones() -> None:
     assert wrong == []
 
 
+@pytest.mark.parametrize("preset", FULL_RIGS)
+def test_whole_rigs_are_known_with_what_is_none_of_a_body(preset: str) -> None:
+    rig, roles = full_rig(*FULL_RIGS[preset])
+    found = anatomy(rig)
+    wrong = [
+        (name, role, right)
+        for name, role, right in zip(rig.names, found.roles, roles, strict=True)
+        if role != right
+    ]
+    assert wrong == []
+    assert found.preset == preset
+
+
+@pytest.mark.parametrize("source", FULL_RIGS)
+def test_any_convention_goes_onto_any_other(source: str) -> None:
+    rig, ours = full_rig(*FULL_RIGS[source])
+    for target in FULL_RIGS:
+        other, theirs = full_rig(*FULL_RIGS[target])
+        found = map_joints(rig, other)
+        pairs = {(ours[pair.source], theirs[pair.target]) for pair in found.pairs}
+        mitten = {pair for pair in pairs if "fingers" in pair[0] + pair[1]}
+        assert all(a == b for a, b in pairs - mitten)
+        shared = set(ours) & set(theirs) & set(ROLES)
+        assert {role for role, _ in pairs - mitten} >= {
+            role for role in shared if not role.startswith("fingers")
+        }
+
+
 def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
     rig, roles = person()
     rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
@@ -202,6 +231,7 @@ WORDS = [
     *("LeftHand", "RightHandIndex1", "LeftFoot", "thumb_l", "root", "x", "__a", "end"),
     *("ik_hand", "LeftToe", "RightShoulder", "twist_l"),
 ]
+PERSON, _ = person(fingers=False)
 LENGTHS = st.sampled_from([0.0, 0.01, 0.1, 0.1, 0.4, -0.4])
 
 
@@ -227,10 +257,9 @@ def test_any_tree_has_roles_and_any_two_map_or_are_refused(
     assert set(found.roles) <= {*ROLES, TWIST, END, CONTROL, ""}
     singles = ["hips", "head", *(f"{role}_{s}" for role in FINGERS for s in "lr")]
     assert all(found.roles.count(role) <= 1 for role in singles)
-    biped, _ = person()
     with suppress(OptionError):
-        map_joints(rig, biped)
-        map_joints(biped, rig)
+        map_joints(rig, PERSON)
+        map_joints(PERSON, rig)
 
 
 def test_nobody_is_no_error() -> None:
