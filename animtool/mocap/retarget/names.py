@@ -63,7 +63,7 @@ class ReadName:
     """A joint's name, taken apart."""
 
     side: str  # ``l``, ``r`` or empty
-    key: str  # lower case, without prefix, side, separators and zeros before numbers
+    key: str  # its words in lower case, without prefix, side and separators
     kind: str = ""  # `TWIST`, `END` or `CONTROL`, where a word says so
 
 
@@ -97,8 +97,9 @@ def _side(words: Sequence[str]) -> tuple[str, list[str]]:
     """Return the side that a word says, and the other words."""
     for i, word in enumerate(words):
         side = _SIDES.get(word.lower(), "")
-        digit = len(word) == 1 and i + 1 < len(words) and words[i + 1].isdigit()
-        if side and not (digit and word not in "左右"):
+        # A letter with a number is a vertebra, unless there is one of the other side.
+        digit = len(word) == 1 and words[i + 1 : i + 2] and words[i + 1].isdigit()
+        if side and not digit:
             return side, [*words[:i], *words[i + 1 :]]
     return "", list(words)
 
@@ -171,7 +172,8 @@ def _preset(name: str, entry: dict[str, Any]) -> Preset:
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
     for role, template in _templates(entry["joints"]):
-        keys.setdefault(_key(_side_less(template)), set()).add(role)
+        bare = _PREFIX.sub("", _NAMESPACE.sub("", template.replace("{s}", " ")))
+        keys.setdefault(_key(_split(bare)), set()).add(role)
         sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
         for word, side in sides:
             text = template.replace("{s}", word)
@@ -186,11 +188,6 @@ def _preset(name: str, entry: dict[str, Any]) -> Preset:
         {key: frozenset(roles) for key, roles in keys.items()},
         {role: tuple(dict.fromkeys(texts)) for role, texts in joints.items()},
     )
-
-
-def _side_less(template: str) -> list[str]:
-    bare = _PREFIX.sub("", _NAMESPACE.sub("", template.replace("{s}", " ")))
-    return _split(bare)
 
 
 def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

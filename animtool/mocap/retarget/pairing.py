@@ -74,6 +74,13 @@ def map_joints(
     Raises:
         FormatError: The map file cannot be read, or names joints that neither has.
         OptionError: There is no such preset (MAP003), or nothing is mapped (MAP004).
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> ours = [Joint("LeftArm", -1), Joint("LeftForeArm", 0), Joint("LeftHand", 1)]
+    >>> theirs = [Joint("hand_l", -1)]
+    >>> found = map_joints(Rig("take", tuple(ours)), Rig("puppet", tuple(theirs)))
+    >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
+    [(2, 0, 'hand_l')]
     """
     stated: FileMap | None = None
     if map_file is not None:

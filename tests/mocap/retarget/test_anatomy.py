@@ -240,7 +240,7 @@ LENGTHS = st.sampled_from([0.0, 0.01, 0.1, 0.1, 0.4, -0.4])
         st.tuples(
             st.integers(0, 40), st.sampled_from(WORDS), LENGTHS, LENGTHS, st.booleans()
         ),
-        max_size=40,
+        max_size=24,
     ),
     st.booleans(),
 )
