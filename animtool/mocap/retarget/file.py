@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel, check_version, validated
-from animtool.documents.document import Document, Location, read_document
+from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, key
 from animtool.documents.names import nearest
+from animtool.mocap.retarget.map import TwistShare
 from animtool.mocap.retarget.names import bare_names
 from animtool.mocap.retarget.roles import ROLES
 from animtool.rig.skeleton import Rig
@@ -98,8 +99,7 @@ class MapFile:
     model: MapModel
 
 
-@dataclass(frozen=True, slots=True)
-class FileEntry:
+class FileEntry(NamedTuple):
     """Joints of both sides that an entry of a map file names, by index."""
 
     source: tuple[int, ...]
@@ -112,9 +112,8 @@ class FileMap:
     """A map file for two skeletons."""
 
     entries: tuple[FileEntry, ...]
-    twists: tuple[tuple[int, int, float], ...] | None  # joint, bone, share
-    ignored_source: frozenset[int]
-    ignored_target: frozenset[int]
+    twists: tuple[TwistShare, ...] | None
+    ignored: tuple[frozenset[int], frozenset[int]]  # of the source, of the target
     only: bool  # whether joints that it does not name stay as they are
 
 
@@ -157,45 +156,41 @@ def resolved_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         FormatError: Neither skeleton has a joint that is named (MAP001).
     """
     document, model = file.document, file.model
-    sides = {"source": _index(source), "target": _index(target)}
     rigs = {"source": source, "target": target}
+    indices = {side: _index(rig) for side, rig in rigs.items()}
 
-    def found(side: str, names: Sequence[str], where: Location) -> tuple[int, ...]:
+    def found(side: str, names: Sequence[str], *where: str | int) -> tuple[int, ...]:
         for i, name in enumerate(names):
-            if name not in sides[side]:
+            if name not in indices[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
-                hint = nearest(name, sides[side])
+                hint = nearest(name, indices[side])
                 document.add("MAP001", (*where, i), message, hint)
-        return tuple(sides[side][name] for name in names if name in sides[side])
+        return tuple(indices[side][name] for name in names if name in indices[side])
 
-    entries = tuple(
+    entries = [
         FileEntry(
-            found("source", _names(entry.source), ("joints", i, "source")),
-            found("target", _names(entry.target), ("joints", i, "target")),
+            found("source", _names(entry.source), "joints", i, "source"),
+            found("target", _names(entry.target), "joints", i, "target"),
             entry.role or "",
         )
         for i, entry in enumerate(model.joints)
-    )
-    twists = [
-        (
-            *found("target", [twist.joint], ("twists", i, "joint")),
-            *found("target", [twist.bone], ("twists", i, "bone")),
-        )
-        for i, twist in enumerate(model.twists or ())
     ]
-    ignored = {
-        side: frozenset(found(side, getattr(model.ignored, side), ("ignored", side)))
-        for side in sides
-    }
+    stated = list(enumerate(model.twists or ()))
+    joints = [found("target", [t.joint], "twists", i, "joint") for i, t in stated]
+    bones = [found("target", [t.bone], "twists", i, "bone") for i, t in stated]
+    ignored = [
+        frozenset(found(side, getattr(model.ignored, side), "ignored", side))
+        for side in rigs
+    ]
     document.check()
-    shares = [twist.share for twist in model.twists or ()]
+    twists = [
+        TwistShare(joint, bone, twist.share)
+        for (joint,), (bone,), (_, twist) in zip(joints, bones, stated, strict=True)
+    ]
     return FileMap(
-        entries,
-        None
-        if model.twists is None
-        else tuple((j, b, s) for (j, b), s in zip(twists, shares, strict=True)),
-        ignored["source"],
-        ignored["target"],
+        tuple(entries),
+        None if model.twists is None else tuple(twists),
+        (ignored[0], ignored[1]),
         model.others == "none",
     )
 

@@ -162,10 +162,16 @@ def _kind(name: str, words: Sequence[str]) -> str:
 
 
 @cache
-def presets() -> Mapping[str, Preset]:
-    """Return the shipped conventions, by name; ``words`` is what many have."""
+def _tables() -> Mapping[str, Preset]:
+    """Return the shipped conventions, and what many have, as `WORDS`, by name."""
     raw: dict[str, Any] = yaml.load(_FILE.read_text("utf-8"), yaml.CSafeLoader)
     return {name: _preset(name, entry) for name, entry in raw.items()}
+
+
+@cache
+def presets() -> Mapping[str, Preset]:
+    """Return the shipped conventions, by name."""
+    return {name: preset for name, preset in _tables().items() if name != WORDS}
 
 
 def _preset(name: str, entry: dict[str, Any]) -> Preset:
@@ -224,7 +230,6 @@ def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None
             -len(preset.keys),
         )
         for name, preset in presets().items()
-        if name != WORDS
     }
     name = max(scores, key=lambda each: scores[each])
     return presets()[name] if scores[name][0] >= _FEWEST else None
@@ -234,7 +239,7 @@ def role_votes(
     read: Sequence[ReadName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return what the names say: weights 0 to 1 of the roles of each of J joints."""
-    known, words = preset.keys if preset else {}, presets()[WORDS].keys
+    known, words = preset.keys if preset else {}, _tables()[WORDS].keys
     votes = []
     for name in read:
         # What the convention says goes before what others mean by the word.

@@ -108,7 +108,7 @@ def map_joints(
             pairing.add_mittens()
     pairs, chains = pairing.pairs, pairing.chains
     if stated is not None and stated.twists is not None:
-        twists = tuple(TwistShare(*twist) for twist in stated.twists)
+        twists = stated.twists
     else:
         twists = _twists(target, anatomies[1], pairing)
     if not pairs:
@@ -149,7 +149,7 @@ class _Pairing:
 
     def add_file(self, stated: FileMap) -> None:
         """Pair what a map file says."""
-        self.ignored = (stated.ignored_source, stated.ignored_target)
+        self.ignored = stated.ignored
         for entry in stated.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""

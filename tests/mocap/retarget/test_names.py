@@ -85,7 +85,7 @@ def test_a_name_is_taken_apart(name: str, other: str, side: str, key: str) -> No
 
 
 def test_every_preset_has_its_source_and_roles_that_there_are() -> None:
-    assert len(presets()) == 47
+    assert len(presets()) == 46
     for preset in presets().values():
         assert preset.title
         assert preset.source
