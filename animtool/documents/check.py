@@ -225,6 +225,8 @@ def _words(fault: Any) -> str:
 def _told(shown: str, fault: Any) -> str:
     """Return what is wrong with a value of the right kind."""
     context, kind = fault.get("ctx", {}), fault["type"]
+    if kind == "extra_forbidden":
+        return f"unknown key {excerpt(str(fault['loc'][-1]))}"
     bound = context.get(_BOUNDS.get(kind))
     if bound is not None and abs(bound) >= LARGE:
         return f"{shown} is beyond {bound:g}"

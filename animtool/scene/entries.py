@@ -134,6 +134,7 @@ class ScenePass:
     pass_: Pass  # what to do
     options: Any  # its own record
     place: Place  # of the entry
+    files: tuple[Path, ...] = ()  # that its colliders go with
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,8 +43,12 @@ from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.shot import FrameRange, Shot
+from animtool.systems.fields import SystemColliderModel
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.units import LengthUnit, UpAxis
+
+# It reads whole scenes, where they are characters.
+COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
 
 
 def load_scene(
@@ -451,10 +455,31 @@ class _SceneReader:
             for place, message in wrong_values(known, error):
                 self.document.add("SCN002", (*at, *place), message)
             return None
+        options, files = self._with_colliders(at, options)
         self._check(at, found, options)
         if unknown:
             return None
-        return ScenePass(found, options, self._place(at))
+        return ScenePass(found, options, self._place(at), files)
+
+    def _with_colliders(
+        self, at: Location, options: Any
+    ) -> tuple[Any, tuple[Path, ...]]:
+        """Return options with what they run into, and the files that this goes with."""
+        entries = {
+            field.name: value
+            for field in fields(options)
+            if isinstance(value := getattr(options, field.name), list)
+            and any(isinstance(one, SystemColliderModel) for one in value)
+        }
+        if not entries:
+            return options, ()
+        kind: Any = load_object(COLLIDER_READER)
+        reader = kind(self.document, self.roots)
+        read = {
+            name: tuple(reader.colliders((*at, name), models))
+            for name, models in entries.items()
+        }
+        return replace(options, **read), tuple(reader.files)
 
     def _check(self, at: Location, found: Pass, options: Any) -> None:
         """Note what is wrong with options whatever the take is."""

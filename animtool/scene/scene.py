@@ -82,6 +82,7 @@ class Scene:
         for entry in self.passes:
             given = [getattr(entry.options, f.name) for f in fields(entry.options)]
             named += [folder / path for path in given if isinstance(path, Path)]
+            named += entry.files
         return named
 
     @property

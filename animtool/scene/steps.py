@@ -275,7 +275,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
         StepKind.PASS,
         entry.pass_.name,
         entry.place.where,
-        (*files, *_ordered(entry.pass_.reads & there)),
+        (*files, *map(str, entry.files), *_ordered(entry.pass_.reads & there)),
         tuple(_ordered((entry.pass_.changes & there) | _made(entry))),
         tuple(left_out),
     )

@@ -15,10 +15,9 @@ from itertools import combinations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.motion import Channel
@@ -32,8 +31,9 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import SHAPES, Capsule, Collider, Colliders, Poses
+from animtool.sim.colliders import Capsule, Collider, Colliders, Poses
 from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.fields import SystemColliderModel
 from animtool.systems.particles.forces import find_force
 from animtool.systems.rigid.bodies import Bodies, Kind, kind_of
 from animtool.systems.rigid.joints import SWING, Joints, seen_by
@@ -43,8 +43,6 @@ from animtool.systems.simulation import Reached, SimulationRun
 from animtool.take import Take
 from animtool.units import UpAxis
 
-# Others are read from files, which a pass has none of.
-_SHAPES = {name: SHAPES[name] for name in ("box", "capsule", "plane", "sphere")}
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
@@ -60,15 +58,15 @@ def _number(least: float, most: float = 1e9, *, reached: bool = True) -> Range:
     return Range(bound, "SIM062", least, most, reached, finite=True)
 
 
-@dataclass(frozen=True, slots=True)
-class RagdollCollider:
-    """What a ragdoll falls onto; it does not move."""
+class _Entry:
+    """Lets pydantic read colliders of a scene as its systems have them."""
 
-    shape: dict[str, dict[str, Any] | None]  # `plane`, `sphere`, `capsule` or `box`
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where it is [m]
-    rotate: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z
-    friction: float = 0.6  # Coulomb's coefficient [1]
-    restitution: float = 0.0  # share of the speed into it that comes back [0, 1]
+    @staticmethod
+    def __get_pydantic_core_schema__(_: object, handler: Any) -> Any:
+        return handler.generate_schema(list[SystemColliderModel])
+
+
+Entries = Annotated[Sequence[Collider], _Entry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ class RagdollOptions:
     # Downwards along the rig's up axis [m/s²].
     gravity: Annotated[float, _number(-1e9)] = 9.81
     friction: Annotated[float, _number(0.0)] = 0.6  # Coulomb's coefficient [1]
-    colliders: tuple[RagdollCollider, ...] = ()  # what it falls onto
+    colliders: Entries = ()  # what it falls onto
     step: Annotated[float, _number(0.0, 1.0, reached=False)] = 0.005  # [s]
     substeps: Annotated[int, _number(1.0, 1000.0)] = 8  # small steps in each
 
@@ -312,7 +310,8 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         context: Told the share that is done.
 
     Raises:
-        OptionError: An option makes no sense, or the rig does not fit (SIM062).
+        OptionError: An option makes no sense, or the rig does not fit (SIM062); a
+            collider makes none (SIM020).
         ToleranceError: The simulation blew up (SIM102).
     """
     _check(options)
@@ -334,7 +333,9 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     bodies = bodies_of_rig(rig, pose, options)
     coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
     targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
-    run = _run(bodies, options, targets, _speeds(bodies, world, times, first))
+    around = [_later(one, float(times[first])) for one in options.colliders]
+    speeds = _speeds(bodies, world, times, first)
+    run = _run(bodies, options, targets, speeds, Colliders(around))
     origins, turns = [], []
     for k in range(first, clock.count):
         frame = run.at(float(times[k] - times[first]))
@@ -367,8 +368,20 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     return replace(take, motion=motion)
 
 
+def _later(collider: Collider, t: float) -> Collider:
+    """Return a collider as seen by a clock that begins at a time [s]."""
+    poses = collider.poses
+    if len(poses.moments) == 1:
+        return collider
+    return replace(collider, poses=replace(poses, times=poses.moments - t))
+
+
 def _run(
-    bodies: Ragdoll, options: RagdollOptions, targets: Targets, start: FloatArray
+    bodies: Ragdoll,
+    options: RagdollOptions,
+    targets: Targets,
+    start: FloatArray,
+    colliders: Colliders,
 ) -> SimulationRun:
     down = [0.0, -options.gravity, 0.0]
     if bodies.rig.up is UpAxis.Z:
@@ -390,7 +403,7 @@ def _run(
         0.0,
         bodies.bodies,
         joints_of_rig(bodies, options, targets),
-        Colliders(_colliders(options)),
+        colliders,
         [gravity],
     )
     begun = simulation.initial()
@@ -398,34 +411,6 @@ def _run(
     motion[:, 7:13] = start
     state: Reached[RigidState] = Reached(0, replace(begun, motion=motion))
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
-
-
-def _collider(one: RagdollCollider, i: int) -> Collider:
-    where = f"colliders[{i}]"
-    ((name, given),) = one.shape.items() if len(one.shape) == 1 else (("", None),)
-    if name not in _SHAPES:
-        message = f"no shape is {excerpt(name)}; there are {', '.join(sorted(_SHAPES))}"
-        raise OptionError(Fault("SIM062", message, where=f"{where}.shape"))
-    try:
-        shape = TypeAdapter(_SHAPES[name]).validate_python(given or {})
-    except ValidationError as error:
-        what = error.errors()[0]
-        message = f"{'.'.join(map(str, what['loc']))}: {what['msg']}"
-        raise OptionError(Fault("SIM062", message, where=f"{where}.shape")) from error
-    w, x, y, z = one.rotate
-    if not any(one.rotate):
-        message = "its rotation must not be all 0"
-        raise OptionError(Fault("SIM062", message, where=f"{where}.rotate"))
-    made = Collider(
-        shape,
-        Poses.fixed(one.at, (x, y, z, w)),
-        where,
-        friction=one.friction,
-        restitution=one.restitution,
-    )
-    if faults := made.faults(where):
-        raise OptionError(faults)
-    return made
 
 
 def _speeds(
@@ -580,15 +565,7 @@ def _check(options: RagdollOptions, name: str = "") -> None:
 
 
 def _checks(options: RagdollOptions) -> OptionChecks:
-    checks: dict[str, Callable[[], object]] = {
-        name: partial(_check, options, name) for name in ranges_of(RagdollOptions)
-    }
-    checks["colliders"] = partial(_colliders, options)
-    return checks
-
-
-def _colliders(options: RagdollOptions) -> list[Collider]:
-    return [_collider(one, i) for i, one in enumerate(options.colliders)]
+    return {name: partial(_check, options, name) for name in ranges_of(RagdollOptions)}
 
 
 PASS = Pass(

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from support.rigid import GRAVITY
 
 from animtool.clock import Clock
-from animtool.errors import OptionError
+from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext
@@ -24,15 +24,24 @@ from animtool.rig.kinematics import forward
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Capsule, Collider
 from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.scene.file import load_scene
+from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
+from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollCollider, RagdollOptions, ragdoll
+from animtool.systems.rigid.ragdoll import RagdollOptions, ragdoll
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
 from animtool.take import Take
 
 LENGTH = 0.5
 SIDES = {"left": -0.2, "right": 0.2}
-GROUND = RagdollCollider({"plane": None}, at=(0.0, -2.0, 0.0))
+
+
+def obstacle(shape: Shape, *at: float, **options: Any) -> Obstacle:
+    return Obstacle(shape, Poses.fixed(at), friction=0.6, **options)
+
+
+GROUND = obstacle(Plane(), 0.0, -2.0, 0.0)
 
 
 def chain(links: int = 3, limits: Any = None) -> Rig:
@@ -112,7 +121,7 @@ def test_limits_are_kept(side: int) -> None:
     take = replace(
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
-    post = RagdollCollider({"box": {"size": [0.2, 1.0, 1.0]}}, at=(0.0, 0.35, 0.0))
+    post = obstacle(Box((0.2, 1.0, 1.0)), 0.0, 0.35, 0.0)
     found = fallen(take, colliders=(post, GROUND))
     angles = coordinates_from_local(
         found.rig, LocalTransforms(*found.motion.dense()[:2])
@@ -179,18 +188,78 @@ def test_joints_below_the_last_body_go_on() -> None:
         ({"mass": 0.0}, "mass"),
         ({"density": -1.0}, "density"),
         ({"step": 0.0}, "step"),
-        ({"colliders": (RagdollCollider({"cone": None}),)}, "no shape is 'cone'"),
-        ({"colliders": (RagdollCollider({"box": {"size": "x"}}),)}, "size"),
-        (
-            {"colliders": (RagdollCollider({"plane": None}, rotate=(0, 0, 0, 0)),)},
-            "all 0",
-        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(OptionError, match=words) as error:
         fallen(still(chain()), **options)
     assert error.value.code == "SIM062"
+
+
+SCENE = """\
+scene: animtool/1
+source: {file: a.clip.yaml}
+passes:
+- ragdoll:
+    colliders:
+    - {shape: {plane: null}}
+    - {%s}
+"""
+
+
+@pytest.mark.parametrize(
+    ("keys", "code", "where"),
+    [
+        ("shape: {cone: null}", "SIM020", ".shape.cone"),
+        ("shape: {box: {size: x}}", "SCN002", ".shape.box.size"),
+        ("shape: {box: {size: [1, 0, 1]}}", "SIM020", ".shape"),
+        ("shape: {plane: null}, rotate: [0, 0, 0, 0]", "SIM020", ""),
+        ("shape: {plane: null}, friction: -1", "SIM020", ".friction"),
+        ("shape: {plane: null}, frction: 1", "SCN002", ".frction"),
+        ("at: [0, 0, 0]", "SCN002", ""),
+        (
+            "shape: {mesh: {points: a.npz, triangles: b.npz#t}}",
+            "DOC015",
+            ".shape.mesh.triangles",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_collider_is_told_at_its_place(
+    tmp_path: Path, keys: str, code: str, where: str
+) -> None:
+    (tmp_path / "a.clip.yaml").touch()
+    np.savez(tmp_path / "a.npz", points=np.zeros((3, 3)))
+    (tmp_path / "a.scene.yaml").write_text(SCENE % keys, "utf-8")
+    with pytest.raises(FormatError) as error:
+        load_scene(tmp_path / "a.scene.yaml")
+    (fault,) = error.value.faults
+    assert fault.code == code
+    assert fault.where == f"passes[0].ragdoll.colliders[1]{where}"
+    assert ("unknown key 'frction'" in fault.message) is ("frction" in keys)
+
+
+def test_meshes_of_files_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.clip.yaml").touch()
+    points, triangles = [[0.0, 0, 0], [0, 0, 1], [1, 0, 0]], [[0, 1, 2]]
+    np.savez(tmp_path / "a.npz", points=points, triangles=triangles, heights=np.eye(3))
+    mesh = "shape: {mesh: {points: a.npz, triangles: a.npz}}}\n"
+    field = "    - {shape: {height_field: {heights: a.npz, size: [1, 1]}}"
+    (tmp_path / "a.scene.yaml").write_text(SCENE % (mesh + field), "utf-8")
+    (entry,) = load_scene(tmp_path / "a.scene.yaml").passes
+    _, read, heights = entry.options.colliders
+    assert_array_equal(read.shape.points, points)
+    assert len(heights.shape.triangles) == 8
+
+
+def test_what_moves_does_so_by_the_time_of_the_take() -> None:
+    """A lift that rises all the time has come half of its way where the fall begins."""
+    rises = Poses([0.0, 1.0], [[0, -0.9, 0], [0, 0.1, 0]], [[0, 0, 0, 1]] * 2)
+    lift = Obstacle(Plane(), rises)
+    take = fallen(still(chain(1)), start=13.0, colliders=(lift,))
+    world = forward(take.rig, *take.motion.dense()[:2]).positions
+    lows = world[:, :, 1].min(axis=1)
+    assert_allclose(lows[12], 0.5, atol=1e-12)
+    assert 0.05 < lows[-1] < 0.2
 
 
 def hung() -> Rig:
@@ -205,7 +274,7 @@ def hung() -> Rig:
     )
 
 
-SHELF = RagdollCollider({"box": {"size": [4, 1, 2.2]}}, friction=1.0)
+SHELF = Obstacle(Box((4, 1, 2.2)), friction=1.0)
 
 
 def test_limp_pins_fall_as_a_double_pendulum_of_the_same_masses() -> None:
@@ -280,7 +349,7 @@ def test_branches_below_a_joint_that_is_no_body_stay_together() -> None:
     joints = [Joint("root", -1), Joint("waist", 0, JointType.FIXED)]
     joints += [Joint(n, 1, translation=(x, 0, 0), **pin) for n, x in SIDES.items()]
     rig = Rig("fork", tuple(joints), colliders=tuple(Collider(n, bone) for n in SIDES))
-    under_left = RagdollCollider({"box": {"size": [0.5, 1, 1]}}, at=(-0.4, -1.1, 0.0))
+    under_left = obstacle(Box((0.5, 1, 1)), -0.4, -1.1, 0.0)
     take = fallen(still(rig, 37), colliders=(under_left,))
     world = forward(rig, *take.motion.dense()[:2]).positions
     assert world[-1, 2, 1] < -0.5
