@@ -249,8 +249,7 @@ def role_votes(
             others = dict.fromkeys(_limb_words().get(name.key, ()), _OTHER)
             weights = {**others, **weights}
         suffix = f"_{name.side}" if name.side else ""
-        # Sorted: the order of a set differs from process to process.
-        sided = {role + suffix: weights[role] for role in sorted(weights)}
+        sided = {role + suffix: weight for role, weight in weights.items()}
         plain = name.kind in {"", TWIST}
         votes.append({r: w for r, w in sided.items() if plain and r in ROLES})
     return votes
