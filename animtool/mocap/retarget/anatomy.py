@@ -31,11 +31,12 @@ from animtool.mocap.retarget.roles import (
 from animtool.mocap.retarget.structure import (
     Body,
     Limb,
+    left_of,
     limb_pairs,
     split_limb,
+    upright,
 )
 from animtool.rig.skeleton import Rig
-from animtool.units import UpAxis
 
 _LIMBS = {"arm": ARM, "leg": LEG}
 _SHAPES = {
@@ -58,8 +59,8 @@ _SURE = {
     Found.NONE: 0.0,
 }
 MAX_NAMED = 4
-# Cosine between trunk and legs of a person who stands, at most.
-_UPRIGHT = -0.7
+# Joints of a skeleton that is one more person, at least.
+_PERSON = 8
 
 
 @dataclass(slots=True)
@@ -111,11 +112,12 @@ def anatomy(
     search = _Search(body, [""] * len(names))
     notices = _one_person(search)
     _find_limbs(search)
-    stands = _standing(search, body.positions)
-    if stands is None and positions is not None:
+    up = upright(body, search.tips)
+    if up is None and positions is not None:
         search.body = replace(body, positions=positions)
-        stands = _standing(search, positions)
-    _sides_by_place(search, stands, at_rest=search.body is body)
+        up = upright(search.body, search.tips)
+    at_rest = search.body is body
+    _sides_by_place(search, left_of(search.body, search.tips, up, at_rest=at_rest))
     _trunk(search)
     for limb in search.tips:
         _limb(search, limb)
@@ -139,13 +141,20 @@ def _how(role: str, votes: Mapping[str, float]) -> Found:
 def _one_person(search: _Search) -> list[Fault]:
     """Leave out all trees but the largest; warn where others are persons too."""
     body = search.body
-    roots = body.rig.roots
-    if len(roots) < 2:
+    tops = body.rig.roots
+    if len(tops) == 1:
+        # Persons below one root: their hips are not below each other.
+        hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
+        nested = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
+        tops = [j for j, above in zip(hips, nested, strict=True) if not above]
+        tops = [j for j in tops if body.counts[j] >= _PERSON]
+    if len(tops) < 2:
         return []
-    main = max(roots, key=lambda r: body.counts[r])
-    others = [r for r in roots if r != main and body.counts[r] >= 8]
+    main = max(tops, key=lambda j: body.counts[j])
+    others = [j for j in tops if j != main and body.counts[j] >= _PERSON]
     for j in range(len(search.roles)):
-        if body.rig.upwards(j)[-1] != main:
+        above = body.rig.upwards(j)
+        if main not in above and not set(above).isdisjoint(tops):
             search.roles[j] = CONTROL
     if not others:
         return []
@@ -190,30 +199,9 @@ def _named_tip(search: _Search, roles: set[str]) -> int:
     return best
 
 
-def _standing(search: _Search, positions: FloatArray) -> FloatArray | None:
-    """Return the way up of a person who stands ``(3,)``; None where nobody does."""
-    body, tips = search.body, search.tips
-    if not all(f"{limb}_{side}" in tips for limb in _LIMBS for side in SIDES):
-        return None
-    legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
-    hips, chest = body.common(legs), body.common(arms)
-    trunk = positions[chest] - positions[hips]
-    # Toes and hands point anywhere: where limbs are on the whole says more.
-    drops = [
-        positions[body.way(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
-    ]
-    drop = np.asarray(drops).mean(axis=0)
-    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
-    if min(lengths) <= 0.05 * body.size:
-        return None
-    cosine = float(trunk @ drop) / (lengths[0] * lengths[1])
-    return trunk / lengths[0] - drop / lengths[1] if cosine < _UPRIGHT else None
-
-
-def _sides_by_place(search: _Search, up: FloatArray | None, *, at_rest: bool) -> None:
+def _sides_by_place(search: _Search, across: FloatArray) -> None:
     """Tell left from right by where limbs are; by the order of the file where same."""
     body, tips = search.body, search.tips
-    across = _left_of(search, up, at_rest=at_rest)
     for limb in search.unsided:
         pair = [f"{limb}_{side}" for side in SIDES]
         top = body.common([tips[name] for name in pair])
@@ -228,31 +216,6 @@ def _sides_by_place(search: _Search, up: FloatArray | None, *, at_rest: bool) ->
             search.guessed = True
         elif gap < 0:
             tips[pair[0]], tips[pair[1]] = tips[pair[1]], tips[pair[0]]
-
-
-def _left_of(search: _Search, up: FloatArray | None, *, at_rest: bool) -> FloatArray:
-    """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
-    body, tips = search.body, search.tips
-    if up is None:
-        is_y = body.rig.up is UpAxis.Y
-        up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
-    # Who stands along an axis looks along the one that the field takes for ahead.
-    axis = int(np.argmax(np.abs(up)))
-    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
-    unit = np.eye(3)[axis] * np.sign(up[axis])
-    feet: FloatArray = np.zeros(3)
-    for name in {"leg_l", "leg_r"} & tips.keys():
-        toe = tips[name]
-        bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
-        tip = body.last_bones[toe] if at_rest else np.zeros(3)
-        for bone in (bones, tip):
-            level = bone - unit * float(bone @ unit)
-            # A shin or an ankle that leans says nothing of where feet point.
-            if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
-                feet += level
-    if np.linalg.norm(feet) > 0.01 * body.size:
-        ahead = feet / np.linalg.norm(feet)
-    return np.cross(unit, ahead)
 
 
 def _trunk(search: _Search) -> None:

@@ -74,7 +74,7 @@ def map_text(found: JointMap, source: Rig, target: Rig) -> str:
 
 def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     ours, theirs = source.names, target.names
-    yield f"# {source.name} onto {target.name}"
+    yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
     yield "joints:"
     chained = {j for chain in found.chains for j in chain.target}

@@ -249,7 +249,8 @@ def role_votes(
             others = dict.fromkeys(_limb_words().get(name.key, ()), _OTHER)
             weights = {**others, **weights}
         suffix = f"_{name.side}" if name.side else ""
-        sided = {role + suffix: weight for role, weight in weights.items()}
+        # Sorted: the order of a set differs from process to process.
+        sided = {role + suffix: weights[role] for role in sorted(weights)}
         plain = name.kind in {"", TWIST}
         votes.append({r: w for r, w in sided.items() if plain and r in ROLES})
     return votes

@@ -6,7 +6,7 @@ skeleton to its anatomy, whatever is known of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import (
@@ -19,9 +19,10 @@ from itertools import (
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.mocap.retarget.roles import CONTROL, END, TWIST
+from animtool.mocap.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
+from animtool.units import UpAxis
 
 # Shorter than this share of the skeleton, a bone has no length.
 _ZERO = 1e-4
@@ -31,6 +32,8 @@ _ALIKE = 0.15
 _LIMB = 0.2
 # Joints of a limb that are told apart; the time it takes grows with the fourth power.
 _MOST = 16
+# Cosine between trunk and legs of a person who stands, at most.
+_UPRIGHT = -0.7
 # Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
 _ALONG = 0.97
 
@@ -243,6 +246,55 @@ def _leg_score(body: Body, legs: Pair, arms: Pair) -> float:
     long = [c for c in body.children[chest] if body.extent(c) > 0.04 * body.size]
     score += 0.5 * (len(long) > 2)
     return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
+
+
+def upright(body: Body, tips: Mapping[str, int]) -> FloatArray | None:
+    """Return the way up of a person who stands ``(3,)``; None where nobody does.
+
+    Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
+    """
+    positions = body.positions
+    if len(tips) < 4:
+        return None
+    legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
+    hips, chest = body.common(legs), body.common(arms)
+    trunk = positions[chest] - positions[hips]
+    # Toes and hands point anywhere: where limbs are on the whole says more.
+    drops = [
+        positions[body.way(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
+    ]
+    drop = np.asarray(drops).mean(axis=0)
+    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
+    if min(lengths) <= 0.05 * body.size:
+        return None
+    cosine = float(trunk @ drop) / (lengths[0] * lengths[1])
+    return trunk / lengths[0] - drop / lengths[1] if cosine < _UPRIGHT else None
+
+
+def left_of(
+    body: Body, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
+) -> FloatArray:
+    """Return the direction to the left of a person ``(3,)``, by feet and trunk."""
+    if up is None:
+        is_y = body.rig.up is UpAxis.Y
+        up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
+    # Who stands along an axis looks along the one that the field takes for ahead.
+    axis = int(np.argmax(np.abs(up)))
+    ahead: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
+    unit = np.eye(3)[axis] * np.sign(up[axis])
+    feet: FloatArray = np.zeros(3)
+    for name in sorted({"leg_l", "leg_r"} & tips.keys()):
+        toe = tips[name]
+        bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
+        tip = body.last_bones[toe] if at_rest else np.zeros(3)
+        for bone in (bones, tip):
+            level = bone - unit * float(bone @ unit)
+            # A shin or an ankle that leans says nothing of where feet point.
+            if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
+                feet += level
+    if np.linalg.norm(feet) > 0.01 * body.size:
+        ahead = feet / np.linalg.norm(feet)
+    return np.cross(unit, ahead)
 
 
 @dataclass(frozen=True, slots=True)

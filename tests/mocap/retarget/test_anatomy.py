@@ -190,20 +190,24 @@ def test_a_skeleton_without_offsets_is_known_by_its_names() -> None:
     assert list(found.roles) == [roles[name] for name in rig.names]
 
 
-def test_the_larger_of_two_skeletons_is_taken() -> None:
-    rig, roles = person()
-    small, _ = person(lambda role: f"b_{role}", fingers=False)
-    moved = [
-        replace(
-            joint, parent=joint.parent + len(rig.joints) if joint.parent >= 0 else -1
-        )
-        for joint in small.joints
-    ]
-    both = replace(rig, joints=(*rig.joints, *moved))
+@pytest.mark.parametrize("rooted", [False, True])
+def test_the_larger_of_two_skeletons_is_taken(rooted: bool) -> None:
+    rig, roles = person(lambda role: f"a:{role}")
+    small, _ = person(lambda role: f"b:{role}", fingers=False)
+    joints = [Joint("world", -1)] if rooted else []
+    for one in (rig, small):
+        begin = len(joints)
+        joints += [
+            replace(j, parent=j.parent + begin if j.parent >= 0 else rooted - 1)
+            for j in one.joints
+        ]
+    both = replace(rig, joints=tuple(joints))
     found = anatomy(both)
     assert [fault.code for fault in found.notices] == ["MAP103"]
-    assert list(found.roles[: len(rig.joints)]) == [roles[name] for name in rig.names]
-    assert set(found.roles[len(rig.joints) :]) == {CONTROL}
+    assert "'b:hips'" in found.notices[0].message
+    begin, end = int(rooted), len(rig.joints) + rooted
+    assert list(found.roles[begin:end]) == [roles[name] for name in rig.names]
+    assert set(found.roles[end:]) == {CONTROL}
 
 
 def test_a_hand_without_an_end_is_said() -> None:

@@ -166,6 +166,7 @@ def written(tmp_path: Path, text: str) -> Path:
 @pytest.mark.parametrize("preset", ["mixamo", "ue5_manny", "max_biped", "mmd"])
 def test_a_written_map_reads_back(tmp_path: Path, preset: str) -> None:
     source, _ = person(named(preset))
+    source = replace(source, name="a take\nb: 1")
     target, _ = person(metacarpals=True)
     found = map_joints(source, target)
     path = written(tmp_path, map_text(found, source, target))
