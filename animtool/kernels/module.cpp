@@ -424,7 +424,8 @@ of the step.
 until a correction changes none by more than the ``tolerance``, ``rounds`` times at most. What is
 slower than ``drowsy`` for longer than ``rest`` sleeps, but where 0.
 
-Returns ``(state, pairs, contacts, held, deepest, residual, touching, rounds, awake, unsolved)``:
-depth of the deepest contact; change of the last corrections; points that press; corrections in
-all; bodies that are awake; small steps that did not reach the tolerance.)");
+Returns ``(state, pairs, contacts, held, deepest, residual, touching, rounds, awake, unsolved,
+first, second)``: depth of the deepest contact; change of the last corrections; points that press;
+corrections in all; bodies that are awake; small steps that did not reach the tolerance; the pair
+of the deepest contact, -1 where there is none.)");
 }

@@ -281,7 +281,11 @@ class Solver {
       const Vec own = turns_[patch.a].unrotated(force) * (1 / h_);
       saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
                         p.own, own});
-      report_.deepest = std::max(report_.deepest, -p.now);
+      if (-p.now > report_.deepest) {
+        report_.deepest = -p.now;
+        report_.first = static_cast<std::int64_t>(patch.contact->first);
+        report_.second = patch.contact->second;
+      }
       if (p.force > 0) ++report_.contacts;
     }
   }

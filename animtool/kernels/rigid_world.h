@@ -63,6 +63,7 @@ struct Kept {
 
 struct Report {
   double deepest = 0;    // [m]
+  std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
   double residual = 0;   // velocity that the last corrections changed [m/s]
   std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
 };

@@ -141,12 +141,8 @@ def _weighed(
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
         if 2 * moments.max() > moments.sum() * (1 + ROUNDING):
-            message = (
-                f"no body has moments of inertia {moments.tolist()}: none is more "
-            )
-            refuse(
-                f"{message}than the sum of the others ({model.name!r})", "", "inertia"
-            )
+            message = f"no body has the moments of {model.name!r}, {model.inertia}: "
+            refuse(f"{message}one is more than the sum of the others", "", "inertia")
         if np.count_nonzero(moments) < 2:
             message = f"{model.name!r} must have two moments of inertia above 0"
             refuse(message, "a rod has one of 0", "inertia")

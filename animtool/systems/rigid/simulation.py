@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError
+from animtool.errors import Fault, Severity, ToleranceError, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics
@@ -52,6 +52,8 @@ class RigidState:
         held: Forces and torques of joints ``(K, 12)``.
         deepest: How deep bodies have been in each other [m]: before, and in the first
             step.
+        deepest_pairs: The shapes that were, colliders behind them; -1 where none
+            ``(2, 2)``.
         pressing: Points that press.
         awake: Bodies that are awake.
         residual: What the last corrections changed velocities by [m/s].
@@ -62,6 +64,7 @@ class RigidState:
     contacts: FloatArray = field(metadata=growing())
     held: FloatArray
     deepest: FloatArray
+    deepest_pairs: IntArray
     pressing: int = 0
     awake: int = 0
     residual: float = 0.0
@@ -162,6 +165,7 @@ class RigidSimulation:
             np.zeros((0, 6)),
             np.zeros((count, 12)),
             np.zeros(2),
+            np.full((2, 2), -1),
             awake=len(self.bodies.dynamic),
         )
 
@@ -193,16 +197,20 @@ class RigidSimulation:
             dt,
             *self._settings,
         )
-        motion, pairs, contacts, held, deepest, residual, pressing, _, awake, _ = (
-            stepped
-        )
-        first = deepest if t == self._begin else state.deepest[1]
+        motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
+            :10
+        ]
+        deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
+        for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
+            if deeper:
+                deepest[k], deepest_pairs[k] = depth, stepped[10:]
         return RigidState(
             motion,
             pairs,
             contacts,
             held,
-            np.array([max(deepest, state.deepest[0]), first]),
+            deepest,
+            deepest_pairs,
             pressing,
             awake,
             residual,
@@ -445,16 +453,26 @@ class RigidSimulation:
         for kind in self.bodies.kinds:
             found += kind.notices
         size = float(self.bodies.reaches.min(initial=np.inf))
-        if state.deepest[1] > DEEP * size:
-            message = f"bodies begin {state.deepest[1]:g} m inside each other or "
-            message += "colliders: they are moved apart no faster than 2 m/s"
+        ever, begin = state.deepest.tolist()
+        if begin > DEEP * size:
+            message = f"{self._pair(state, 1)} begin {begin:g} m inside each other: "
+            message += "they are moved apart no faster than 2 m/s"
             hint = "begin with a little room between them"
             fault = Fault("SIM126", message, hint=hint, severity=Severity.WARNING)
             found.append(fault)
-        elif state.deepest[0] > HELD * size:
-            message = f"a body came {state.deepest[0]:g} m into another one, or into "
-            message += "colliders: from several sides, or faster than it gets out"
+        elif ever > HELD * size:
+            message = f"{self._pair(state, 0)} came {ever:g} m into each other: from "
+            message += "several sides, or faster than they get out"
             hint = "leave room between what closes in; take shorter steps"
             severity = Severity.WARNING
             found.append(Fault("SIM123", message, hint=hint, severity=severity))
         return found
+
+    def _pair(self, state: RigidState, k: int) -> str:
+        """Return what was deepest in each other, ever (0) or where it began (1)."""
+        bodies, around = self.bodies, self._colliders
+        names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
+        names += [one.name or f"colliders[{i}]" for i, one in enumerate(around)]
+        names += [sheet.name for sheet in around.sheets]
+        names += [one.name for own in around.bodies for one in own.colliders]
+        return " and ".join(excerpt(names[i]) for i in state.deepest_pairs[k])

@@ -266,6 +266,29 @@ def test_bodies_that_begin_in_others_are_warned_of(
     assert len(warned(found, "SIM126")) == warns
 
 
+def test_the_deepest_of_bodies_and_colliders_are_named(tmp_path: Path) -> None:
+    cube = {"size": [1, 1, 1]}
+    wall = {"shape": {"box": cube}, "name": "wall", "at": [0, 0, 0.85]}
+    lift = box([1, 1, 1], at=[0, 0, -0.9]) | {"name": "lift", "kinematic": True}
+    nuts = [box([1, 1, 1], at=[x, 0, 0]) | {"name": f"nut {x}"} for x in (0, 0.8, 1.7)]
+
+    def said(*bodies: dict[str, Any], **keys: Any) -> str:
+        found = Rigid(tmp_path, *bodies, forces=[], substeps=1, step=1e-3, **keys)
+        found.to(2e-3)
+        (fault,) = found.run.notices
+        return fault.message
+
+    floor = FLOOR | {"at": [0, -9, 0]}
+    assert "'nut 0' and 'nut 0.8' begin 0.198" in said(*nuts)
+    assert "'nut 0' and 'lift' begin 0.099" in said(
+        lift, nuts[2], nuts[0], colliders=[floor]
+    )
+    assert "'nut 0' and 'wall' begin 0.149" in said(
+        lift, nuts[0], colliders=[floor, wall]
+    )
+    assert "'nut 0' and 'colliders[0]' begin 0.499" in said(nuts[0], colliders=[FLOOR])
+
+
 @pytest.mark.parametrize(("distance", "warns"), [(3.9, 0), (4.1, 1)])
 @pytest.mark.parametrize("kinematic", [False, True])
 @pytest.mark.parametrize("end", ["body", "to"])
