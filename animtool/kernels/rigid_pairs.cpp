@@ -404,6 +404,8 @@ class Finder {
     }
     const double r = p.core->radius + reach;
     const Box wide{local.low - Vec{r, r, r}, local.high + Vec{r, r, r}};
+    const std::size_t before = found_.size();
+    bool behind = false;
     std::int32_t stack[collide::DEEPEST];
     int depth = 0;
     stack[depth++] = collider.root;
@@ -417,11 +419,30 @@ class Finder {
         continue;
       }
       for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
-        meet_triangle(s, c, t, pose, reach);
+        behind |= !meet_triangle(s, c, t, pose, reach);
     }
+    if (behind && found_.size() == before) meet_inside(s, c, pose, reach);
   }
 
-  void meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
+  // Who is in a mesh as far as his centre is on the way out to the nearest of it.
+  void meet_inside(std::size_t s, std::size_t c, const Pose& pose, double reach) {
+    const Placed& p = placings_[s].get();
+    const auto out = collide::sample(colliders_[c], pose, p.centre, 0, p.core->reach + reach);
+    if (!(out.distance < 0)) return;
+    std::vector<Touching> points;
+    for (std::size_t i = 0; i < p.core->points.size(); ++i) {
+      const Vec at = p.points[i];
+      const double gap = out.distance + dot(out.normal, at - p.centre) - p.core->radius;
+      if (gap <= reach) points.push_back({at - out.normal * (p.core->radius + gap / 2), gap});
+    }
+    Manifold made;
+    made.normal = -out.normal;
+    keep_four(points, made.normal, made);
+    add(s, c, made);
+  }
+
+  // Returns whether a body is in front of a triangle.
+  bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
                      double reach) {
     const Placed& p = placings_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
@@ -437,14 +458,15 @@ class Finder {
     moved_b_.place(core, pose);
     const Placed& q = moved_b_.get();
     const Vec face = q.normals[0];
-    // What is behind a face is met by those on the other side, or not at all.
-    if (dot(p.centre - q.points[0], face) < 0) return;
+    // What is behind a face is met by those on the other side, or as a whole.
+    if (dot(p.centre - q.points[0], face) < 0) return false;
     Manifold made = meet(q, p, reach);
-    if (!made.count) return;
+    if (!made.count) return true;
     if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach);
-    if (!made.count) return;
+    if (!made.count) return true;
     made.normal = -made.normal;
     add(s, c, made);
+    return true;
   }
 
   // Whether a normal is one that the surface has there: at an edge between the normals of its

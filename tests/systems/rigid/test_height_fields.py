@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial import ConvexHull
 from support.rigid import GRAVITY, Rigid, ball, box
 from support.simulated import Simulator
 
@@ -67,6 +69,40 @@ def test_a_box_rests_in_a_valley(tmp_path: Path) -> None:
     place = found.to(1.5)[0]
     assert_allclose(place, [0, 0.25 + 0.2, 0.3], atol=2e-3)
     assert np.abs(found.velocities()).max() < 1e-3
+
+
+SHAPES = {"box": box((1, 1, 1)), "ball": ball(0.5)}
+
+
+@pytest.mark.parametrize("height", [-0.1, -0.45])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_who_begins_with_his_centre_below_comes_out_slowly(
+    tmp_path: Path, shape: str, height: float
+) -> None:
+    body = SHAPES[shape] | {"at": [0.1, height, 0.2]}
+    found = Rigid(tmp_path, body, colliders=[hill(tmp_path, np.zeros((3, 5)))])
+    assert found.to(0.1)[0, 1] == pytest.approx(height + 0.1, abs=5e-3)
+    assert_allclose(found.to(1.5)[0], [0.1, 0.5, 0.2], atol=1e-3)
+    assert found.codes() == ["SIM126"]
+
+
+def test_who_looks_out_of_a_closed_mesh_comes_out_the_nearest_way(
+    tmp_path: Path,
+) -> None:
+    points = np.array(list(product((-1.0, 1.0), repeat=3)))
+    hull = ConvexHull(points)
+    turned = np.cross(
+        *(points[hull.simplices[:, k]] - points[hull.simplices[:, 0]] for k in (1, 2))
+    )
+    outside = (turned * hull.equations[:, :3]).sum(axis=1) > 0
+    triangles = np.where(outside[:, None], hull.simplices, hull.simplices[:, ::-1])
+    np.savez(tmp_path / "cube.npz", points=points, triangles=triangles)
+    mesh = {"mesh": {"points": "cube.npz", "triangles": "cube.npz"}}
+    found = Rigid(
+        tmp_path, ball(0.2, at=[0.1, 0.2, 0.85]), colliders=[{"shape": mesh}], forces=[]
+    )
+    assert_allclose(found.to(1.0)[0], [0.1, 0.2, 1.2], atol=1e-2)
+    assert np.abs(found.velocities()).max() < 1e-6
 
 
 def test_particles_and_cloth_stay_above_heights(tmp_path: Path) -> None:
