@@ -54,6 +54,10 @@ COMMANDS = {
         "animtool.cli.plugins:plugins",
         "List the passes, readers and executors there are.",
     ),
+    "retarget": (
+        "animtool.cli.retarget:retarget",
+        "Bring a take onto another rig, feet held.",
+    ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),
     "validate": (
@@ -136,7 +140,17 @@ def cli() -> None:
 
 
 # Those that may read USD: a child does their work, in case it crashes.
-SUPERVISED = {"bake", "batch", "convert", "diff", "ik", "info", "job", "validate"}
+SUPERVISED = {
+    "bake",
+    "batch",
+    "convert",
+    "diff",
+    "ik",
+    "info",
+    "job",
+    "retarget",
+    "validate",
+}
 HELP = {"-h", "--help"}
 
 

@@ -253,11 +253,11 @@ def _hint(fit: Fit) -> str:
     advice = {
         "joints": "name another rig, or match the names (--strip-namespace N drops "
         "prefixes)",
-        "rotations": "retarget the motion to the rest pose of the rig",
-        "lengths": "retarget the motion to the bones of the rig",
+        "rotations": "bring the motion to the rig's rest pose with animtool retarget",
+        "lengths": "bring the motion to the bones of the rig with animtool retarget",
         "size": "check the units of both (--units states those of a BVH)"
         if _unit_apart(fit.size)
-        else "retarget the motion to the size of the rig",
+        else "bring the motion to the size of the rig with animtool retarget",
         "up axis": "check the up axes of both (--up states that of a BVH)",
     }
     return f"{advice[worst]}; --force-fit writes it as it is"

@@ -1,0 +1,198 @@
+"""``animtool retarget``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    INPUT,
+    LENGTH,
+    OUTPUT,
+    common_options,
+    format_option,
+    read_values,
+    record_option,
+    rig_layer_options,
+    source_option,
+    source_options,
+    source_options_record,
+    strict_option,
+)
+from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.errors import counted, listed, percent
+from animtool.mocap.retarget.options import RetargetOptions
+from animtool.quantities import angle_text, duration_text, length_text
+
+if TYPE_CHECKING:
+    from animtool.scene.retarget import Retargeting
+
+MAX_NAMED = 8
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool retarget walk.bvh --to hero.rig.yaml -o walk.usdc
+  animtool retarget walk.bvh --to hero.rig.yaml
+  animtool retarget walk.bvh --to hero.usda --rig-layer hero.usda -o walk_layer.usdc
+  animtool retarget walk.bvh --to hero.rig.yaml --write-map walk.map.yaml
+  animtool retarget walk.bvh --to hero.rig.yaml --map walk.map.yaml -o walk.bvh
+  animtool retarget take.bvh --to hero.rig.yaml --rest frame:1 -o take.usdc"""
+)
+@click.argument("source", type=INPUT)
+@click.option(
+    "--to",
+    "rig",
+    type=INPUT,
+    required=True,
+    metavar="RIG",
+    help="The rig that the take goes onto: a rig file, USD file or BVH.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=OUTPUT,
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
+    "usda on stdout.  [default: nothing]",
+)
+@record_option(RetargetOptions)
+@click.option(
+    "--write-map",
+    type=OUTPUT,
+    metavar="FILE",
+    help="Write the map of joints that was used (.map.yaml), to be edited.",
+)
+@click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
+@rig_layer_options
+@click.option(
+    "--reduce",
+    type=LENGTH,
+    metavar="LENGTH",
+    help="How far keys of a clip, or samples left out of USD, may move a joint.",
+)
+@strict_option
+@source_options
+@source_option("prim_path", "take")
+@existing_options
+@format_option
+@common_options
+@click.pass_obj
+def retarget(
+    console: Console, /, source: Path, output: Path | None, **given: Any
+) -> None:
+    """Bring the take of SOURCE, a BVH, USD or clip file, onto another rig.
+
+    Joints are paired by their names, by where they are in the body, or by a map file.
+    Rest poses are aligned, legs scale the way, limits are kept, and feet stay where
+    they stand. Without -o the report is all.
+    """
+    to_stdout = goes_to_stdout(output, given)
+    from animtool.scene.options import BakeOptions
+    from animtool.scene.retarget import RetargetJob, retarget_outputs, run_retarget
+
+    job = RetargetJob(
+        source,
+        given["rig"],
+        source_options_record(given, "prim_path", "take"),
+        RetargetOptions(**read_values(RetargetOptions, given)),
+        None if to_stdout else output,
+        to_stdout,
+        given["write_map"],
+        BakeOptions(
+            form="split" if given["split"] else None,
+            rig_layer=given["rig_layer"],
+            force_fit=given["force_fit"],
+            prim_path=given["prim_path"],
+            reduce=given["reduce"],
+            overwrite=given["overwrite"],
+            strict=given["strict"],
+        ),
+    )
+    if job.output is not None and skipped(
+        console, "retarget", given, job.output, lambda: retarget_outputs(job)
+    ):
+        return
+    with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
+        report = run_retarget(job, progress=progress)
+    console.faults(report.notices)
+    if given["report_format"] == "json":
+        console.result_json(retarget_json(report))
+        return
+    for line in retarget_text(report):
+        console.say(line)
+    for stage, seconds in report.seconds.items():
+        console.detail(f"{stage}: {seconds:.3f} s")
+
+
+def retarget_text(report: Retargeting) -> list[str]:
+    """Return the lines of a summary."""
+    score = report.score
+    frames, spent = score.frames, report.seconds["solve"]
+    each = duration_text(spent / max(frames, 1))
+    lines = [
+        f"{report.source} onto {report.take.rig.name}: {counted(frames, 'frame')}, "
+        f"{counted(score.pairs, 'joint')} paired, legs {score.scale:.3g} times as "
+        f"long, {each} a frame"
+    ]
+    if score.contacts:
+        lines.append(
+            f"  feet stand in {percent(score.contacts)} of frames; they drift "
+            f"{length_text(score.drift_mean)}, {length_text(score.drift_max)} at most "
+            f"(the source {length_text(score.source_drift_max)}, scaled); soles within "
+            f"{length_text(score.sole_error)}"
+        )
+    lines.append(
+        f"  limbs {angle_text(math.degrees(score.bone_angle_mean))} off the source's, "
+        f"{angle_text(math.degrees(score.bone_angle_max))} at most; hands reach within "
+        f"{percent(score.reach_error)} of the arm; accelerations up to "
+        f"{score.acceleration:.3g} times the source's"
+    )
+    if score.lowered:
+        lines.append(
+            f"  hips lowered by up to {length_text(score.lowered)}: legs reach"
+        )
+    for what, names in (
+        ("stopped by their limits", _held(report)),
+        ("not mapped, of the source", score.unmapped_source),
+        ("not mapped, of the rig", score.unmapped_target),
+    ):
+        if names:
+            lines.append(f"  {what}: {listed(list(names), MAX_NAMED)}")
+    if report.outputs:
+        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
+    return lines
+
+
+def _held(report: Retargeting) -> list[str]:
+    most = sorted(report.score.held.items(), key=lambda item: -item[1])
+    return [f"{name} ({percent(share)} of frames)" for name, share in most]
+
+
+def retarget_json(report: Retargeting) -> dict[str, object]:
+    """Return a summary as plain values; lengths in metres, angles in radians."""
+    ours, theirs = report.source_rig.names, report.take.rig.names
+    return {
+        "retarget": "animtool/1",
+        "source": str(report.source),
+        "rig": str(report.rig),
+        "outputs": [str(path) for path in report.outputs],
+        **asdict(report.score),
+        "joints": [
+            {
+                "source": ours[pair.source],
+                "target": theirs[pair.target],
+                "role": pair.role,
+                "found": str(pair.found),
+                "confidence": pair.confidence,
+            }
+            for pair in report.found.pairs
+        ],
+        "seconds": report.seconds,
+        "notices": [notice.as_dict() for notice in report.notices],
+    }

@@ -1,0 +1,379 @@
+"""Feet that stay where they stand: the root's way and the legs made to fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths import so3
+from animtool.mocap.contacts import FootContacts, intervals, smoothed, without_short
+
+# The hips go over from one foot to the other within this time of a contact [s].
+HANDOVER = 0.15
+# The hips do not follow what feet ask of them within this time [s].
+SMOOTH = 0.2
+# Weight of what nothing else decides: hips stay where the source has them.
+LOOSE = 1e-6
+# Weight of rows that are known.
+PINNED = 1e9
+# A knee near its stop goes fast: by this factor legs are less straight than those of
+# the source, where feet are held.
+BENT = 1.4
+# What corrects a foot in the air fades within this time [s].
+FADE = 0.06
+# A foot that leans more than this where it stands is not on level ground [rad].
+LEVEL = np.radians(20.0)
+# A leg is never straighter than this share of its length.
+STRAIGHT = 0.9995
+# How far ahead the hips know that a leg is too short [s].
+LOWERING = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Foot:
+    """A foot of the target as its turns bring it, about the middle of the hips."""
+
+    contacts: FootContacts
+    hip: FloatArray  # beginning of the thigh (F, 3) [m]
+    ankle: FloatArray  # (F, 3) [m]
+    toe: FloatArray | None  # (F, 3) [m]
+    turn: FloatArray  # of the foot in the world (F, 4)
+    level: FloatArray  # turn of the foot where it stands at rest (4,)
+    height: float  # of the ankle above the ground where it stands [m]
+    length: float  # how far the leg reaches [m]
+    straight: float = STRAIGHT  # share of it that the leg of the source reaches at most
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Where hips and feet are to be."""
+
+    hips: FloatArray  # the middle between the thighs (F, 3) [m]
+    ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
+    turns: Sequence[FloatArray]  # (F, 4)
+    locked: Sequence[BoolArray]  # frames in which each stands (F,)
+    lowered: float  # how far hips came down for legs that are too short, at most [m]
+
+
+def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
+    """Return where hips and feet are, with feet that stay where they stand.
+
+    The hips go so that a foot that stands needs no other pose of its leg, as far as
+    that is smooth; what is left is a correction of each foot, which is constant where
+    it stands, and as smooth as can be between.
+
+    Args:
+        hips: The middle between the thighs as the source's, scaled ``(F, 3)`` [m]; the
+            ground at 0.
+        feet: About these hips.
+        fps: Frames a second.
+        up: Component that points up.
+    """
+    turns = [_settled(foot, fps) for foot in feet]
+    bones = [_bone(foot, turn) for foot, turn in zip(feet, turns, strict=True)]
+    # Who rolls over the toe holds that; else it is the ankle.
+    held = [
+        foot.ankle if foot.toe is None else foot.toe - bone
+        for foot, bone in zip(feet, bones, strict=True)
+    ]
+    hips = _followed(hips, feet, held, fps, up)
+    locked = [foot.contacts.any for foot in feet]
+    ankles = [
+        _locked(hips + ankle, bone, foot, fps, up)
+        for foot, ankle, bone in zip(feet, held, bones, strict=True)
+    ]
+    down = _lowering(hips, feet, ankles, fps)
+    hips = hips.copy()
+    hips[:, up] -= down
+    return Placed(hips, ankles, turns, locked, float(down.max(initial=0.0)))
+
+
+def _settled(foot: Foot, fps: float) -> FloatArray:
+    """Return turns of a foot, constant and level where all of it stands ``(F, 4)``."""
+    flat = without_short(foot.contacts.ankle & foot.contacts.toe, fps)
+    correction = np.zeros((len(flat), 3))
+    for start, end in intervals(flat):
+        # The mean of turns that are near to each other.
+        mean = so3.normalize(so3.align_signs(foot.turn[start:end]).sum(axis=0))
+        lean = so3.multiply(mean, so3.conjugate(foot.level))
+        aim = so3.multiply(_heading(lean), foot.level)
+        if so3.angle_between(aim, mean) > LEVEL:
+            aim = mean
+        back = so3.conjugate(foot.turn[start:end])
+        correction[start:end] = so3.log(so3.multiply(aim, back))
+    between(correction, flat, fps)
+    return so3.align_signs(so3.multiply(so3.exp(correction), foot.turn))
+
+
+def _heading(turn: FloatArray, up: int = 1) -> FloatArray:
+    """Return the part of a turn that is about the vertical ``(4,)``."""
+    made = np.zeros(4)
+    made[up], made[3] = turn[up], turn[3]
+    size = float(np.linalg.norm(made))
+    return made / size if size > 0 else so3.IDENTITY.copy()
+
+
+def _bone(foot: Foot, turn: FloatArray) -> FloatArray:
+    """Return the way from the ankle to the toe as the turned foot has it ``(F, 3)``."""
+    if foot.toe is None:
+        return np.zeros_like(foot.ankle)
+    change = so3.multiply(turn, so3.conjugate(foot.turn))
+    return so3.rotate(change, foot.toe - foot.ankle)
+
+
+def _followed(
+    hips: FloatArray,
+    feet: Sequence[Foot],
+    relative: Sequence[FloatArray],
+    fps: float,
+    up: int,
+) -> FloatArray:
+    """Return the way of the hips that the standing feet ask for ``(F, 3)``."""
+    weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
+    flat = [k for k in range(3) if k != up]
+    stiff = (SMOOTH * fps) ** 2
+    steps = np.zeros((len(hips) - 1, 2))
+    hold = np.zeros(len(hips) - 1)
+    for weight, ankle in zip(weights, relative, strict=True):
+        middle = (weight[1:] + weight[:-1]) / 2
+        steps -= middle[:, None] * np.diff((hips + ankle)[:, flat], axis=0)
+        hold += middle
+    made = hips.copy()
+    # All of the way is longer or shorter, as strides are; the rest is summed up.
+    own = np.diff(hips[:, flat], axis=0)
+    way = (hold[:, None] * own * own).sum()
+    longer = float((steps * own).sum() / way) if way > 0 else 0.0
+    made[:, flat] += longer * (hips - hips[0])[:, flat]
+    steps -= longer * hold[:, None] * own
+    made[:, flat] += _smoothest(
+        hold, steps, np.zeros(len(hips)), np.zeros((len(hips), 2)), stiff
+    )
+    lift = np.zeros((len(hips), 1))
+    for weight, foot, ankle in zip(weights, feet, relative, strict=True):
+        lift[:, 0] += weight * (foot.height - ankle[:, up] - hips[:, up])
+    load = weights.sum(axis=0)
+    if load.any():
+        none = np.zeros(len(hips) - 1)
+        lift = _smoothest(none, np.zeros((len(hips) - 1, 1)), load, lift, stiff**2)
+        made[:, up] += lift[:, 0]
+    return made
+
+
+def _smoothest(
+    hold: FloatArray,
+    steps: FloatArray,
+    draw: FloatArray,
+    places: FloatArray,
+    stiff: float,
+) -> FloatArray:
+    """Return the way ``(F, K)`` that is best at once by its steps, places and bends.
+
+    It has the least sum of weighted squares: of its steps beside the given ones, of its
+    places beside the given ones, and of its second differences.
+
+    Args:
+        hold: Weights of steps ``(F - 1,)``.
+        steps: These, each times its weight ``(F - 1, K)``.
+        draw: Weights of places ``(F,)``.
+        places: These, each times its weight ``(F, K)``.
+        stiff: Weight of second differences.
+    """
+    from scipy.linalg import solveh_banded
+
+    count = len(draw)
+    if count < 3:
+        return np.zeros_like(places)
+    band = np.zeros((3, count))
+    band[2] = draw + LOOSE
+    band[2, 1:] += hold
+    band[2, :-1] += hold
+    band[1, 1:] -= hold
+    for offset, pattern in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
+        for k, value in enumerate(pattern):
+            band[2 - offset, offset + k : count - 2 + offset + k] += stiff * value
+    right = places.copy()
+    right[1:] += steps
+    right[:-1] -= steps
+    return np.asarray(solveh_banded(band, right))
+
+
+def _weight(stands: BoolArray, fps: float) -> FloatArray:
+    """Return how much a foot carries ``(F,)``: it comes and goes within its contact."""
+    made = np.zeros(len(stands))
+    for start, end in intervals(stands):
+        frames = np.arange(start, end)
+        ramp = max(min(HANDOVER * fps, (end - start) / 2), 1.0)
+        # What the take cuts off went on.
+        since = np.inf if start == 0 else frames - start
+        left = np.inf if end == len(stands) else end - 1 - frames
+        made[start:end] = _smooth(np.minimum(since, left) / ramp)
+    return made
+
+
+def _smooth(share: FloatArray) -> FloatArray:
+    """Return a step from 0 to 1 of class C2."""
+    t = np.clip(share, 0.0, 1.0)
+    return np.asarray(t**3 * (10 - 15 * t + 6 * t * t))
+
+
+def _locked(
+    ankle: FloatArray, bone: FloatArray, foot: Foot, fps: float, up: int
+) -> FloatArray:
+    """Return the way of an ankle that stays where the foot stands ``(F, 3)``.
+
+    The toe stays where it stands with the heel, or alone; a heel that stands alone
+    stays where it is as the toe comes down.
+    """
+    contacts = foot.contacts
+    stands = contacts.any
+    correction = np.zeros_like(ankle)
+    for start, end in intervals(stands):
+        own, way = ankle[start:end], bone[start:end].copy()
+        heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
+        flat = np.flatnonzero(heel & toe)
+        if not len(flat):
+            flat = np.arange(end - start)
+        # A heel that stands alone is where it is in the nearest frame with the toe.
+        alone = np.flatnonzero(heel & ~toe)
+        behind = np.searchsorted(flat, alone)
+        before = flat[np.maximum(behind - 1, 0)]
+        after = flat[np.minimum(behind, len(flat) - 1)]
+        way[alone] = way[np.where(alone - before <= after - alone, before, after)]
+        goal = (own + way)[flat].mean(axis=0)
+        goal[up] = foot.height + way[flat, up].mean()
+        correction[start:end] = goal - way - own
+    between(correction, stands, fps)
+    return ankle + correction
+
+
+def between(values: FloatArray, known: BoolArray, fps: float) -> None:
+    """Fill rows ``(F, K)`` that are not known: they fade to 0 as smoothly as can be."""
+    if known.all() or not known.any():
+        return
+    draw = np.where(known, PINNED, 1.0)
+    places = values * np.where(known, PINNED, 0.0)[:, None]
+    none = np.zeros((len(values) - 1, values.shape[1]))
+    made = _smoothest(none[:, 0], none, draw, places, (FADE * fps) ** 4)
+    values[~known] = made[~known]
+
+
+def _lowering(
+    hips: FloatArray, feet: Sequence[Foot], ankles: Sequence[FloatArray], fps: float
+) -> FloatArray:
+    """Return how far hips come down so that legs reach ``(F,)`` [m]."""
+    needed = np.zeros(len(hips))
+    for foot, ankle in zip(feet, ankles, strict=True):
+        way = hips + foot.hip - ankle
+        reach = min(1 - BENT * (1 - foot.straight), STRAIGHT) * foot.length
+        flat = way.copy()
+        flat[:, 1] = 0.0
+        across = np.linalg.norm(flat, axis=1)
+        high = np.sqrt(np.maximum(reach**2 - across**2, 0.0))
+        needed = np.maximum(needed, way[:, 1] - high)
+    if not (needed > 0).any():
+        return np.zeros(len(hips))
+    width = max(LOWERING * fps, 1.0)
+    reach = int(np.ceil(2 * width))
+    padded = np.pad(needed, reach, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    return smoothed(windows.max(axis=1), width / 2)
+
+
+def bend_leg(
+    hip: FloatArray,
+    joints: tuple[FloatArray, FloatArray],
+    goal: FloatArray,
+    turns: tuple[FloatArray, FloatArray],
+    hinge: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of thigh and shin that bring an ankle to its goal, each ``(F, 4)``.
+
+    The knee opens or closes in its own plane, then the leg turns as a whole by the
+    shortest way.
+
+    Args:
+        hip: Where the thigh begins ``(F, 3)`` [m].
+        joints: Knee and ankle as they are ``(F, 3)`` [m].
+        goal: Where the ankle is to be ``(F, 3)`` [m].
+        turns: Of thigh and shin in the world ``(F, 4)``.
+        hinge: What the knee turns about where the leg is straight ``(F, 3)``.
+    """
+    knee, ankle = joints
+    thigh, shin = knee - hip, ankle - knee
+    a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
+    wanted = np.linalg.norm(goal - hip, axis=1)
+    low, high = np.abs(a - b) * (1 + 1e-9), (a + b) * STRAIGHT
+    # A leg that was straighter than that may stay so.
+    high = np.maximum(high, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b))
+    wanted = np.clip(wanted, low, high)
+    axis = np.cross(thigh, shin)
+    size = np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = np.where(
+        size > 1e-3 * (a * b)[:, None], axis / np.maximum(size, 1e-300), hinge
+    )
+    cosine = np.clip((wanted**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
+    now = np.arctan2(
+        (np.cross(thigh, shin) * axis).sum(axis=1), (thigh * shin).sum(axis=1)
+    )
+    bend = so3.from_axis_angle(axis, np.arccos(cosine) - now)
+    tip = thigh + so3.rotate(bend, shin)
+    swing = shortest(tip, goal - hip)
+    return (
+        so3.multiply(swing, turns[0]),
+        so3.multiply(swing, so3.multiply(bend, turns[1])),
+    )
+
+
+def bend_at_pin(
+    hip: FloatArray,
+    goal: FloatArray,
+    thigh: FloatArray,
+    bones: tuple[FloatArray, FloatArray],
+    axis: FloatArray,
+    angle: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of the thigh ``(F, 4)`` and angles of the knee ``(F,)`` [rad].
+
+    The knee opens until the ankle is as far off as its goal, then the thigh brings it
+    there by the shortest way.
+
+    Args:
+        hip: Where the thigh begins ``(F, 3)`` [m].
+        goal: Where the ankle is to be ``(F, 3)`` [m].
+        thigh: Its turns in the world as they are ``(F, 4)``.
+        bones: Of the thigh, and of the shin where the knee rests, both in the frame of
+            the thigh ``(3,)`` [m].
+        axis: Of the knee there, of length 1 ``(3,)``.
+        angle: Of the knee as it is ``(F,)`` [rad].
+    """
+    upper, lower = bones
+    along = float((upper @ axis) * (lower @ axis))
+    even, odd = float(upper @ lower) - along, float(upper @ np.cross(axis, lower))
+    size = float(np.hypot(even, odd))
+    if not size:
+        return thigh, angle
+    reach = np.linalg.norm(goal - hip, axis=1)
+    middle = (reach**2 - upper @ upper - lower @ lower) / 2 - along
+    open_by = np.arccos(np.clip(middle / size, -1.0, 1.0))
+    zero = float(np.arctan2(odd, even))
+    both = np.stack([zero + open_by, zero - open_by])
+    both -= 2 * np.pi * np.round((both - angle) / (2 * np.pi))
+    bent = np.where(np.abs(both[0] - angle) <= np.abs(both[1] - angle), *both)
+    tip = upper + so3.rotate(so3.from_axis_angle(axis, bent), lower)
+    return so3.multiply(shortest(so3.rotate(thigh, tip), goal - hip), thigh), bent
+
+
+def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the shortest turns ``(F, 4)`` of directions ``(F, 3)`` to others."""
+    a = before / np.linalg.norm(before, axis=1, keepdims=True)
+    b = after / np.linalg.norm(after, axis=1, keepdims=True)
+    made = np.concatenate([np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1)
+    known = np.abs(made).max(axis=1)[:, None] > OPPOSITE
+    return so3.normalize(np.where(known, made, [1.0, 0.0, 0.0, 0.0]))
+
+
+# Directions whose product is nearer to -1 are opposite.
+OPPOSITE = 1e-9

@@ -1,0 +1,68 @@
+"""How a take goes onto another rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from animtool.mocap.retarget.pairing import MapMode
+from animtool.options import option
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetOptions:
+    """How a take goes onto another rig.
+
+    Attributes:
+        map: A map file, whose pairs go before all others.
+        by: What joints are told by.
+        preset: The convention of the source's names; None finds it.
+        target_preset: That of the target's names.
+        rest_frame: Frame of the source, counted from 1, whose pose is its rest pose;
+            None is that of its skeleton.
+        free_feet: Whether feet may slide where they stand.
+    """
+
+    map: Path | None = option(
+        None,
+        "file",
+        "--map",
+        help="A map file (.map.yaml), whose pairs of joints go before all others.",
+    )
+    by: MapMode = option(
+        "auto",
+        "name",
+        "--by",
+        choices=get_args(MapMode),
+        help="What joints are told by: their names and where they are, one of both, or "
+        "by equal names alone.",
+    )
+    preset: str | None = option(
+        None,
+        "text",
+        "--preset",
+        metavar="NAME",
+        help="The convention of the source's names.  [default: the nearest]",
+    )
+    target_preset: str | None = option(
+        None,
+        "text",
+        "--target-preset",
+        metavar="NAME",
+        help="The convention of the rig's names.  [default: the nearest]",
+    )
+    rest_frame: int | None = option(
+        None,
+        "rest",
+        "--rest",
+        metavar="offsets|frame:N",
+        help="Where the rest pose of the source comes from.  [default: offsets]",
+    )
+    free_feet: bool = option(
+        False,
+        "switch",
+        "--feet",
+        choices=("hold", "free"),
+        help="Whether feet stay where they stand, or slide.  [default: hold]",
+    )

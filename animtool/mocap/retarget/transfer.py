@@ -1,0 +1,341 @@
+"""Poses of one skeleton as those of another: turns in the world, and the root's way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.roles import base_role
+from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.skeleton import Rig
+from animtool.units import up_from_up
+
+# Roles whose bones point the way that those of the source do, however they rest.
+_POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
+# Bones shorter than this share of the skeleton have no direction [1].
+NO_BONE = 1e-4
+# Bones whose lengths differ by less, over the leg, are alike [1].
+ALIKE = 1e-6
+# What leads from a joint of a role to where its bone ends.
+_NEXT = {
+    "upper_arm": "forearm",
+    "forearm": "hand",
+    "thigh": "shin",
+    "shin": "foot",
+    "hand": "middle_1",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """A skeleton at rest, with the joints of its roles."""
+
+    rig: Rig
+    roles: tuple[str, ...]  # of each joint (J,)
+    positions: FloatArray  # at rest (J, 3) [m]
+    turns: FloatArray  # at rest, in the world (J, 4)
+
+    @staticmethod
+    def of(rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None) -> Person:
+        """Return a skeleton; ``pose``: local rotations ``(J, 4)`` in place of rest."""
+        if pose is None:
+            rest = rest_world(rig)
+        else:
+            rest = forward(rig, rig.rest_translations[None], pose[None])
+        return Person(rig, roles, rest.positions[0], rest.rotations[0])
+
+    def joint(self, role: str) -> int:
+        """Return the last joint of a role; -1 for none."""
+        return max((j for j, own in enumerate(self.roles) if own == role), default=-1)
+
+    def first(self, role: str) -> int:
+        """Return the first joint of a role; -1 for none."""
+        return self.roles.index(role) if role in self.roles else -1
+
+    def bone(self, joint: int) -> FloatArray | None:
+        """Return the unit direction of a joint's bone at rest ``(3,)``, if any."""
+        end, role = -1, self.roles[joint]
+        side, own = role[len(base_role(role)) :], base_role(role)
+        if own in _NEXT:
+            end = self.first(_NEXT[own] + side)
+        if end < 0:
+            below = [k for k, p in enumerate(self.rig.parents) if p == joint]
+            end = below[0] if len(below) == 1 else -1
+        if end < 0:
+            return None
+        way = self.positions[end] - self.positions[joint]
+        size = float(np.linalg.norm(way))
+        return way / size if size > NO_BONE * self.size else None
+
+    @property
+    def size(self) -> float:
+        """How far the joints reach [m]."""
+        return float(np.ptp(self.positions, axis=0).max())
+
+    @property
+    def facing(self) -> FloatArray | None:
+        """Left, up and forward of a person who stands, rows ``(3, 3)``, if known."""
+        ways = []
+        for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
+            left, right = map(self.first, pair)
+            if left >= 0 and right >= 0:
+                ways.append(self.positions[left] - self.positions[right])
+        low, high = self.first("hips"), self.first("head")
+        high = high if high >= 0 else self.joint("spine")
+        if not ways or low < 0 or high < 0:
+            return None
+        left = ways[0] / (np.linalg.norm(ways[0]) or 1.0)
+        up = self.positions[high] - self.positions[low]
+        up = up - (up @ left) * left
+        size = float(np.linalg.norm(up))
+        if not np.linalg.norm(ways[0]) or size <= NO_BONE * self.size:
+            return None
+        return np.stack([left, up / size, np.cross(left, up / size)])
+
+    def leg(self, side: str) -> tuple[int, int, int, int] | None:
+        """Return thigh, shin, foot and toe (-1 for none) of a side, if it has a leg."""
+        thigh, shin, foot = (
+            self.first(f"{role}_{side}") for role in ("thigh", "shin", "foot")
+        )
+        toe = self.first(f"toe_{side}")
+        return None if min(thigh, shin, foot) < 0 else (thigh, shin, foot, toe)
+
+    def leg_length(self, side: str) -> float:
+        """Return the length of thigh and shin [m]."""
+        leg = self.leg(side)
+        if leg is None:
+            return 0.0
+        points = self.positions[list(leg[:3])]
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """How a skeleton follows another one."""
+
+    source: Person
+    target: Person
+    # From the world of the source to that of the target: its up axis (4,).
+    upright: FloatArray
+    # Lengths of the target over those of the source.
+    scale: float
+    # Of each joint of the target (K,): which of the source it follows, -1 for none;
+    # and which is next in its chain, with the share of that.
+    follows: IntArray
+    after: IntArray
+    share: FloatArray
+    # Turns of the target in the world where the source rests (K, 4).
+    aligned: FloatArray
+    twists: Sequence[tuple[int, int, int, float]] = field(default=())
+
+    @staticmethod
+    def of(source: Person, target: Person, found: JointMap) -> Transfer:
+        """Return how the joints of a map follow."""
+        turn = up_from_up(target.rig.up, source.rig.up)
+        upright = so3.IDENTITY if turn is None else np.array(turn)
+        count = len(target.rig.joints)
+        follows, after = np.full(count, -1), np.full(count, -1)
+        share = np.zeros(count)
+        for pair in found.pairs:
+            follows[pair.target] = after[pair.target] = pair.source
+        for chain in found.chains:
+            if len(chain.source) == len(chain.target):
+                places = list(zip(chain.target, chain.source, strict=True))
+                for own, other in places:
+                    follows[own] = after[own] = other
+                continue
+            middles = _middles(chain.source_at)
+            for own, at in zip(chain.target, _middles(chain.target_at), strict=True):
+                k = int(np.searchsorted(middles, at))
+                low, high = max(k - 1, 0), min(k, len(middles) - 1)
+                gap = middles[high] - middles[low]
+                follows[own], after[own] = chain.source[low], chain.source[high]
+                share[own] = (at - middles[low]) / gap if gap > 0 else 0.0
+        for own, other in _namesakes(source.rig, target.rig, follows):
+            follows[own] = after[own] = other
+        aligned = _aligned(source, target, follows, upright)
+        twists = []
+        for twist in found.twists:
+            below = _below(target, twist.bone)
+            if below >= 0:
+                twists.append((twist.joint, twist.bone, below, twist.share))
+        scale = _scale(source, target)
+        return Transfer(
+            source, target, upright, scale, follows, after, share, aligned, twists
+        )
+
+    @property
+    def alike(self) -> bool:
+        """Whether legs and feet of both are the same but for their size."""
+        pairs = [
+            (self.target.leg(side), self.source.leg(side))
+            for side in "lr"
+            if self.target.leg(side) and self.source.leg(side)
+        ]
+        for own, other in pairs:
+            assert own is not None
+            assert other is not None
+            if (own[3] < 0) is not (other[3] < 0):
+                return False
+            bones = [
+                np.linalg.norm(
+                    np.diff(one.positions[[j for j in leg if j >= 0]], axis=0), axis=1
+                )
+                for one, leg in ((self.target, own), (self.source, other))
+            ]
+            off = np.abs(bones[0] - self.scale * bones[1])
+            if (off > ALIKE * bones[0].sum()).any():
+                return False
+        return bool(pairs)
+
+    def turns(self, world: FloatArray) -> FloatArray:
+        """Return turns of the target in the world ``(F, K, 4)``.
+
+        Args:
+            world: Turns of the source ``(F, J, 4)``.
+
+        Joints that follow none are as their parents carry them.
+        """
+        rig = self.target.rig
+        back = so3.conjugate(self.source.turns)
+        changed = so3.multiply(self.upright, so3.multiply(world, back))
+        changed = so3.multiply(changed, so3.conjugate(self.upright))
+        made = np.zeros((len(world), len(rig.joints), 4))
+        for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
+            first = self.follows[j]
+            if first < 0:
+                own = rig.rest_rotations[j]
+                above = made[:, parent] if parent >= 0 else so3.IDENTITY
+                made[:, j] = so3.multiply(above, own)
+                continue
+            del joint
+            turn = changed[:, first]
+            if self.after[j] != first:
+                share = np.full(len(world), self.share[j])
+                turn = so3.slerp(turn, changed[:, self.after[j]], share)
+            made[:, j] = so3.multiply(turn, self.aligned[j])
+        return made
+
+    def bones(
+        self, world: FloatArray, translations: FloatArray, turns: FloatArray
+    ) -> FloatArray:
+        """Return local translations of the target ``(F, K, 3)`` [m].
+
+        Those of rest, and by how much the source's leave its own, scaled; ``(1, K, 3)``
+        where they never do.
+
+        Args:
+            world: Turns of the source ``(F, J, 4)``.
+            translations: Local, of the source ``(F, J, 3)`` [m].
+            turns: Of the target in the world ``(F, K, 4)``.
+        """
+        ours, theirs = self.source.rig, self.target.rig
+        off = translations - ours.rest_translations
+        moves = np.abs(off).max(axis=(0, 2)) > NO_BONE * self.source.size
+        made = theirs.rest_translations[None]
+        hips = self.target.first("hips")
+        for own, other in enumerate(self.follows.tolist()):
+            above, below = int(theirs.parents[own]), int(ours.parents[max(other, 0)])
+            if other < 0 or not moves[other] or min(above, below) < 0 or own == hips:
+                continue
+            if len(made) == 1:
+                made = np.repeat(made, len(turns), axis=0)
+            way = so3.rotate(self.upright, so3.rotate(world[:, below], off[:, other]))
+            back = so3.conjugate(turns[:, above])
+            made[:, own] += self.scale * so3.rotate(back, way)
+        return np.asarray(made)
+
+    def hips(self, positions: FloatArray) -> FloatArray:
+        """Return the middle between the thighs of the target ``(F, 3)`` [m].
+
+        Args:
+            positions: Of the source's joints ``(F, J, 3)`` [m].
+        """
+        middle = so3.rotate(self.upright, middle_of_hips(self.source, positions))
+        return self.scale * middle
+
+
+def middle_of_hips(person: Person, positions: FloatArray) -> FloatArray:
+    """Return what is between the thighs ``(F, 3)``; the root, where there are none."""
+    thighs = [person.first(f"thigh_{side}") for side in "lr"]
+    thighs = [j for j in thighs if j >= 0]
+    joints = thighs if len(thighs) == 2 else [max(person.first("hips"), 0)]
+    return np.asarray(positions[:, joints].mean(axis=1))
+
+
+def _namesakes(source: Rig, target: Rig, follows: IntArray) -> list[tuple[int, int]]:
+    """Return joints of which no more is known than that both have them: tails."""
+    used, names = {*follows.tolist()}, {name: j for j, name in enumerate(source.names)}
+    return [
+        (own, names[name])
+        for own, name in enumerate(target.names)
+        if follows[own] < 0 and name in names and names[name] not in used
+    ]
+
+
+def _middles(at: Sequence[float]) -> FloatArray:
+    edges = np.append(at, 1.0)
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
+
+
+def _below(person: Person, bone: int) -> int:
+    """Return the joint whose turn twists a bone: the next with a role below it."""
+    below = [k for k, parent in enumerate(person.rig.parents) if parent == bone]
+    with_role = [k for k in below if person.roles[k] not in {"", "twist", "end"}]
+    return with_role[0] if with_role else -1
+
+
+def _aligned(
+    source: Person, target: Person, follows: IntArray, upright: FloatArray
+) -> FloatArray:
+    """Return how the target is turned where the source rests ``(K, 4)``.
+
+    All of it faces the same way; limbs point the way of the source's, feet along the
+    ground.
+    """
+    ours, theirs = source.facing, target.facing
+    heading = so3.IDENTITY
+    if ours is not None and theirs is not None:
+        ours = so3.rotate(upright, ours)
+        heading = so3.from_matrix(ours.T @ theirs)
+    made = so3.multiply(heading, target.turns)
+    up = np.eye(3)[1 if target.rig.up.value == "Y" else 2]
+    for j, first in enumerate(follows.tolist()):
+        own = base_role(target.roles[j])
+        if first < 0:
+            continue
+        bone, other = target.bone(j), source.bone(first)
+        if bone is None or other is None:
+            continue
+        bone, other = so3.rotate(heading, bone), so3.rotate(upright, other)
+        if own == "foot":
+            bone, other = (way - (way @ up) * up for way in (bone, other))
+            sizes = np.linalg.norm(bone), np.linalg.norm(other)
+            if min(sizes) < NO_BONE:
+                continue
+            bone, other = bone / sizes[0], other / sizes[1]
+        elif own not in _POINTING and own[:-2] not in _FINGERS:
+            continue
+        made[j] = so3.multiply(so3.between(bone, other), made[j])
+    return made
+
+
+_FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
+
+
+def _scale(source: Person, target: Person) -> float:
+    """Return the lengths of the target's legs over those of the source's."""
+    pairs = [
+        (target.leg_length(side), source.leg_length(side))
+        for side in "lr"
+        if target.leg(side) and source.leg(side)
+    ]
+    own, other = target.size, source.size
+    if pairs:
+        own, other = (sum(lengths) for lengths in zip(*pairs, strict=True))
+    return own / other if other > 0 and own > 0 else 1.0

@@ -1,0 +1,219 @@
+"""Retargeting from files to files: a take, a rig, and what became of it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.documents.names import is_named
+from animtool.errors import Fault, OptionError, Severity, refuse_warnings
+from animtool.mocap.retarget.map import JointMap, map_text
+from animtool.mocap.retarget.motion import retarget_take
+from animtool.mocap.retarget.options import RetargetOptions
+from animtool.mocap.retarget.pairing import map_joints
+from animtool.mocap.retarget.report import RetargetReport, report_of
+from animtool.output import check_outputs, replacing, sparing_inputs, together
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Rig
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.ik import naming
+from animtool.scene.onto_rig import open_rig
+from animtool.scene.options import BakeOptions
+from animtool.scene.progress import Progress
+from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.take import Take, TakeStream
+from animtool.units import unit_name
+
+if TYPE_CHECKING:
+    from animtool.scene.prims import BakeReport
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetJob:
+    """What `animtool retarget` is told."""
+
+    source: Path  # BVH, USD or clip with the take
+    rig: Path  # rig file, USD file or BVH that it goes onto
+    # What the source is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    options: RetargetOptions = field(default_factory=RetargetOptions)
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    output: Path | None = None
+    to_stdout: bool = False  # write usda to stdout
+    write_map: Path | None = None  # map file to write
+    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class Retargeting:
+    """What became of a job."""
+
+    source: Path
+    rig: Path
+    score: RetargetReport
+    found: JointMap
+    take: Take
+    source_rig: Rig
+    notices: list[Fault]
+    seconds: dict[str, float]  # wall time by stage
+    outputs: list[Path] = field(default_factory=list)
+    written: BakeReport | ConvertReport | None = None
+
+
+def retarget_outputs(job: RetargetJob) -> list[Path]:
+    """Return the files that a job writes, the map among them."""
+    made = [] if job.write_map is None else [job.write_map]
+    if job.output is None:
+        return made
+    if is_usd(job.output):
+        from animtool.scene.reading import bake_outputs
+
+        return [*made, *bake_outputs([job.source], job.output, job.bake)]
+    return [*made, *convert_outputs(job.output, _named_rig(job))]
+
+
+def _named_rig(job: RetargetJob) -> Path | None:
+    return job.rig if is_named(job.rig, "rig") else None
+
+
+def run_retarget(job: RetargetJob, *, progress: Progress = None) -> Retargeting:
+    """Bring a take onto another rig, and write it.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed, or a map names joints that there are not.
+        OptionError: Nothing maps (MAP004), the rest frame is none of the take's
+            (MAP006), an output exists, or its name is of no format.
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    if job.write_map is not None and not is_named(job.write_map, "map"):
+        message, hint = "is no name of a map file", "allowed: .map.yaml, .map.yml"
+        raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
+    outputs = retarget_outputs(job)
+    if outputs:
+        named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
+        inputs = [path for path in named if path is not None]
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    made: list[Retargeting] = []
+
+    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        made.append(_retargeted(job, outputs, progress))
+        stream = TakeStream.of(replace(made[0].take, notices=()))
+        unit = unit_name(stream.rig.meters_per_unit)
+        stream.details = {"format": "retarget", "units": unit}
+        return stream
+
+    with together():
+        if job.output is None and not job.to_stdout:
+            solve(job.source, progress=progress)
+            report = made[0]
+            refuse_warnings(report.notices, strict=job.bake.strict)
+        else:
+            written = _written(job, solve, progress)
+            report = made[0]
+            report.written = written
+            report.notices += [n for n in written.notices if n not in report.notices]
+        if job.write_map is not None:
+            text = map_text(report.found, report.source_rig, report.take.rig)
+            with replacing(job.write_map) as temporary:
+                temporary.write_text(text, "utf-8", newline="\n")
+    report.outputs = outputs
+    return report
+
+
+def _written(
+    job: RetargetJob, opener: Any, progress: Progress
+) -> BakeReport | ConvertReport:
+    if job.to_stdout or (job.output is not None and is_usd(job.output)):
+        from animtool.scene.bake import bake
+
+        return bake(job.source, job.output, job.bake, progress=progress, opener=opener)
+    assert job.output is not None
+    return convert(
+        job.source,
+        job.output,
+        overwrite=job.bake.overwrite,
+        strict=job.bake.strict,
+        reduce=job.bake.reduce,
+        rig_file=_named_rig(job),
+        progress=progress,
+        opener=opener,
+    )
+
+
+def _retargeted(
+    job: RetargetJob, outputs: list[Path], progress: Progress
+) -> Retargeting:
+    began = time.perf_counter()
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(job.rig)
+        stream = open_source(job.source, job.reading, progress=progress)
+        take = stream.collect()
+    notices = [*notices, *stream.notices]
+    read = time.perf_counter()
+    options = job.options
+    with naming(job.source):
+        rest = _rest(take, options.rest_frame)
+        found = map_joints(
+            take.rig,
+            rig,
+            preset=options.preset,
+            target_preset=options.target_preset,
+            map_file=options.map,
+            mode=options.by,
+            source_positions=_positions(take, rest),
+        )
+    mapped = time.perf_counter()
+    made = retarget_take(take, rig, found, rest=rest, lock=not options.free_feet)
+    score = report_of(made, found)
+    notices += [*found.notices, *_odd(job, score)]
+    solved = time.perf_counter()
+    seconds = {"read": read - began, "map": mapped - read, "solve": solved - mapped}
+    return Retargeting(
+        job.source, job.rig, score, found, made.take, take.rig, notices, seconds
+    )
+
+
+def _rest(take: Take, frame: int | None) -> FloatArray | None:
+    """Return local turns of the frame that is the rest pose ``(J, 4)``."""
+    if frame is None:
+        return None
+    if not 1 <= frame <= take.clock.count:
+        message = f"the rest pose is that of frame {frame}, and there are "
+        message += f"{take.clock.count}"
+        raise OptionError(Fault("MAP006", message, where="--rest"))
+    turns: FloatArray = take.motion.rotations.dense()[frame - 1]
+    return turns
+
+
+def _positions(take: Take, rest: FloatArray | None) -> FloatArray:
+    """Return where joints are in a pose of a person who stands ``(J, 3)`` [m].
+
+    That of the rest pose, or of the first frame: of a skeleton that has none.
+    """
+    rig, motion = take.rig, take.motion
+    turns = motion.rotations.dense()[:1] if rest is None else rest[None]
+    places = motion.translations.dense()[:1]
+    return np.asarray(forward(rig, places, turns).positions[0])
+
+
+def _odd(job: RetargetJob, score: RetargetReport) -> list[Fault]:
+    """Return what of a take did not come through."""
+    found = []
+    if not score.contacts and not job.options.free_feet:
+        message = "no foot stands in any frame: none is held"
+        hint = "is the take of a person with legs, and longer than two frames?"
+        fault = Fault("MAP007", message, str(job.source), (), hint, Severity.NOTE)
+        found.append(fault)
+    return found

@@ -1,0 +1,96 @@
+"""``animtool retarget``: from files to files, with its report and its exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.cli import animtool
+from support.usd import open_stage, validation_errors
+
+BIPED, WALK = "rigs/biped/biped.rig.yaml", "samples/walk/walk.bvh"
+
+
+def run(root: Path, *arguments: object, source: str | Path = WALK) -> Any:
+    return animtool("retarget", root / source, "--to", root / BIPED, *arguments)
+
+
+def test_a_report_alone_writes_nothing(root: Path, tmp_path: Path) -> None:
+    done = animtool("retarget", root / WALK, "--to", root / BIPED, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "feet stand in" in done.stderr
+    assert "not mapped, of the rig: jaw" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_report_in_json(root: Path) -> None:
+    found = json.loads(run(root, "--format", "json").stdout)
+    assert (found["retarget"], found["frames"]) == ("animtool/1", 64)
+    assert found["drift_max"] < 1e-3
+    hand = next(pair for pair in found["joints"] if pair["target"] == "wrist_l")
+    assert hand["source"] == "LeftHand"
+    assert hand["role"] == "hand_l"
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdc", "bvh", "clip.yaml"])
+def test_takes_are_written(root: Path, tmp_path: Path, suffix: str) -> None:
+    outputs = [tmp_path / name / f"out.{suffix}" for name in "ab"]
+    for output in outputs:
+        output.parent.mkdir()
+        done = run(root, "-o", output)
+        assert done.code == 0, done.stderr
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    again = run(root, "-o", outputs[0])
+    assert again.code == 2
+    assert "OUT001" in again.stderr
+    if suffix == "usda":
+        stage = open_stage(outputs[0])
+        assert not validation_errors(stage)
+        assert stage.GetEndTimeCode() - stage.GetStartTimeCode() == 63
+
+
+def test_a_map_that_was_written_gives_the_same_take(root: Path, tmp_path: Path) -> None:
+    first, again = tmp_path / "a.bvh", tmp_path / "b.bvh"
+    map_file = tmp_path / "walk.map.yaml"
+    assert run(root, "-o", first, "--write-map", map_file).code == 0
+    assert map_file.read_text("utf-8").splitlines()[1] == "map: animtool/1"
+    done = run(root, "-o", again, "--map", map_file)
+    assert done.code == 0, done.stderr
+    assert first.read_bytes() == again.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (["--rest", "frame:65"], 2, "MAP006"),
+        (["--preset", "mixamoo"], 2, "MAP003"),
+        (["--by", "looks"], 2, "auto"),
+        (["--write-map", "out.yaml"], 2, "OUT004"),
+        (["-o", "out.fbx"], 2, "OUT004"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    root: Path, tmp_path: Path, arguments: list[str], code: int, text: str
+) -> None:
+    done = animtool(
+        "retarget", root / WALK, "--to", root / BIPED, *arguments, cwd=tmp_path
+    )
+    assert done.code == code, done.stderr
+    assert text in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_skeleton_that_is_no_person_is_named(root: Path, tmp_path: Path) -> None:
+    odd = tmp_path / "box.bvh"
+    odd.write_text(
+        "HIERARCHY\nROOT box\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition "
+        "Zposition\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\n"
+        "Frame Time: 0.04\n0 0 0\n",
+        "utf-8",
+    )
+    done = run(root, "-o", tmp_path / "out.usdc", source=odd)
+    assert done.code == 2
+    assert "MAP004" in done.stderr
+    assert not (tmp_path / "out.usdc").exists()

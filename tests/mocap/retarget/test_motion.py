@@ -1,0 +1,156 @@
+"""Takes on other rigs: what must stay the same, and what must fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool import Channel, Rig, Take, open_source
+from animtool.maths import so3
+from animtool.mocap.retarget import map_joints
+from animtool.mocap.retarget.motion import Retargeted, retarget_take
+from animtool.mocap.retarget.report import report_of
+from animtool.rig.kinematics import forward
+from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
+from animtool.rig.skeleton import JointType
+
+
+@pytest.fixture(scope="module")
+def walk(root: Path) -> Take:
+    return open_source(root / "samples/walk/walk.bvh").collect()
+
+
+@pytest.fixture(scope="module")
+def biped(root: Path) -> Rig:
+    return Rig.load(root / "rigs/biped/biped.rig.yaml")
+
+
+@pytest.fixture(scope="module")
+def onto(walk: Take, biped: Rig) -> Retargeted:
+    return retarget_take(walk, biped, map_joints(walk.rig, biped))
+
+
+def scaled(rig: Rig, size: float, shin: float = 1.0) -> Rig:
+    """Return a rig of another size, its shins longer by a share."""
+    longer = [shin if "Foot" in name else 1.0 for name in rig.names]
+    joints = tuple(
+        replace(
+            joint,
+            translation=tuple((size * share * np.array(joint.translation)).tolist()),
+        )
+        for joint, share in zip(rig.joints, longer, strict=True)
+    )
+    return replace(rig, joints=joints)
+
+
+def onto_rig(take: Take, rig: Rig) -> Retargeted:
+    return retarget_take(take, rig, map_joints(take.rig, rig))
+
+
+def test_a_copy_of_the_skeleton_moves_as_the_source(walk: Take) -> None:
+    made = onto_rig(walk, walk.rig)
+    assert_allclose(made.world.positions, made.source.positions, atol=1e-12)
+    assert so3.angle_between(made.world.rotations, made.source.rotations).max() < 1e-7
+
+
+@pytest.mark.parametrize("size", [0.3, 2.5])
+def test_a_scaled_copy_has_the_scaled_motion(walk: Take, size: float) -> None:
+    made = onto_rig(walk, scaled(walk.rig, size))
+    assert made.transfer.scale == pytest.approx(size)
+    assert_allclose(made.world.positions, size * made.source.positions, atol=1e-11)
+
+
+def test_a_turned_rest_pose_changes_nothing(walk: Take) -> None:
+    """Of the same skeleton in a pose with its arms down."""
+    rig = walk.rig
+    turns = {"LeftArm": [0, 0, -0.9], "RightArm": [0, 0, 0.9]}
+    joints = tuple(
+        replace(joint, rotation=tuple(so3.exp(np.array(turns[joint.name])).tolist()))
+        if joint.name in turns
+        else joint
+        for joint in rig.joints
+    )
+    assert {joint.name for joint in rig.joints} >= {*turns}
+    made = onto_rig(walk, replace(rig, joints=joints))
+    assert_allclose(made.world.positions, made.source.positions, atol=1e-9)
+
+
+def test_feet_stay_where_they_stand(walk: Take) -> None:
+    rig = scaled(walk.rig, 1.0, shin=1.3)
+    found = map_joints(walk.rig, rig)
+    held = report_of(retarget_take(walk, rig, found), found)
+    free = report_of(retarget_take(walk, rig, found, lock=False), found)
+    assert held.contacts > 0.4
+    assert held.drift_max < 1e-6
+    assert held.sole_error < 1e-6
+    assert free.drift_max > 0.005
+    assert held.acceleration < 1.2
+    assert held.bone_angle_mean < np.radians(0.6)
+
+
+def test_no_limit_is_broken(onto: Retargeted, biped: Rig) -> None:
+    turns = onto.take.motion.rotations.dense()
+    for j, joint in enumerate(biped.joints):
+        own = so3.multiply(so3.conjugate(biped.rest_rotations[j]), turns[:, j])
+        if joint.type is JointType.PIN:
+            off, angle = swing_twist(own, joint.axis)
+            assert so3.angle_between(off, so3.IDENTITY).max() < 1e-6, joint.name
+            if isinstance(joint.limits, RangeLimit):
+                assert np.abs(joint.limits.excess(angle)).max() < 1e-6, joint.name
+        elif isinstance(joint.limits, BallLimit):
+            assert joint.limits.excess(own).max() < 1e-6, joint.name
+
+
+def test_the_walk_fits_the_biped(onto: Retargeted, walk: Take, biped: Rig) -> None:
+    score = report_of(onto, map_joints(walk.rig, biped))
+    assert onto.take.clock == walk.clock
+    assert score.drift_max < 0.001
+    assert score.sole_error < 0.001
+    assert score.reach_error < 0.005
+    assert score.bone_angle_mean < np.radians(1.0)
+    assert score.unmapped_source == ()
+
+
+def test_twist_joints_share_the_turn_of_the_hand(walk: Take) -> None:
+    """A forearm that turns all the way round gives no jump of half a turn."""
+    rig, frames = walk.rig, 60
+    hand = rig.index("LeftHand")
+    below = rig.index("LeftForeArm")
+    axis = np.array(rig.joints[hand].translation)
+    axis /= np.linalg.norm(axis)
+    rotations = np.repeat(rig.rest_rotations[None], frames, axis=0)
+    angles = np.linspace(0, 1.9 * np.pi, frames)
+    rotations[:, hand] = so3.from_axis_angle(axis, angles)
+    twist = replace(
+        rig.joints[hand],
+        name="LeftForeArmTwist",
+        parent=below,
+        translation=tuple((np.array(rig.joints[hand].translation) / 2).tolist()),
+    )
+    target = replace(rig, joints=(*rig.joints, twist))
+    motion = replace(
+        walk.motion,
+        rotations=Channel.from_dense(rotations),
+        translations=walk.motion.translations.select(slice(0, frames)),
+    )
+    take = replace(walk, clock=replace(walk.clock, count=frames), motion=motion)
+    found = map_joints(rig, target)
+    assert [share.joint for share in found.twists] == [len(rig.joints)]
+    made = retarget_take(take, target, found)
+    own = made.take.motion.rotations.dense()[:, -1]
+    steps = so3.angle_between(own[1:], own[:-1])
+    assert steps.max() < 1.5 * steps.mean()
+    turned = np.unwrap(swing_twist(own, tuple(axis.tolist()))[1])
+    assert turned[-1] - turned[0] == pytest.approx(
+        found.twists[0].share * (angles[-1] - angles[0]), rel=1e-6
+    )
+
+
+def test_the_world_of_a_take_is_that_of_its_motion(onto: Retargeted) -> None:
+    motion, rig = onto.take.motion, onto.take.rig
+    world = forward(rig, motion.translations.dense(), motion.rotations.dense())
+    assert_allclose(world.positions, onto.world.positions, atol=1e-12)
