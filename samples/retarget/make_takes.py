@@ -129,6 +129,7 @@ def gait(
     height: float = 87.5,
     bob: float = 1.8,
     arms: float = 24.0,
+    arch: float = 2.0,
     path: Route = straight,
 ) -> tuple[Array, Tracks]:
     """Return someone who goes along a path.
@@ -143,6 +144,7 @@ def gait(
         height: Of the hips.
         bob: How far they go up and down.
         arms: How far these swing.
+        arch: How flat the way of a foot begins and ends in the air; 1 is steep.
         path: Where it leads.
     """
     times, tracks = standing(seconds)
@@ -168,7 +170,7 @@ def gait(
         # Where a path bends, both feet stay on their sides of it.
         tracks[f"ball_x_{side}"] = x + sign * HALF_GAP * np.cos(np.radians(yaw))
         tracks[f"ball_z_{side}"] = z - sign * HALF_GAP * np.sin(np.radians(yaw))
-        tracks[f"ball_y_{side}"] = BALL_HEIGHT + lift * np.sin(np.pi * swing) ** 2
+        tracks[f"ball_y_{side}"] = BALL_HEIGHT + lift * np.sin(np.pi * swing) ** arch
         tracks[f"foot_yaw_{side}"] = yaw
         rolled = ease((along - 0.55 * stance) / (0.45 * stance)) * (along < stance)
         tracks[f"foot_pitch_{side}"] = heel * (
@@ -188,7 +190,14 @@ def walk() -> Tracks:
 def run() -> Tracks:
     """Return a run: both feet leave the ground."""
     _, tracks = gait(
-        *(2.0, 0.7, 166.0), stance=0.36, lift=24, heel=50, height=81, bob=4, arms=38
+        *(2.0, 0.7, 166.0),
+        stance=0.36,
+        arch=1,
+        lift=24,
+        heel=50,
+        height=81,
+        bob=4,
+        arms=38,
     )
     tracks["bend"] += 9
     for side in SIDES:
@@ -275,6 +284,8 @@ def wave() -> Tracks:
     up = keyed(times, [(0.2, 0), (0.8, 1), (2.6, 1), (3.2, 0)])
     swing = np.sin(2 * np.pi * (times - 0.8) / 0.45) * up
     tracks["lower_r"] -= 86 * up
+    tracks["lower_l"] += 3 * up
+    tracks["elbow_l"] += 6 * up
     tracks["roll_r"] = 88 * up
     tracks["elbow_r"] += 70 * up + 20 * swing
     tracks["hips_x"] = 2.5 * up
@@ -301,7 +312,10 @@ def jump() -> Tracks:
     share = flight / air
     tracks["hips_z"] = 8 * keyed(times, [(0.3, 0), (leave, 1)]) + 52 * share
     tracks["hips_z"] -= 8 * keyed(times, [(land, 0), (land + 0.5, 1)])
-    low = np.clip(low / 30, 0.0, 1.0)
+    low = keyed(
+        times,
+        [(0.1, 0), (0.6, 1), (leave, 0), (land - 0.1, 0), (land + 0.3, 0.9), (2.2, 0)],
+    )
     tracks["hips_pitch"], tracks["bend"] = 14 * low, 22 * low
     tracks["nod"] = -16 * low
     lifted = keyed(times, [(leave - 0.25, 0), (leave, 1)])
@@ -344,6 +358,7 @@ def kick() -> Tracks:
         "foot_pitch_r": [(0.4, 0), (0.85, 48), (1.15, 4), (2.0, 0)],
     }.items():
         tracks[name] += keyed(times, keys)
+    tracks["foot_pitch_l"] += keyed(times, [(0.8, 0), (1.15, 12), (1.3, 12), (2.0, 0)])
     weight = keyed(times, [(0.05, 0), (0.4, 1), (2.0, 1), (2.5, 0)])
     swung = keyed(times, [(0.4, 0), (0.85, -1), (1.15, 1), (1.3, 1), (2.0, 0)])
     tracks["hips_x"] = 8 * weight
