@@ -102,8 +102,13 @@ Rows rows_of(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a, Ve
     return to.rows;
   }
   if (joint.kind == Joined::FIXED) return to.rows;
-  const double twist = 2 * std::atan2(between.w < 0 ? -between.x : between.x, std::fabs(between.w));
+  double twist = 2 * std::atan2(between.w < 0 ? -between.x : between.x, std::fabs(between.w));
   const bool ball = joint.kind == Joined::BALL;
+  if (!ball) {
+    // Of angles that differ by turns, the nearest to those that are allowed, or wanted.
+    const double about = limited ? (joint.low + joint.high) / 2 : joint.target;
+    twist -= TURN * std::round((twist - about) / TURN);
+  }
   const Vec far = rotate(b.turn, {1, 0, 0});
   const double lean = 1 + dot(x, far);
   // How the twist of a ball changes, where it is not bent back.

@@ -75,6 +75,7 @@ struct Row {
 // Places of the rows of a joint in what is kept from step to step.
 enum { SLOT_LINE = 0, SLOT_TURN = 3, SLOT_LOW = 6, SLOT_HIGH = 7, SLOT_SWING = 8, SLOT_DRIVE = 9 };
 constexpr std::size_t ROWS = 12;
+constexpr double TURN = 2 * 3.14159265358979323846;  // [rad]
 
 // A frame in the world, and how it moves of itself.
 struct Anchor {

@@ -509,9 +509,12 @@ class Solver {
     for (std::size_t r = 0; r < rows.count; ++r) {
       Row& row = rows.of[r];
       if (row.kind == Row::DRIVE) continue;
-      for (std::size_t q = 0; q < after.count; ++q)
-        if (after.of[q].slot == row.slot)
-          row.bend = (after.of[q].error - row.error) / h_ - speed_of(joint, row);
+      for (std::size_t q = 0; q < after.count; ++q) {
+        if (after.of[q].slot != row.slot) continue;
+        const double change = after.of[q].error - row.error;
+        const bool turns = dot(row.line, row.line) == 0;
+        row.bend = (turns ? std::remainder(change, TURN) : change) / h_ - speed_of(joint, row);
+      }
     }
   }
 

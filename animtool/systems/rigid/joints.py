@@ -154,6 +154,9 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
         if low > high:
             message = f"the least of {name!r}, {given[0]:g}, is above the most"
             refuse(f"{message}, {given[1]:g}", "", f"{at}.{key}")
+        if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
+            message = f"the limits of {name!r} are more than a turn apart"
+            refuse(message, "leave them out: turns are not counted", f"{at}.{key}")
     if model.swing is not None:
         pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if min(pair) <= 0:

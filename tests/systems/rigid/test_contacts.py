@@ -284,6 +284,33 @@ def test_limits_hold(tmp_path: Path, side: int) -> None:
     assert_allclose(found.to(3.0)[0], [0.3 * side, -0.4, 0], atol=1e-3)
 
 
+def angles(found: Rigid, times: Any) -> np.ndarray:
+    """Return by how much a body has turned about z at times [deg]."""
+    turns = np.array([found.run.at(float(t)).rotations[0] for t in times])
+    return np.degrees(np.unwrap(2 * np.arctan2(turns[:, 2], turns[:, 3])))
+
+
+@pytest.mark.parametrize("most", [190, 270, 350])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_limits_beyond_half_a_turn_hold(tmp_path: Path, most: int, side: int) -> None:
+    limits = sorted([0, side * most])
+    pin = {"type": "pin", "body": "box", "axis": [0, 0, 1], "limits": limits}
+    arm = box((1, 0.2, 0.2), spin=[0, 0, side * 400])
+    found = Rigid(tmp_path, arm, joints=[pin], forces=[])
+    turned = side * angles(found, np.arange(1, 31) / 20)
+    assert_allclose(turned[:9], 20.0 * np.arange(1, 10), atol=1e-6)
+    assert_allclose(turned[-10:], most, atol=0.1)
+
+
+def test_a_motor_that_swings_past_half_a_turn_comes_back(tmp_path: Path) -> None:
+    drive = {"target": 170, "stiffness": 50, "damping": 10}
+    pin = {"type": "pin", "body": "box", "axis": [0, 0, 1], "drive": drive}
+    found = Rigid(tmp_path, box((1, 0.2, 0.2)), joints=[pin], forces=[])
+    turned = angles(found, np.arange(1, 101) / 20)
+    assert 180 < turned.max() < 280
+    assert turned[-1] == pytest.approx(170, abs=1)
+
+
 @pytest.mark.parametrize("spin", [-90, 90])
 @pytest.mark.parametrize("keys", [{"limits": [-5, 5]}, {"drive": {"stiffness": 9}}])
 def test_limits_about_a_rod_leave_the_rest_of_its_joint(

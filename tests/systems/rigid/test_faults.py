@@ -159,6 +159,11 @@ REFUSED = {
     ),
     "an axis of nothing": (joint(axis=[0, 0, 0]), "joints[1].axis", "direction"),
     "limits the wrong way": (joint(limits=[3, 1]), "joints[1].limits", "3, is above"),
+    "limits of two turns": (
+        joint(limits=[-360, 360.1]),
+        "joints[1].limits",
+        "more than a turn",
+    ),
     "twist the wrong way": (
         joint(type="ball", twist=[3, 1]),
         "joints[1].twist",
