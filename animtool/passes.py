@@ -89,6 +89,7 @@ PLUGIN_GROUP = "animtool.passes"
 
 PASSES: dict[str, str] = {
     "blend": "animtool.edit.layers:BLEND",
+    "clean": "animtool.mocap.clean:PASS",
     "difference": "animtool.edit.layers:DIFFERENCE",
     "hang": "animtool.edit.tree:PASS",
     "ik": "animtool.ik.take_pass:PASS",

@@ -1,0 +1,138 @@
+"""Zero-lag filters of evenly sampled signals, with a cut-off that noise decides.
+
+The filter is the smoother of E. T. Whittaker: the curve that stays near the samples and
+whose differences of some order are small. Its gain at frequency f is
+``1 / (1 + (sin(pi f / rate) / sin(pi cutoff / rate)) ** (2 order))``, that of a
+Butterworth filter run to and fro. It needs no samples beyond the ends, leaves straight
+lines as they are, and goes over gaps.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths import so3
+
+# Differences of this order hold next to nothing but noise: of what moves slower than a
+# tenth of the rate, less than a hundred-thousandth of the power.
+NOISE_ORDER = 8
+# Cut-offs that are tried, as shares of the rate.
+LEAST_SHARE, MOST_SHARE, TRIED = 0.005, 0.4, 24
+# A filter that would leave more of the noise's power than this is left out.
+WORTH = 0.8
+# Median of a square of a normal number, by how many numbers are added [1]
+# (Wilson and Hilferty).
+_WILSON = 2 / 9
+
+
+def lowpass(
+    values: FloatArray,
+    cutoff: float,
+    rate: float,
+    *,
+    order: int = 2,
+    known: BoolArray | None = None,
+) -> FloatArray:
+    """Return signals without what is faster than a cut-off, without lag ``(F, ...)``.
+
+    Args:
+        values: ``(F, ...)``.
+        cutoff: Frequency at which half of the amplitude is left [Hz].
+        rate: Frames a second.
+        order: Of the differences that are kept small; higher cuts off sharper.
+        known: Which frames hold something ``(F,)``, ``order`` or more of them; others
+            follow from these.
+    """
+    from scipy.linalg import solveh_banded
+
+    count = len(values)
+    order = min(order, count - 1)
+    if order < 1:
+        return values.copy()
+    weights = np.ones(count) if known is None else known.astype(np.float64)
+    stiffness = (2 * math.sin(math.pi * min(cutoff / rate, 0.5))) ** (-2 * order)
+    bands = stiffness * _penalty(count, order)
+    bands[0] += weights
+    origin = values[:1] if known is None else values[int(np.argmax(known))][None]
+    columns = ((values - origin).T * weights).T.reshape(count, -1)
+    smooth = solveh_banded(bands, columns, lower=True, check_finite=False)
+    return np.asarray(smooth.reshape(values.shape) + origin)
+
+
+def lowpass_turns(
+    turns: FloatArray,
+    cutoff: float,
+    rate: float,
+    *,
+    order: int = 2,
+    known: BoolArray | None = None,
+) -> FloatArray:
+    """Return rotations ``(F, ..., 4)``, signs continuous, as `lowpass` does numbers."""
+    return so3.normalize(lowpass(turns, cutoff, rate, order=order, known=known))
+
+
+def _penalty(count: int, order: int) -> FloatArray:
+    """Return the sum of squares of differences as a banded matrix, lower form."""
+    steps = _differences(order)
+    bands = np.zeros((order + 1, count))
+    rows = count - order
+    for k in range(order + 1):
+        for j in range(order + 1 - k):
+            bands[k, j : j + rows] += steps[j] * steps[j + k]
+    return bands
+
+
+def _differences(order: int) -> FloatArray:
+    steps = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
+    return np.array(steps, np.float64)
+
+
+def noise_level(values: FloatArray) -> float:
+    """Return the standard deviation of the white noise in a signal ``(F, K)``.
+
+    It is that of its fastest part, by a median, so that a few jumps do not count.
+
+    >>> rng = np.random.default_rng(1)
+    >>> slow = np.sin(np.arange(2000)[:, None] / 20)
+    >>> round(noise_level(slow + 0.01 * rng.standard_normal((2000, 1))), 3)
+    0.01
+    """
+    order = min(NOISE_ORDER, len(values) - 1)
+    if order < 1:
+        return 0.0
+    fast = np.diff(values, order, axis=0)
+    # In a signal that moves in fewer directions than it has, noise has as few.
+    width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
+    middle = width * (1 - _WILSON / width) ** 3
+    power = float(np.median((fast * fast).sum(axis=-1))) / middle
+    return math.sqrt(power / math.comb(2 * order, order))
+
+
+def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None:
+    """Return the cut-off that brings a noisy signal nearest to what it was [Hz].
+
+    The expected error of each cut-off is what the filter takes away and what it leaves
+    of the noise (C. L. Mallows, Some comments on Cp, 1973); the noise is that of
+    `noise_level`. None is a signal that is best left alone.
+
+    Args:
+        values: ``(F, K)``.
+        rate: Frames a second.
+        order: As that of `lowpass`.
+    """
+    noise = noise_level(values) ** 2 * max(1, int((np.ptp(values, axis=0) > 0).sum()))
+    if noise == 0 or len(values) <= NOISE_ORDER:
+        return None
+    shares = np.geomspace(LEAST_SHARE, MOST_SHARE, TRIED)
+    waves = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
+    errors = []
+    for share in shares.tolist():
+        away = values - lowpass(values, share * rate, rate, order=order)
+        gains = 1 / (1 + (waves / math.sin(math.pi * share)) ** (2 * order))
+        taken = float((away * away).sum()) / len(values)
+        errors.append(taken + (2 * float(gains.mean()) - 1) * noise)
+    best = int(np.argmin(errors))
+    return float(shares[best] * rate) if errors[best] < WORTH * noise else None
