@@ -413,14 +413,18 @@ class Bodies:
             apart,
         )
 
+    @cached_property
+    def _numbers(self) -> Mapping[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
     def find(self, name: str, key: str) -> int:
         """Return the number of a body of a name (SIM061)."""
-        if name not in self.names:
+        if name not in self._numbers:
             from animtool.documents.names import nearest
 
             hint = nearest(name, list(self.names)) or ""
             refuse(f"no body is named {name!r}", hint, key)
-        return self.names.index(name)
+        return self._numbers[name]
 
 
 def outline(shape: Shape) -> Shape:
