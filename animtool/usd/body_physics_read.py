@@ -134,15 +134,16 @@ class _Reader:
         if hasattr(value, "imaginary"):
             value = (*value.imaginary, value.real)
         row = np.array(value, np.float64).reshape(-1)
-        if row.shape != (count,) or not np.isfinite(row).all():
-            Spot.of(self.path, attribute).fail("SIM051", "is not finite")
+        if row.shape != (count,) or not (np.abs(row) <= LARGEST).all():
+            message = f"is not finite, or beyond {LARGEST:g}"
+            Spot.of(self.path, attribute).fail("SIM051", message)
         return row
 
     def _matrix(self, prim: Any) -> FloatArray:
         """Return where a prim is ``(4, 4)``, row vectors, in the unit of the stage."""
         matrix = np.array(self.cache.GetLocalToWorldTransform(prim), np.float64)
-        if not np.isfinite(matrix).all():
-            message = "has a transform that is not finite"
+        if not (np.abs(matrix) <= LARGEST).all():
+            message = f"has a transform that is not finite, or beyond {LARGEST:g}"
             Spot.of(self.path, prim).fail("SIM051", message)
         return matrix
 
@@ -243,9 +244,14 @@ class _Reader:
         if mass is not None and mass[0] > 0:
             found["mass"] = float(mass[0]) * kilograms
         centre = api.GetCenterOfMassAttr().Get()
+        # By the schema, what is not finite is not given.
         if centre is not None and np.isfinite(centre).all():
-            found["centre"] = np.array(centre, np.float64) * scale * self.unit
+            own = self._numbers(api.GetCenterOfMassAttr(), 3)
+            found["centre"] = np.array(own) * scale * self.unit
         moments = self._numbers(api.GetDiagonalInertiaAttr(), 3)
+        if moments is not None and (moments < 0).any():
+            fault = f"has moments of inertia {moments.tolist()}, and none is below 0"
+            Spot.of(self.path, prim).fail("SIM051", fault)
         if moments is not None and moments.any():
             found["moments"] = moments * kilograms * self.unit**2
             axes = self._numbers(api.GetPrincipalAxesAttr(), 4)
@@ -293,6 +299,9 @@ class _Reader:
             case other:
                 self._note(prim, f"is a collider of type {other}, which is not read")
                 return
+        if not all(0 < one < LARGEST for one in sizes if kind != "capsule" or one):
+            self._note(prim, f"has a size of {list(sizes)} m, and is left out")
+            return
         lean = so3.between(Y, axis) if kind in ("capsule", "plane") else so3.IDENTITY
         pose = np.concatenate([pose[:3], so3.multiply(pose[3:], lean)])
         friction, restitution = self._material(prim)
@@ -411,8 +420,13 @@ class _Reader:
         scale = self.unit if linear else math.radians(1.0)
 
         def value(drive: Any, name: str) -> float:
-            number = getattr(drive, f"Get{name}Attr")().Get()
-            return 0.0 if number is None else float(number)
+            attribute = getattr(drive, f"Get{name}Attr")()
+            number = attribute.Get()
+            # What has no end is not meant to be read.
+            if name == "MaxForce" or number is None:
+                return float(number or 0.0)
+            found = self._numbers(attribute, 1)
+            return 0.0 if found is None else float(found[0])
 
         targets = [value(drive, "TargetPosition") * scale for drive in found]
         most = value(found[0], "MaxForce")
@@ -445,5 +459,7 @@ JOINTS = {
 }
 # Shapes that are as long in all ways across their axis.
 ROUND = {"Sphere", "Capsule"}
+# Lengths, masses and rates of a shot are below this; it is far from overflowing.
+LARGEST = 1e12
 # What is meant to be without end is written as the largest of float32.
 MOST_FORCE = 1e37
