@@ -1,4 +1,4 @@
-"""How fast other tools put a walk onto other rigs, and what its feet do there.
+"""How fast a walk goes onto other rigs, and what its feet do, beside other tools.
 
 A loop of mink has targets frame by frame, and three.js its `retargetClip`; see
 README.md beside this file.
@@ -16,13 +16,25 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Row, time_rows
+from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
 from measuring import HERE, begin, in_turn, on_one_thread, parser, run, taken_of
 from retarget_case import case_of, measures
 
-MINK, THREE = "mink", "three.js retargetClip"
+OWN, MINK, THREE = "animtool", "mink", "three.js retargetClip"
 BIPED = HERE.parents[1] / "rigs/biped/biped.rig.yaml"
 TARGETS = ["child", "giant", "dwarf"]
+FASTEST = PropRequest(at_least=True, bound=8000.0)
+FASTER = PropRequest(at_least=True, bound=1.0)
+# A tool whose feet slide further does other work.
+HELD = PropRequest(at_least=False, bound=5.0)
+DRIFT = "largest drift [mm]"
+# Of each measure of a take, what animtool is to reach.
+BOUNDS = {
+    "mean drift [mm]": 0.2,
+    DRIFT: 0.8,
+    "largest sole height [mm]": 1.0,
+    "acceleration / source [x]": 1.1,
+}
 
 
 @dataclass(frozen=True)
@@ -47,6 +59,7 @@ def measure(
     asked.write_text(json.dumps(case.lists()), "utf-8")
     peers = HERE / "peers"
     commands = {
+        OWN: [sys.executable, str(peers / "retarget_animtool.py"), walk.take, target],
         MINK: [options.peers_python, str(peers / "retarget_mink.py"), asked],
         THREE: ["node", str(peers / "retarget_three.mjs"), asked, options.three],
     }
@@ -69,11 +82,21 @@ def measure(
     section = f"{walk.take.stem} onto {name}, {frames} frames"
     rows: list[Row] = []
     for tool in tools:
+        own = tool == OWN
         rows += time_rows(section, tool, taken[tool])
         speeds = [frames / one.cpu for one in taken[tool]]
-        rows.append(Row(section, tool, "frames / CPU s", speeds))
+        bound = FASTEST if own and name == "biped" else None
+        rows.append(Row(section, tool, "frames / CPU s", speeds, bound))
         values = measures(case, walk.contacts, results[tool])
-        rows += [Row(section, tool, title, [v]) for title, v in values.items()]
+        for title, value in values.items():
+            most = BOUNDS.get(title) if own else None
+            bound = None if most is None else PropRequest(at_least=False, bound=most)
+            rows.append(Row(section, tool, title, [value], bound))
+        if not own:
+            near = [Accuracy(DRIFT, values[DRIFT], HELD)]
+            rows += ratio_rows(
+                *(section, tool, taken[tool], taken[OWN]), wanted=FASTER, accuracy=near
+            )
     return rows
 
 
