@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from animtool import open_source
+from animtool.mocap.retarget import map_joints
+from animtool.mocap.retarget.motion import retarget_take
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward, rest_world
 
@@ -66,3 +68,14 @@ def test_rigs_stand_on_the_ground_with_bones_of_their_own(path: Path) -> None:
         for a, b in [("hip_l", "knee_l"), ("elbow_l", "shoulder_l"), ("hip_l", "hip_r")]
     ]
     assert np.ptp(ratios) > 0.05
+
+
+@pytest.mark.parametrize("path", RIGS, ids=lambda path: path.name.split(".")[0])
+def test_the_foot_under_a_kick_stays_on_each_rig(path: Path) -> None:
+    take, rig = open_source(FOLDER / "takes/kick.bvh").collect(), load_rig(path)
+    motion = retarget_take(take, rig, map_joints(take.rig, rig)).take.motion
+    world = forward(rig, motion.translations.dense(), motion.rotations.dense())
+    for joint in ("ankle_l", "toe_l"):
+        places = world.positions[:, rig.index(joint)]
+        assert np.ptp(places, axis=0).max() < 1e-4
+    assert np.ptp(world.positions[:, rig.index("toe_r"), 2]) > 0.3
