@@ -14,7 +14,8 @@ from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.edit.frames import check_count
 from animtool.edit.travel import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
-from animtool.motion import Motion
+from animtool.maths import filters
+from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -207,7 +208,24 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
         yield times.codes[part], motion.map(at.blend)
 
 
-def resampled(take: Take, fps: FractionLike) -> Take:
+# A filter before fewer frames a second leaves half at this share of them, a 400th of
+# what would show as slower than a quarter of them, and the rest nearly as it is.
+CUTOFF_SHARE, FILTER_ORDER = 0.35, 4
+
+
+def slowed(motion: Motion, cutoff: float, rate: float) -> Motion:
+    """Return a motion without what is faster than a cut-off [Hz], times as they are."""
+
+    def slow(channel: Channel) -> Channel:
+        turning = channel is motion.rotations
+        run = filters.lowpass_turns if turning else filters.lowpass
+        values = run(channel.values, cutoff, rate, order=FILTER_ORDER)
+        return replace(channel, values=values)
+
+    return replace(motion.map(slow), track_times=motion.track_times)
+
+
+def resampled(take: Take, fps: FractionLike, *, lowpass: bool = False) -> Take:
     """Return the take with a sample on every time code at another rate.
 
     What the take lasts after its last whole frame is left out, and noted (TAKE006).
@@ -215,6 +233,8 @@ def resampled(take: Take, fps: FractionLike) -> Take:
     Args:
         take: F frames.
         fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
+        lowpass: Where these are fewer than the take's, first remove what is too fast
+            for them, which would show as something slower; without lag.
 
     Raises:
         OptionError: It is no rate (SCN022), or there would be more than 10 million
@@ -223,7 +243,11 @@ def resampled(take: Take, fps: FractionLike) -> Take:
     fps = rate_option(fps)
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
     times = plan_samples(take.clock, fps, take.clock.start)
-    motion = Motion.concatenate([block for _, block in sample(take, times)])
+    source, rate = take, take.clock.rate
+    if lowpass and fps < rate:
+        cutoff = CUTOFF_SHARE * float(fps)
+        source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
+    motion = Motion.concatenate([block for _, block in sample(source, times)])
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
     notices = take.notices
     if times.dropped:
@@ -238,15 +262,18 @@ class ResampleOptions:
     Attributes:
         fps: Frames a second, such as ``24``, ``23.976`` or ``24000/1001``; none
             leaves the take as it is.
+        lowpass: Where these are fewer than the take's, first remove what is too fast
+            for them, which would show as something slower.
     """
 
     fps: str | float | None = None
+    lowpass: bool = False
 
 
 def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     if options.fps is None:
         return take
-    found = resampled(take, options.fps)
+    found = resampled(take, options.fps, lowpass=options.lowpass)
     context.notices.extend(found.notices[len(take.notices) :])
     return found
 

@@ -50,7 +50,7 @@ def lowpass(
 
     count = len(values)
     order = min(order, count - 1)
-    if order < 1:
+    if order < 1 or not values.size:
         return values.copy()
     weights = np.ones(count) if known is None else known.astype(np.float64)
     stiffness = (2 * math.sin(math.pi * min(cutoff / rate, 0.5))) ** (-2 * order)

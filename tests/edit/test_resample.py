@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -228,3 +229,42 @@ def test_samples_between_the_frames_of_a_range_are_counted() -> None:
     ):
         times = plan_samples(clock(400), Fraction(24), start, frame_range=wanted)
         assert times.between == between
+
+
+def shaking(frequency: float, count: int = 961) -> Take:
+    """Return a joint that slides to and fro at 240 frames a second."""
+    take = spin(count, Fraction(240))
+    slides = np.zeros((count, 1, 3))
+    slides[:, 0, 0] = np.sin(2 * np.pi * frequency * np.arange(count) / 240)
+    motion = replace(take.motion, translations=Channel.from_dense(slides))
+    return replace(take, motion=motion)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "least", "most"), [(2, 0.99, 1.01), (18, 0, 3e-3), (47, 0, 1e-5)]
+)
+def test_lowpass_keeps_what_is_slow_and_shows_nothing_else(
+    frequency: float, least: float, most: float
+) -> None:
+    """What is too fast for 24 frames a second shows in full without a filter."""
+    take = shaking(frequency)
+    middle = slice(24, -24)
+    plain = resampled(take, 24).motion.translations.dense()[middle, 0, 0]
+    assert np.abs(plain).max() > 0.9
+    slow = resampled(take, 24, lowpass=True).motion.translations.dense()[middle, 0, 0]
+    assert least <= np.abs(slow).max() / np.abs(plain).max() <= most
+
+
+def test_lowpass_shows_the_same_at_common_times() -> None:
+    """A slow motion is within a thousandth of itself at 24 and 60 frames a second."""
+    take = shaking(1.0)
+    few, many = (resampled(take, fps, lowpass=True).motion for fps in (24, 60))
+    assert_allclose(
+        few.translations.dense()[::2], many.translations.dense()[::5], atol=1e-3
+    )
+
+
+def test_lowpass_leaves_a_take_that_gets_more_frames() -> None:
+    take = spin(31, Fraction(30))
+    plain, slow = (resampled(take, 60, lowpass=on).motion for on in (False, True))
+    assert_array_equal(plain.rotations.dense(), slow.rotations.dense())
