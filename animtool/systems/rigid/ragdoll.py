@@ -51,10 +51,12 @@ _TYPES = {
 KEPT = math.radians(1.0)
 KEPT_SLIDE = 0.001  # likewise of a slide [m]
 _NOTE = Severity.NOTE
+LARGE = 1e9  # what no number is beyond
 
 
-def _number(least: float, most: float = 1e9, *, reached: bool = True) -> Range:
+def _number(least: float, most: float = LARGE, *, reached: bool = True) -> Range:
     bound = f"{least:g} or more" if reached else f"more than {least:g}"
+    bound += f" and at most {most:g}" if most < LARGE else ""
     return Range(bound, "SIM062", least, most, reached, finite=True)
 
 

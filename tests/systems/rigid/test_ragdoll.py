@@ -187,7 +187,8 @@ def test_joints_below_the_last_body_go_on() -> None:
         ({"start": 9.0, "end": 9.0}, "not behind start"),
         ({"mass": 0.0}, "mass"),
         ({"density": -1.0}, "density"),
-        ({"step": 0.0}, "step"),
+        ({"step": 0.0}, "step must be more than 0 and at most 1, not 0"),
+        ({"substeps": 1001}, "substeps must be 1 or more and at most 1000, not 1001"),
     ],
 )
 def test_what_makes_no_sense_is_refused(options: dict[str, Any], words: str) -> None:
