@@ -84,7 +84,7 @@ def find_contacts(
     """
     slow = SLOW * leg
     points = [ankle] if toe is None else [ankle, toe]
-    if len(ankle) < FEWEST:
+    if len(ankle) < FEWEST or leg <= 0:
         nothing = np.zeros(len(ankle), np.bool_)
         return FootContacts(nothing, nothing, float(ankle[:, up].min(initial=np.inf)))
     width = SMOOTH * fps

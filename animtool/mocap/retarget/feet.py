@@ -55,6 +55,7 @@ class Placed:
     ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
     turns: Sequence[FloatArray]  # (F, 4)
     locked: Sequence[BoolArray]  # frames in which each stands (F,)
+    soles: Sequence[float]  # how high each toe stands, of none the ankle [m]
     lowered: float  # how far hips came down for legs that are too short, at most [m]
 
 
@@ -72,7 +73,7 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         fps: Frames a second.
         up: Component that points up.
     """
-    turns = [_settled(foot, fps) for foot in feet]
+    turns = [_settled(foot, fps, up) for foot in feet]
     bones = [_bone(foot, turn) for foot, turn in zip(feet, turns, strict=True)]
     # Who rolls over the toe holds that; else it is the ankle.
     held = [
@@ -85,13 +86,14 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         _locked(hips + ankle, bone, foot, fps, up)
         for foot, ankle, bone in zip(feet, held, bones, strict=True)
     ]
-    down = _lowering(hips, feet, ankles, fps)
+    down = _lowering(hips, feet, ankles, fps, up)
     hips = hips.copy()
     hips[:, up] -= down
-    return Placed(hips, ankles, turns, locked, float(down.max(initial=0.0)))
+    soles = [foot.height + _level_bone(foot, up) for foot in feet]
+    return Placed(hips, ankles, turns, locked, soles, float(down.max(initial=0.0)))
 
 
-def _settled(foot: Foot, fps: float) -> FloatArray:
+def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return turns of a foot, constant and level where all of it stands ``(F, 4)``."""
     flat = without_short(foot.contacts.ankle & foot.contacts.toe, fps)
     correction = np.zeros((len(flat), 3))
@@ -99,7 +101,7 @@ def _settled(foot: Foot, fps: float) -> FloatArray:
         # The mean of turns that are near to each other.
         mean = so3.normalize(so3.align_signs(foot.turn[start:end]).sum(axis=0))
         lean = so3.multiply(mean, so3.conjugate(foot.level))
-        aim = so3.multiply(_heading(lean), foot.level)
+        aim = so3.multiply(_heading(lean, up), foot.level)
         if so3.angle_between(aim, mean) > LEVEL:
             aim = mean
         back = so3.conjugate(foot.turn[start:end])
@@ -108,7 +110,7 @@ def _settled(foot: Foot, fps: float) -> FloatArray:
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.turn))
 
 
-def _heading(turn: FloatArray, up: int = 1) -> FloatArray:
+def _heading(turn: FloatArray, up: int) -> FloatArray:
     """Return the part of a turn that is about the vertical ``(4,)``."""
     made = np.zeros(4)
     made[up], made[3] = turn[up], turn[3]
@@ -219,6 +221,14 @@ def _smooth(share: FloatArray) -> FloatArray:
     return np.asarray(t**3 * (10 - 15 * t + 6 * t * t))
 
 
+def _level_bone(foot: Foot, up: int) -> float:
+    """Return how much higher the toe is than the ankle where the foot is level [m]."""
+    if foot.toe is None:
+        return 0.0
+    turn = so3.multiply(foot.level, so3.conjugate(foot.turn[:1]))
+    return float(so3.rotate(turn, (foot.toe - foot.ankle)[:1])[0, up])
+
+
 def _locked(
     ankle: FloatArray, bone: FloatArray, foot: Foot, fps: float, up: int
 ) -> FloatArray:
@@ -230,6 +240,7 @@ def _locked(
     contacts = foot.contacts
     stands = contacts.any
     correction = np.zeros_like(ankle)
+    level = _level_bone(foot, up)
     for start, end in intervals(stands):
         own, way = ankle[start:end], bone[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
@@ -243,7 +254,7 @@ def _locked(
         after = flat[np.minimum(behind, len(flat) - 1)]
         way[alone] = way[np.where(alone - before <= after - alone, before, after)]
         goal = (own + way)[flat].mean(axis=0)
-        goal[up] = foot.height + way[flat, up].mean()
+        goal[up] = foot.height + level
         correction[start:end] = goal - way - own
     between(correction, stands, fps)
     return ankle + correction
@@ -261,7 +272,11 @@ def between(values: FloatArray, known: BoolArray, fps: float) -> None:
 
 
 def _lowering(
-    hips: FloatArray, feet: Sequence[Foot], ankles: Sequence[FloatArray], fps: float
+    hips: FloatArray,
+    feet: Sequence[Foot],
+    ankles: Sequence[FloatArray],
+    fps: float,
+    up: int,
 ) -> FloatArray:
     """Return how far hips come down so that legs reach ``(F,)`` [m]."""
     needed = np.zeros(len(hips))
@@ -269,10 +284,10 @@ def _lowering(
         way = hips + foot.hip - ankle
         reach = min(1 - BENT * (1 - foot.straight), STRAIGHT) * foot.length
         flat = way.copy()
-        flat[:, 1] = 0.0
+        flat[:, up] = 0.0
         across = np.linalg.norm(flat, axis=1)
         high = np.sqrt(np.maximum(reach**2 - across**2, 0.0))
-        needed = np.maximum(needed, way[:, 1] - high)
+        needed = np.maximum(needed, way[:, up] - high)
     if not (needed > 0).any():
         return np.zeros(len(hips))
     width = max(LOWERING * fps, 1.0)

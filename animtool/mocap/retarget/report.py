@@ -38,7 +38,7 @@ class RetargetReport:
     drift_max: float
     source_drift_max: float  # of the source, scaled
     sole_error: float  # of the height of what stands, at most [m]
-    penetration: float  # of ankles and toes below where they stand, at most [m]
+    penetration: float  # how far soles come below where they stand, at most [m]
     # Of the distance of hands from shoulders, over the length of the arms, at most.
     reach_error: float
     # Between bones of both, feet that stand apart [rad].
@@ -74,11 +74,14 @@ def report_of(made: Retargeted, found: JointMap) -> RetargetReport:
             points, scaled = world[:, own], transfer.scale * source[:, other]
             drifts.append(_drift(points, mask, up))
             others.append(_drift(scaled, mask, up))
-            flat = contacts.ankle & contacts.toe
-            if flat.any():
-                level = float(np.median(points[flat, up]))
-                soles.append(float(np.abs(points[flat, up] - level).max()))
-                below.append(level - float(points[:, up].min()))
+        sole = world[:, leg[3] if leg[3] >= 0 else leg[2], up]
+        flat = contacts.toe if leg[3] >= 0 else contacts.any
+        if flat.any():
+            level = float(np.median(sole[flat]))
+            if made.placed is not None:
+                level = made.placed.soles[k]
+            soles.append(float(np.abs(sole[flat] - level).max()))
+            below.append(level - float(sole.min()))
     drift, theirs = np.concatenate(drifts), np.concatenate(others)
     angles = _angles(made, stands)
     names, ours = rig.names, transfer.source.rig.names

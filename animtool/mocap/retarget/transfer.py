@@ -13,7 +13,7 @@ from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import base_role
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
-from animtool.units import up_from_up
+from animtool.units import UpAxis, up_from_up
 
 # Roles whose bones point the way that those of the source do, however they rest.
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
@@ -298,13 +298,9 @@ def _aligned(
     All of it faces the same way; limbs point the way of the source's, feet along the
     ground.
     """
-    ours, theirs = source.facing, target.facing
-    heading = so3.IDENTITY
-    if ours is not None and theirs is not None:
-        ours = so3.rotate(upright, ours)
-        heading = so3.from_matrix(ours.T @ theirs)
+    up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
+    heading = _heading(source, target, upright, up)
     made = so3.multiply(heading, target.turns)
-    up = np.eye(3)[1 if target.rig.up.value == "Y" else 2]
     for j, first in enumerate(follows.tolist()):
         own = base_role(target.roles[j])
         if first < 0:
@@ -325,6 +321,26 @@ def _aligned(
     return made
 
 
+def _heading(
+    source: Person, target: Person, upright: FloatArray, up: FloatArray
+) -> FloatArray:
+    """Return the turn of the target's rest pose to the way the source faces ``(4,)``.
+
+    Who stands is turned about the vertical alone, so that soles stay level.
+    """
+    ours, theirs = source.facing, target.facing
+    if ours is None or theirs is None:
+        return so3.IDENTITY
+    ours = so3.rotate(upright, ours)
+    if min(float(ours[1] @ up), float(theirs[1] @ up)) < STANDS:
+        return so3.from_matrix(ours.T @ theirs)
+    old, new = (way - (way @ up) * up for way in (theirs[2], ours[2]))
+    angle = np.arctan2(np.cross(old, new) @ up, old @ new)
+    return so3.from_axis_angle(up, angle)
+
+
+# Cosine of the angle to the vertical up to which a person stands.
+STANDS = 0.8
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 

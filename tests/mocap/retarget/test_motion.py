@@ -17,6 +17,7 @@ from animtool.mocap.retarget.report import report_of
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType
+from animtool.units import UpAxis, up_from_up
 
 
 @pytest.fixture(scope="module")
@@ -154,3 +155,31 @@ def test_the_world_of_a_take_is_that_of_its_motion(onto: Retargeted) -> None:
     motion, rig = onto.take.motion, onto.take.rig
     world = forward(rig, motion.translations.dense(), motion.rotations.dense())
     assert_allclose(world.positions, onto.world.positions, atol=1e-12)
+
+
+def test_a_rig_that_stands_along_z_is_held_as_well(walk: Take) -> None:
+    rig = scaled(walk.rig, 1.0, shin=1.3)
+    turn = np.array(up_from_up(UpAxis.Z, UpAxis.Y))
+    root = replace(
+        rig.joints[0],
+        translation=tuple(
+            so3.rotate(turn, np.array(rig.joints[0].translation)).tolist()
+        ),
+        rotation=tuple(so3.multiply(turn, np.array(rig.joints[0].rotation)).tolist()),
+    )
+    tall = replace(rig, up=UpAxis.Z, joints=(root, *rig.joints[1:]))
+    one, other = onto_rig(walk, rig), onto_rig(walk, tall)
+    assert_allclose(
+        other.world.positions, so3.rotate(turn, one.world.positions), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("take", ["walk", "carry", "march"])
+def test_soles_are_on_the_ground_from_the_first_frame(root: Path, take: str) -> None:
+    """Some begin on the toes of a foot."""
+    folder = root / "samples/retarget"
+    rig = Rig.load(folder / "rigs/giant.rig.yaml")
+    made = onto_rig(open_source(folder / f"takes/{take}.bvh").collect(), rig)
+    score = report_of(made, map_joints(made.transfer.source.rig, rig))
+    assert score.sole_error < 1e-3
+    assert score.drift_max < 1e-3
