@@ -50,6 +50,7 @@ COMMANDS = {
         "animtool.cli.migrate:migrate",
         "Rewrite files of older versions as the newest.",
     ),
+    "mocap": ("animtool.cli.mocap:mocap", "Mend what was captured: clean."),
     "plugins": (
         "animtool.cli.plugins:plugins",
         "List the passes, readers and executors there are.",
@@ -148,6 +149,7 @@ SUPERVISED = {
     "ik",
     "info",
     "job",
+    "mocap",
     "retarget",
     "validate",
 }
