@@ -7,18 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from animtool._types import FloatArray
 from animtool.documents.names import is_named
-from animtool.errors import Fault, OptionError, Severity, refuse_warnings
+from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.mocap.retarget.map import JointMap, map_text
-from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.options import RetargetOptions
-from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.report import RetargetReport, report_of
+from animtool.mocap.retarget.take_pass import onto_rig
 from animtool.output import check_outputs, replacing, sparing_inputs, together
-from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.ik import naming
@@ -162,58 +157,12 @@ def _retargeted(
         take = stream.collect()
     notices = [*notices, *stream.notices]
     read = time.perf_counter()
-    options = job.options
     with naming(job.source):
-        rest = _rest(take, options.rest_frame)
-        found = map_joints(
-            take.rig,
-            rig,
-            preset=options.preset,
-            target_preset=options.target_preset,
-            map_file=options.map,
-            mode=options.by,
-            source_positions=_positions(take, rest),
-        )
-    mapped = time.perf_counter()
-    made = retarget_take(take, rig, found, rest=rest, lock=not options.free_feet)
+        made, found, odd = onto_rig(take, rig, job.options)
     score = report_of(made, found)
-    notices += [*found.notices, *_odd(job, score)]
+    notices += odd
     solved = time.perf_counter()
-    seconds = {"read": read - began, "map": mapped - read, "solve": solved - mapped}
+    seconds = {"read": read - began, "solve": solved - read}
     return Retargeting(
         job.source, job.rig, score, found, made.take, take.rig, notices, seconds
     )
-
-
-def _rest(take: Take, frame: int | None) -> FloatArray | None:
-    """Return local turns of the frame that is the rest pose ``(J, 4)``."""
-    if frame is None:
-        return None
-    if not 1 <= frame <= take.clock.count:
-        message = f"the rest pose is that of frame {frame}, and there are "
-        message += f"{take.clock.count}"
-        raise OptionError(Fault("MAP006", message, where="--rest"))
-    turns: FloatArray = take.motion.rotations.dense()[frame - 1]
-    return turns
-
-
-def _positions(take: Take, rest: FloatArray | None) -> FloatArray:
-    """Return where joints are in a pose of a person who stands ``(J, 3)`` [m].
-
-    That of the rest pose, or of the first frame: of a skeleton that has none.
-    """
-    rig, motion = take.rig, take.motion
-    turns = motion.rotations.dense()[:1] if rest is None else rest[None]
-    places = motion.translations.dense()[:1]
-    return np.asarray(forward(rig, places, turns).positions[0])
-
-
-def _odd(job: RetargetJob, score: RetargetReport) -> list[Fault]:
-    """Return what of a take did not come through."""
-    found = []
-    if not score.contacts and not job.options.free_feet:
-        message = "no foot stands in any frame: none is held"
-        hint = "is the take of a person with legs, and longer than two frames?"
-        fault = Fault("MAP007", message, str(job.source), (), hint, Severity.NOTE)
-        found.append(fault)
-    return found

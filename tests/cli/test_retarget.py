@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
+from numpy.testing import assert_array_equal
 from support.cli import animtool
-from support.usd import open_stage, validation_errors
+from support.usd import joint_positions, open_stage, validation_errors
 
 BIPED, WALK = "rigs/biped/biped.rig.yaml", "samples/walk/walk.bvh"
 
@@ -94,3 +96,22 @@ def test_a_skeleton_that_is_no_person_is_named(root: Path, tmp_path: Path) -> No
     assert done.code == 2
     assert "MAP004" in done.stderr
     assert not (tmp_path / "out.usdc").exists()
+
+
+def test_the_pass_gives_what_the_command_does(root: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "walk.scene.yaml"
+    shutil.copytree(root / "rigs/biped", tmp_path / "biped")
+    shutil.copy(root / WALK, tmp_path)
+    scene.write_text(
+        "scene: animtool/1\nsource: {file: walk.bvh}\npasses:\n"
+        "- retarget: {rig: biped/biped.rig.yaml}\n",
+        "utf-8",
+    )
+    made, wanted = tmp_path / "made.usdc", tmp_path / "wanted.usdc"
+    done = animtool("bake", scene, "-o", made)
+    assert done.code == 0, done.stderr
+    assert run(root, "-o", wanted).code == 0
+    places = [
+        joint_positions(open_stage(path), range(1, 65)) for path in (made, wanted)
+    ]
+    assert_array_equal(*places)

@@ -27,6 +27,7 @@ from animtool.passes import (
 from animtool.rig.controls import Control
 from animtool.rig.parts import Capsule, Collider, Shape
 from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.write import rig_text
 from animtool.take import Take, TakeStream
 
 # Those of packages that are installed here are tested too, with their usual options.
@@ -75,6 +76,10 @@ def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
         if name == "hang":
             free = [j.name for j in take.rig.joints if j.type is JointType.FREE]
             options = {"joint": free[0], "system": "rope", **options}
+        if name == "retarget":
+            path = Path(folder) / "own.rig.yaml"
+            path.write_text(rig_text(take.rig), "utf-8")
+            options = {"rig": path, **options}
         if name == "ik":
             options = {"targets": targets_of(take, Path(folder)), **options}
         try:
@@ -142,8 +147,8 @@ def test_a_take_of_shapes_alone_is_edited_or_refused(name: str) -> None:
     empty = [Channel.from_dense(np.zeros((12, 0, width))) for width in (3, 4)]
     rig = replace(small().rig, joints=(), shapes=(Shape("smile"),))
     take = replace(small(), rig=rig, motion=Motion(*empty, weights=weights))
-    if name in {"loop", "ragdoll", "root_motion"}:
-        with pytest.raises(OptionError, match="joints"):
+    if name in {"loop", "ragdoll", "retarget", "root_motion"}:
+        with pytest.raises(OptionError, match="joint"):
             run(name, take)
     else:
         assert run(name, take).motion.weights is not None

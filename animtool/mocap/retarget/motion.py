@@ -26,6 +26,9 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.take import Take
 from animtool.units import UpAxis
 
+# Numbers that differ by less are one but for rounding [1], [m].
+ROUNDING = 1e-13
+
 
 @dataclass(frozen=True, slots=True)
 class Retargeted:
@@ -109,6 +112,10 @@ def retarget_take(
     translations = np.broadcast_to(bones, (len(turns), *bones.shape[1:])).copy()
     translations[:, root[0]] = root[1]
     local = so3.align_signs(local)
+    # What moves by rounding alone does not move.
+    for values in (local, translations):
+        still = (np.abs(values - values[:1]) < ROUNDING).all(axis=(0, 2))
+        values[:, still] = values[:1, still]
     made = Motion(Channel.from_dense(translations), Channel.from_dense(local))
     world = forward(rig, translations, local)
     after = replace(take, rig=rig, motion=made)
