@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ class Case:
         truth = np.load(path.with_name(f"{self.stem}.truth.npz"))
         self.contacts: BoolArray = truth["contacts"].astype(np.bool_)
         self.rig = open_source(path.parent / self.pair["target"]).collect().rig
+        self.take = open_source(self.folder / f"{self.stem}.source.bvh").collect()
 
     def onto(self, kind: str) -> Retargeted:
         """Return a take of a kind on the target."""
@@ -92,12 +94,30 @@ def test_takes_fit_other_proportions(
     assert score.sole_error <= 1e-3
     assert score.reach_error <= 0.005
     assert np.degrees(score.bone_angle_mean) <= 0.5
-    # What is wanted is 1.1; one target misses it by a hundredth.
-    assert score.acceleration <= 1.12
+    # Feet that turn as the source's do, and are longer than its over the leg, are
+    # faster: toes of one target by 1.13 where nothing is held. Holding adds nothing.
+    free = report_of(retarget_take(case.take, case.rig, found, lock=False), found)
+    assert score.acceleration <= max(1.1, free.acceleration)
     # Feet stand as high as those of the source, scaled as the foot is.
     height = made.contacts[0].ground * case.pair["scales"]["foot"]
     for ankle, mask in zip(case.ankles(made), case.contacts.T, strict=True):
         assert np.abs(ankle[mask, 1] - height).max() <= 1e-3
+
+
+@pytest.mark.parametrize("which", cases())
+def test_a_part_of_a_take_goes_as_in_the_whole(which: tuple[Path, str]) -> None:
+    """Further from its ends than the contacts that it cuts, and a second."""
+    case = Case(*which)
+    take = case.take
+    found = map_joints(take.rig, case.rig)
+    count, second = take.clock.count, round(take.clock.rate)
+    begin, end = count // 4, 3 * count // 4
+    clock = replace(take.clock, count=end - begin)
+    part = replace(take, clock=clock, motion=take.motion.select(slice(begin, end)))
+    whole, own = (retarget_take(each, case.rig, found) for each in (take, part))
+    inside = slice(second, end - begin - second)
+    expected = whole.world.positions[begin:end][inside]
+    assert np.abs(own.world.positions[inside] - expected).max() <= 1e-4
 
 
 @pytest.mark.parametrize("which", cases())

@@ -14,7 +14,7 @@ from animtool.mocap.contacts import FootContacts, intervals, smoothed, without_s
 # The hips go over from one foot to the other within this time of a contact [s].
 HANDOVER = 0.15
 # The hips do not follow what feet ask of them within this time [s].
-SMOOTH = 0.2
+SMOOTH = 0.15
 # Weight of what nothing else decides: hips stay where the source has them.
 LOOSE = 1e-6
 # Weight of rows that are known.
@@ -28,6 +28,8 @@ FADE = 0.06
 LEVEL = np.radians(20.0)
 # A leg is never straighter than this share of its length.
 STRAIGHT = 0.9995
+# Legs are as straight as those of the source are within this time of it [s].
+ALIKE = 1.0
 # How far ahead the hips know that a leg is too short [s].
 LOWERING = 0.03
 
@@ -44,7 +46,7 @@ class Foot:
     level: FloatArray  # turn of the foot where it stands at rest (4,)
     height: float  # of the ankle above the ground where it stands [m]
     length: float  # how far the leg reaches [m]
-    straight: float = STRAIGHT  # share of it that the leg of the source reaches at most
+    straight: FloatArray  # share of it that the leg of the source reaches (F,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +64,10 @@ class Placed:
 def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> Placed:
     """Return where hips and feet are, with feet that stay where they stand.
 
-    The hips go so that a foot that stands needs no other pose of its leg, as far as
-    that is smooth; what is left is a correction of each foot, which is constant where
-    it stands, and as smooth as can be between.
+    The hips go the way of the source's, scaled, so that a part of a take goes the same
+    way as in the whole; they rise and sink so that standing feet need no other pose of
+    their legs, as far as that is smooth. What is left is a correction of each foot,
+    which is constant where it stands, and as smooth as can be between.
 
     Args:
         hips: The middle between the thighs as the source's, scaled ``(F, 3)`` [m]; the
@@ -80,14 +83,14 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         foot.ankle if foot.toe is None else foot.toe - bone
         for foot, bone in zip(feet, bones, strict=True)
     ]
-    hips = _followed(hips, feet, held, fps, up)
+    hips = hips.copy()
+    hips[:, up] += _lift(hips, feet, held, fps, up)
     locked = [foot.contacts.any for foot in feet]
     ankles = [
         _locked(hips + ankle, bone, foot, fps, up)
         for foot, ankle, bone in zip(feet, held, bones, strict=True)
     ]
     down = _lowering(hips, feet, ankles, fps, up)
-    hips = hips.copy()
     hips[:, up] -= down
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     return Placed(hips, ankles, turns, locked, soles, float(down.max(initial=0.0)))
@@ -126,59 +129,28 @@ def _bone(foot: Foot, turn: FloatArray) -> FloatArray:
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
-def _followed(
+def _lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
-    """Return the way of the hips that the standing feet ask for ``(F, 3)``."""
+    """Return how far the standing feet lift the hips, smoothly ``(F,)`` [m]."""
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
-    flat = [k for k in range(3) if k != up]
-    stiff = (SMOOTH * fps) ** 2
-    steps = np.zeros((len(hips) - 1, 2))
-    hold = np.zeros(len(hips) - 1)
-    for weight, ankle in zip(weights, relative, strict=True):
-        middle = (weight[1:] + weight[:-1]) / 2
-        steps -= middle[:, None] * np.diff((hips + ankle)[:, flat], axis=0)
-        hold += middle
-    made = hips.copy()
-    # All of the way is longer or shorter, as strides are; the rest is summed up.
-    own = np.diff(hips[:, flat], axis=0)
-    way = (hold[:, None] * own * own).sum()
-    longer = float((steps * own).sum() / way) if way > 0 else 0.0
-    made[:, flat] += longer * (hips - hips[0])[:, flat]
-    steps -= longer * hold[:, None] * own
-    made[:, flat] += _smoothest(
-        hold, steps, np.zeros(len(hips)), np.zeros((len(hips), 2)), stiff
-    )
     lift = np.zeros((len(hips), 1))
     for weight, foot, ankle in zip(weights, feet, relative, strict=True):
         lift[:, 0] += weight * (foot.height - ankle[:, up] - hips[:, up])
-    load = weights.sum(axis=0)
-    if load.any():
-        none = np.zeros(len(hips) - 1)
-        lift = _smoothest(none, np.zeros((len(hips) - 1, 1)), load, lift, stiff**2)
-        made[:, up] += lift[:, 0]
-    return made
+    return _smoothest(weights.sum(axis=0), lift, (SMOOTH * fps) ** 4)[:, 0]
 
 
-def _smoothest(
-    hold: FloatArray,
-    steps: FloatArray,
-    draw: FloatArray,
-    places: FloatArray,
-    stiff: float,
-) -> FloatArray:
-    """Return the way ``(F, K)`` that is best at once by its steps, places and bends.
+def _smoothest(draw: FloatArray, places: FloatArray, stiff: float) -> FloatArray:
+    """Return the way ``(F, K)`` that is best at once by its places and bends.
 
-    It has the least sum of weighted squares: of its steps beside the given ones, of its
-    places beside the given ones, and of its second differences.
+    It has the least sum of weighted squares: of its places beside the given ones, and
+    of its second differences.
 
     Args:
-        hold: Weights of steps ``(F - 1,)``.
-        steps: These, each times its weight ``(F - 1, K)``.
         draw: Weights of places ``(F,)``.
         places: These, each times its weight ``(F, K)``.
         stiff: Weight of second differences.
@@ -186,20 +158,14 @@ def _smoothest(
     from scipy.linalg import solveh_banded
 
     count = len(draw)
-    if count < 3:
+    if count < 3 or not draw.any():
         return np.zeros_like(places)
     band = np.zeros((3, count))
     band[2] = draw + LOOSE
-    band[2, 1:] += hold
-    band[2, :-1] += hold
-    band[1, 1:] -= hold
     for offset, pattern in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
         for k, value in enumerate(pattern):
             band[2 - offset, offset + k : count - 2 + offset + k] += stiff * value
-    right = places.copy()
-    right[1:] += steps
-    right[:-1] -= steps
-    return np.asarray(solveh_banded(band, right))
+    return np.asarray(solveh_banded(band, places))
 
 
 def _weight(stands: BoolArray, fps: float) -> FloatArray:
@@ -266,8 +232,7 @@ def between(values: FloatArray, known: BoolArray, fps: float) -> None:
         return
     draw = np.where(known, PINNED, 1.0)
     places = values * np.where(known, PINNED, 0.0)[:, None]
-    none = np.zeros((len(values) - 1, values.shape[1]))
-    made = _smoothest(none[:, 0], none, draw, places, (FADE * fps) ** 4)
+    made = _smoothest(draw, places, (FADE * fps) ** 4)
     values[~known] = made[~known]
 
 
@@ -282,7 +247,8 @@ def _lowering(
     needed = np.zeros(len(hips))
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
-        reach = min(1 - BENT * (1 - foot.straight), STRAIGHT) * foot.length
+        most = upper(foot.straight, ALIKE * fps)
+        reach = np.minimum(1 - BENT * (1 - most), STRAIGHT) * foot.length
         flat = way.copy()
         flat[:, up] = 0.0
         across = np.linalg.norm(flat, axis=1)
@@ -290,11 +256,15 @@ def _lowering(
         needed = np.maximum(needed, way[:, up] - high)
     if not (needed > 0).any():
         return np.zeros(len(hips))
-    width = max(LOWERING * fps, 1.0)
-    reach = int(np.ceil(2 * width))
-    padded = np.pad(needed, reach, mode="edge")
+    return upper(needed, max(2 * LOWERING * fps, 2.0))
+
+
+def upper(values: FloatArray, width: float) -> FloatArray:
+    """Return what is smooth and above values ``(F,)`` within a width [frames]."""
+    reach = int(np.ceil(width))
+    padded = np.pad(values, reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return smoothed(windows.max(axis=1), width / 2)
+    return smoothed(windows.max(axis=1), width / 4)
 
 
 def bend_leg(

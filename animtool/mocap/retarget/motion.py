@@ -164,7 +164,7 @@ def _foot(
         level,
         _standing(transfer, side, contacts.ground, up),
         _reach(transfer.target, own),
-        _straightest(positions[:, list(other[:3])], length),
+        _straight(positions[:, list(other[:3])], length),
     )
 
 
@@ -188,10 +188,10 @@ def _reach(target: Person, leg: tuple[int, int, int, int]) -> float:
 ANGLES = 20_001
 
 
-def _straightest(leg: FloatArray, length: float) -> float:
-    """Return the share of its length that a leg ``(F, 3, 3)`` reaches at most."""
-    reach = np.linalg.norm(leg[:, 2] - leg[:, 0], axis=1).max()
-    return float(reach / length) if length > 0 else 1.0
+def _straight(leg: FloatArray, length: float) -> FloatArray:
+    """Return the share of its length that a leg ``(F, 3, 3)`` reaches ``(F,)``."""
+    reach = np.linalg.norm(leg[:, 2] - leg[:, 0], axis=1)
+    return np.minimum(reach / length, 1.0) if length > 0 else np.ones(len(leg))
 
 
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
