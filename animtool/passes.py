@@ -18,6 +18,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.motion import Channel, Motion
 from animtool.plugins import load_object, load_plugin, plugin_points
+from animtool.scores import PassScores
 from animtool.similar import similar
 from animtool.take import Take, TakeStream
 from animtool.transforms import Track
@@ -159,6 +160,8 @@ class PassContext:
     # Gathers the largest distance in the world by which a pass that solves something
     # missed it [m].
     errors: list[float] = field(default_factory=list)
+    # Gathers how well it did, when its last frame is made.
+    scores: list[PassScores] = field(default_factory=list)
     # How many frames stand before the take's own and hold its first, for a pass that
     # settles.
     early: int = 0
@@ -310,6 +313,7 @@ def apply_pass(
         notices=stream.notices,
         details=stream.details,
         simulated=stream.simulated,
+        scores=stream.scores,
         control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
     )
 

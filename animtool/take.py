@@ -21,6 +21,7 @@ from animtool.motion import Channel, Motion
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
+from animtool.scores import PassScores
 from animtool.transforms import Track
 
 # Half precision, the coarsest that USD keeps rotations in, is off by 5e-4.
@@ -216,6 +217,7 @@ class TakeStream:
         points: Names of the meshes and strands whose points the motions hold.
         simulated: What became of each thing that was simulated, as plain values;
             complete once the blocks are read.
+        scores: How well passes did; complete once the blocks are read.
     """
 
     rig: Rig
@@ -231,6 +233,7 @@ class TakeStream:
     tracks: tuple[Track, ...] = ()
     points: frozenset[str] = frozenset()
     simulated: list[dict[str, object]] = field(default_factory=list)
+    scores: list[PassScores] = field(default_factory=list)
 
     def __repr__(self) -> str:
         """Return the rig's name, the rate and the joints."""

@@ -35,6 +35,7 @@ LAYERS = [
         "signals",
         "supervisor",
         "similar",
+        "scores",
     },
     {"options", "plugins", "ranges", "shot"},
     {"readers"},

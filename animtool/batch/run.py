@@ -26,6 +26,7 @@ from animtool.batch.work import Maker, Measured, Outcome, Status
 from animtool.errors import ExitCode, Fault, OptionError, Severity
 from animtool.junit import JunitCase, junit_xml
 from animtool.leftovers import remove_leftovers
+from animtool.scores import PassScores, badness
 
 # How many of the slowest items, and of the worst errors, a summary names.
 NAMED = 3
@@ -44,6 +45,7 @@ class ItemReport:
     notices: tuple[Fault, ...] = ()  # warnings and notes
     # What the bake measured; None where it was not made.
     measured: Measured | None = None
+    scores: tuple[PassScores, ...] = ()  # how well passes did
 
     @classmethod
     def of(
@@ -59,6 +61,7 @@ class ItemReport:
             outcome.faults,
             outcome.notices,
             outcome.measured,
+            outcome.scores,
         )
 
     @property
@@ -93,6 +96,8 @@ class ItemReport:
                 "meters": self.measured.error,
                 "joint": self.measured.joint,
             }
+        if self.scores:
+            found["scores"] = [one.as_dict() for one in self.scores]
         if self.faults:
             found["faults"] = [fault.as_dict() for fault in self.faults]
         if self.notices:
@@ -133,6 +138,12 @@ class BatchReport:
         """The items whose files are farthest from their sources, farthest first."""
         measured = [report for report in self.items if _error(report) > 0]
         return sorted(measured, key=lambda report: -_error(report))[:NAMED]
+
+    @property
+    def scored(self) -> list[ItemReport]:
+        """The items whose passes have scores, the worst first."""
+        found = [report for report in self.items if report.scores]
+        return sorted(found, key=lambda report: badness(report.scores), reverse=True)
 
     def warned(self) -> list[ItemReport]:
         """Return the items about which there are warnings."""

@@ -22,6 +22,7 @@ from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import FileState, Inputs, note_input, recorded_inputs
 from animtool.placing import output_error
 from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.scores import PassScores
 from animtool.supervisor import follow_parent, report_reading
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ class Outcome:
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
     measured: Measured | None = None  # what the bake measured
+    scores: tuple[PassScores, ...] = ()  # how well passes did
     inputs: tuple[FileRecord, ...] = ()  # the files that were looked at
     outputs: tuple[FileRecord, ...] = ()  # the files that were written
     at: int = 0  # when, by the clock of the disk that it was written to [ns]
@@ -121,6 +123,7 @@ class Maker:
             (),
             tuple(dict.fromkeys(n for report in reports for n in report.notices)),
             _measured(reports),
+            tuple(reports[0].scores),
             self._inputs(inputs, at),
             outputs,
             at,

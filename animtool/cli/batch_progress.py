@@ -12,6 +12,7 @@ from animtool.batch.recipe import values_text
 from animtool.batch.run import BatchReport, ItemReport, Listener
 from animtool.batch.work import Status
 from animtool.cli.console import Console
+from animtool.cli.scores_summary import scores_table
 from animtool.errors import AnimtoolError, counted
 from animtool.quantities import escaped, json_printed, length_text
 
@@ -45,7 +46,7 @@ def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
         lines.append(f"  slowest: {', '.join(slow)}")
     if report.worst:
         lines.append(f"  largest errors: {', '.join(map(_error_text, report.worst))}")
-    return lines
+    return lines + scores_table(report.scored)
 
 
 def _error_text(entry: ItemReport) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from animtool.cli.console import columns, finite
 from animtool.cli.plan_summary import mesh_json, mesh_text
+from animtool.cli.scores_summary import scores_text
 from animtool.clock import FrameSpan, frame_label
 from animtool.errors import counted, listed
 from animtool.quantities import duration_text, length_text, plain, size_text
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
+    from animtool.scores import PassScores
 
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9
@@ -95,6 +98,11 @@ def _shot_json(report: BakeReport | ConvertReport) -> dict[str, object]:
     return {} if report.shot is None else {"shot": report.shot.as_dict()}
 
 
+def _scores_json(scores: Sequence[PassScores]) -> dict[str, object]:
+    """Return how well passes did as plain values, if they say it."""
+    return {"scores": [one.as_dict() for one in scores]} if scores else {}
+
+
 def _rounded_to(take: TakeReport) -> str:
     """Return what the numbers of a take were rounded to."""
     return "float32 and half scales" if take.written.rounding.scales else "float32"
@@ -114,7 +122,8 @@ def _error_text(take: TakeReport, name: str = "") -> str:
 
 def _extras_text(take: TakeReport) -> list[str]:
     """Return what only some bakes do to a take."""
-    lines, thinned, curves = [], take.thinned, take.written.curves
+    lines, thinned = scores_text(take.scores), take.thinned
+    curves = take.written.curves
     if thinned is not None:
         where = f" (joint {take.thinned_joint!r}, frame {frame_label(thinned.code)})"
         lines.append(
@@ -242,6 +251,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         found["meshes"] = mesh_json(take)
     if take.simulated:
         found["simulated"] = take.simulated
+    found |= _scores_json(take.scores)
     if take.thinned is not None:
         found["reduction"] = {
             "samples": take.thinned.samples,
@@ -290,6 +300,7 @@ def convert_text(report: ConvertReport) -> list[str]:
     frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
     lines = [f"{report.output}: {frames}, {joints}", f"  {report.span}"]
     lines += _shot_text(report)
+    lines += [f"  {line}" for line in scores_text(report.scores)]
     if report.reduction is not None:
         made = _reduction_text(report.reduction, report.frames)
         lines += [f"  {line}" for line in made]
@@ -333,6 +344,7 @@ def convert_json(report: ConvertReport) -> dict[str, object]:
         "rate": str(report.span.fps),
         "joints": report.joints,
         **_shot_json(report),
+        **_scores_json(report.scores),
         **_reduction_json(report.reduction),
         **channels_json(report),
         "notices": [notice.as_dict() for notice in report.notices],

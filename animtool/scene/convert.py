@@ -22,6 +22,7 @@ from animtool.scene.sources import (
     is_usd,
     open_source,
 )
+from animtool.scores import PassScores
 from animtool.shot import Shot
 from animtool.take import Take
 from animtool.units import parse_length
@@ -49,6 +50,8 @@ class ConvertReport:
     # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
     shot: Shot | None = None  # the shot that was written; None is no shot
+    # How well the passes of the source did.
+    scores: list[PassScores] = field(default_factory=list)
 
     @property
     def reduction(self) -> Reduction | None:

@@ -234,7 +234,8 @@ def _converted(plan: TakePlan, path: Path) -> ConvertReport:
         reduce_at=options.reduce_at if is_clip else (),
         opener=lambda *_, **__: stream,
     )
-    return replace(report, shot=options.shot)
+    scores = list(plan.stream.scores)
+    return replace(report, shot=options.shot, scores=scores)
 
 
 def _on_clock(plan: TakePlan) -> Take:

@@ -17,6 +17,7 @@ from animtool.scene.frames import TakePlan, TimedTake, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import motion_bytes
+from animtool.scores import PassScores
 from animtool.shot import Shot
 from animtool.usd.jobs import Form, UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
@@ -63,6 +64,7 @@ class TakeReport:
     meshes_of: str = ""  # whose meshes they are
     # What became of each thing that was simulated, as plain values.
     simulated: list[dict[str, object]] = field(default_factory=list)
+    scores: list[PassScores] = field(default_factory=list)  # of its passes
     between: int = 0  # samples of the source that fall between the frames written
 
 
@@ -96,6 +98,11 @@ class BakeReport:
     def worst(self) -> TakeReport:
         """The take that rounding moved most."""
         return max(self.takes, key=lambda take: take.written.rounding.error)
+
+    @property
+    def scores(self) -> list[PassScores]:
+        """How well the passes of every source did."""
+        return [one for take in self.takes for one in take.scores]
 
     @property
     def files(self) -> list[Path]:
@@ -250,6 +257,7 @@ class TakeRun:
             meshes=list(meshes),
             meshes_of=meshes_of,
             simulated=list(stream.simulated),
+            scores=list(stream.scores),
             between=0 if times is None else times.between,
         )
 

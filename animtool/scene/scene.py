@@ -284,7 +284,8 @@ class Scene:
         What it notices, at once or block by block, is said at its place.
         """
         own: list[Fault] = []
-        notices, details = stream.notices, stream.details
+        notices, details, scores = stream.notices, stream.details, stream.scores
+        context = replace(context, scores=[])
         stage = self.meter.stage(entry.pass_.name, entry.place.where)
         context.errors.clear()
         with self.meter.running(stage), entry.place.located():
@@ -295,11 +296,15 @@ class Scene:
         def tell() -> None:
             notices.extend(map(entry.place.put, own))
             own.clear()
+            name, where = entry.pass_.name, entry.place.where
+            scores.extend(one.of_pass(name, where) for one in context.scores)
+            context.scores.clear()
 
         tell()
         stage.error = max(context.errors, default=None)
         blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks, tell))
-        return replace(stream, notices=notices, details=details, blocks=blocks)
+        stream = replace(stream, notices=notices, details=details, scores=scores)
+        return replace(stream, blocks=blocks)
 
     def until(self, stop: str) -> Scene:
         """Return the scene without the passes behind one.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.cli import animtool
 
 from animtool import open_source
 from animtool.mocap.retarget import map_joints
@@ -79,3 +81,39 @@ def test_the_foot_under_a_kick_stays_on_each_rig(path: Path) -> None:
         places = world.positions[:, rig.index(joint)]
         assert np.ptp(places, axis=0).max() < 1e-4
     assert np.ptp(world.positions[:, rig.index("toe_r"), 2]) > 0.3
+
+
+def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
+    tmp_path: Path,
+) -> None:
+    """The scores come from the processes as the command alone has them."""
+    done = animtool(
+        *("batch", FOLDER / "onto.batch.yaml", "-j", "2", "--format", "json"),
+        *("-o", f"{tmp_path}/{{rig}}/{{stem}}.usdc"),
+    )
+    assert done.code == 0, done.stderr
+    items = json.loads(done.stdout)["items"]
+    assert len(items) == len(TAKES) * len(RIGS)
+    for item in items:
+        (own,) = item["scores"]
+        assert own["pass"] == "retarget"
+        excess = [
+            (one["value"] - one["ideal"]) / (one["usual"] - one["ideal"])
+            for one in own["scores"]
+        ]
+        item["worst"] = max(excess)
+    worst = max(items, key=lambda item: float(item["worst"]))
+    table = done.stderr.partition("the worst first:\n")[2].splitlines()
+    assert table[1].split()[0] == worst["output"]
+    alone = animtool(
+        *("retarget", worst["input"], "--format", "json"),
+        *("--to", FOLDER / f"rigs/{worst['values']['rig']}.rig.yaml"),
+    )
+    found = json.loads(alone.stdout)
+    scores = {one["name"]: one["value"] for one in worst["scores"][0]["scores"]}
+    assert scores["drift"] == found["drift_max"] > 1e-3
+    assert scores["soles"] == found["sole_error"]
+    assert (
+        worst["scores"][0]["names"]["not mapped, of the rig"]
+        == (found["unmapped_target"])
+    )

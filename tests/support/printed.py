@@ -29,6 +29,7 @@ DOCUMENTS = [
     "samples/flag/README.md",
     "samples/orbits/README.md",
     "samples/press/README.md",
+    "samples/retarget/README.md",
     "samples/rope/README.md",
     "samples/sheets/README.md",
     "samples/shot/README.md",

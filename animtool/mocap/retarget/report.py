@@ -11,6 +11,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.mocap.contacts import intervals
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeted
+from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.units import UpAxis
 
 # Roles whose bones are compared, with the role that each ends at.
@@ -23,6 +24,15 @@ BONES = {
 
 
 ARM = ("upper_arm", "forearm", "hand")
+
+# The most that a good take has; above these a viewer sees it, or the map is wrong.
+USUAL_DRIFT = 1e-3  # [m]
+USUAL_SOLE = 1e-3  # [m]
+USUAL_REACH = 0.01  # of the arm
+USUAL_ANGLE = np.radians(3.0)  # [rad]
+USUAL_ACCELERATION = 1.25  # of the source's
+USUAL_HELD = 0.2  # of frames
+USUAL_UNMAPPED = 0.2  # of the source's joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +113,30 @@ def report_of(made: Retargeted, found: JointMap) -> RetargetReport:
         {names[j]: share for j, share in made.clamped.items()},
         tuple(ours[j] for j in found.unmapped_source),
         tuple(names[j] for j in found.unmapped_target),
+    )
+
+
+def scores_of(report: RetargetReport) -> PassScores:
+    """Return the numbers by which takes are compared, and the joints they concern."""
+    length, share = ScoreUnit.LENGTH, ScoreUnit.SHARE
+    lost, most = len(report.unmapped_source), max(report.held.values(), default=0.0)
+    values = (
+        ("drift", report.drift_max, length, USUAL_DRIFT, 0.0),
+        ("soles", report.sole_error, length, USUAL_SOLE, 0.0),
+        ("hands", report.reach_error, share, USUAL_REACH, 0.0),
+        ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, USUAL_ANGLE, 0.0),
+        ("acceleration", report.acceleration, ScoreUnit.RATIO, USUAL_ACCELERATION, 1.0),
+        ("limits", most, share, USUAL_HELD, 0.0),
+        ("not mapped", lost / max(lost + report.pairs, 1), share, USUAL_UNMAPPED, 0.0),
+    )
+    names = {
+        "stopped by their limits": tuple(report.held),
+        "not mapped, of the source": report.unmapped_source,
+        "not mapped, of the rig": report.unmapped_target,
+    }
+    return PassScores(
+        tuple(Score(*value) for value in values),
+        {what: joints for what, joints in names.items() if joints},
     )
 
 

@@ -14,6 +14,7 @@ from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.pairing import map_joints
+from animtool.mocap.retarget.report import report_of, scores_of
 from animtool.options import with_written
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.kinematics import forward
@@ -94,8 +95,9 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:
         settings = replace(settings, map=context.folder / settings.map)
-    made, _, notices = onto_rig(take, rig, settings)
+    made, found, notices = onto_rig(take, rig, settings)
     context.notices.extend(notices)
+    context.scores.append(scores_of(report_of(made, found)))
     return made.take
 
 

@@ -1,0 +1,123 @@
+"""How well a pass did its work: numbers, each with the most that a good result has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from animtool.errors import percent
+from animtool.quantities import angle_text, length_text, plain
+
+# Of what a good result has: a table is not to show what rounding leaves.
+NEGLIGIBLE = 1e-4
+
+
+class ScoreUnit(StrEnum):
+    """What the number of a score counts."""
+
+    LENGTH = "m"
+    ANGLE = "rad"
+    SHARE = "share"
+    RATIO = "ratio"
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One number of a pass: the larger, the worse.
+
+    Attributes:
+        name: What reports call it.
+        value: The number, in the unit.
+        unit: Metres, radians, a share of 1, or a ratio.
+        usual: The most that a good result has, above ``ideal``.
+        ideal: That of a perfect result.
+    """
+
+    name: str
+    value: float
+    unit: ScoreUnit
+    usual: float
+    ideal: float = 0.0
+
+    @property
+    def excess(self) -> float:
+        """How bad it is: 0 is perfect, 1 the most that a good result has.
+
+        >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).excess
+        3.0
+        """
+        return max(0.0, (self.value - self.ideal) / (self.usual - self.ideal))
+
+    @property
+    def text(self) -> str:
+        """The value with its unit; 0 where it is too small to matter.
+
+        >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).text
+        '3 mm'
+        """
+        small = not self.ideal and self.excess < NEGLIGIBLE
+        value = 0.0 if small else self.value
+        if self.unit is ScoreUnit.LENGTH:
+            return length_text(value)
+        if self.unit is ScoreUnit.ANGLE:
+            return angle_text(math.degrees(value))
+        return percent(value) if self.unit is ScoreUnit.SHARE else plain(value)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "unit": str(self.unit),
+            "usual": self.usual,
+            "ideal": self.ideal,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class PassScores:
+    """The scores of a pass on one take.
+
+    Attributes:
+        scores: In the order of reports.
+        names: What of the take or the rig they concern, by what is said of it.
+        pass_name: Of the pass; empty until a scene fills it in.
+        where: Its entry in the scene; likewise.
+    """
+
+    scores: tuple[Score, ...]
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    pass_name: str = ""
+    where: str = ""
+
+    def of_pass(self, name: str, where: str) -> PassScores:
+        """Return them as those of a pass at its entry in a scene."""
+        return replace(self, pass_name=name, where=where)
+
+    @property
+    def worse(self) -> list[Score]:
+        """The scores above what a good result has, the worst first."""
+        found = [score for score in self.scores if score.excess > 1.0]
+        return sorted(found, key=lambda score: -score.excess)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return them as plain values."""
+        return {
+            "pass": self.pass_name,
+            "where": self.where,
+            "scores": [score.as_dict() for score in self.scores],
+            "names": {what: list(names) for what, names in self.names.items()},
+        }
+
+
+def badness(scores: Iterable[PassScores]) -> list[float]:
+    """Return a key that sorts takes by their scores: the worst score decides first.
+
+    >>> score = Score("drift", 0.003, ScoreUnit.LENGTH, 0.001)
+    >>> badness([PassScores((score,))])
+    [3.0]
+    """
+    found = [score.excess for one in scores for score in one.scores]
+    return sorted(found, reverse=True)
