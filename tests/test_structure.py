@@ -36,6 +36,7 @@ LAYERS = [
         "supervisor",
         "similar",
         "scores",
+        "spool",
     },
     {"options", "plugins", "ranges", "shot"},
     {"readers"},
@@ -185,6 +186,7 @@ OPENED = {
     "animtool.usd.rig_layer": "a layer in memory",
     "animtool.usd.simulated_read": "layers that dependencies has looked at",
     "animtool.mocap.retarget.names": "a table that is part of animtool",
+    "animtool.spool": "what it has written itself",
     "animtool.rules": "pages that are part of animtool",
 }
 READS = {

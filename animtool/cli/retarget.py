@@ -30,7 +30,7 @@ from animtool.mocap.retarget.options import RetargetOptions
 from animtool.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:
-    from animtool.scene.retarget import Retargeting
+    from animtool.scene.retarget import RetargetResult
 
 MAX_NAMED = 8
 
@@ -130,13 +130,13 @@ def retarget(
         console.detail(f"{stage}: {seconds:.3f} s")
 
 
-def retarget_text(report: Retargeting) -> list[str]:
+def retarget_text(report: RetargetResult) -> list[str]:
     """Return the lines of a summary."""
     score = report.score
     frames, spent = score.frames, report.seconds["solve"]
     each = duration_text(spent / max(frames, 1))
     lines = [
-        f"{report.source} onto {report.take.rig.name}: {counted(frames, 'frame')}, "
+        f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
         f"{counted(score.pairs, 'joint')} paired, legs {score.scale:.3g} times as "
         f"long, {each} a frame"
     ]
@@ -169,14 +169,14 @@ def retarget_text(report: Retargeting) -> list[str]:
     return lines
 
 
-def _held(report: Retargeting) -> list[str]:
+def _held(report: RetargetResult) -> list[str]:
     most = sorted(report.score.held.items(), key=lambda item: -item[1])
     return [f"{name} ({percent(share)} of frames)" for name, share in most]
 
 
-def retarget_json(report: Retargeting) -> dict[str, object]:
+def retarget_json(report: RetargetResult) -> dict[str, object]:
     """Return a summary as plain values; lengths in metres, angles in radians."""
-    ours, theirs = report.source_rig.names, report.take.rig.names
+    ours, theirs = report.source_rig.names, report.target.names
     return {
         "retarget": "animtool/1",
         "source": str(report.source),

@@ -29,17 +29,16 @@ def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
     True
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    ax, ay, az, aw = np.moveaxis(a, -1, 0)
-    bx, by, bz, bw = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
+    ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    # Beside what is computed, stacking would take as long again.
+    x = aw * bx + ax * bw + ay * bz - az * by
+    made = np.empty((*x.shape, 4))
+    made[..., 0] = x
+    made[..., 1] = aw * by - ax * bz + ay * bw + az * bx
+    made[..., 2] = aw * bz + ax * by - ay * bx + az * bw
+    made[..., 3] = aw * bw - ax * bx - ay * by - az * bz
+    return made
 
 
 def conjugate(q: ArrayLike) -> FloatArray:
@@ -81,7 +80,10 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return cross products ``(..., 3)``; `numpy.cross` takes longer to begin."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    x = ay * bz - az * by
+    made = np.empty((*x.shape, 3))
+    made[..., 0], made[..., 1], made[..., 2] = x, az * bx - ax * bz, ax * by - ay * bx
+    return made
 
 
 def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:

@@ -53,21 +53,34 @@ class BallLimit:
 
         The swing is shortened along its own direction until it lies on the ellipse.
         """
+        rotations = np.asarray(rotations, np.float64)
         swing, twist = swing_twist(rotations, self.twist_axis)
+        outside = np.zeros(len(twist), np.bool_)
         if self.twist is not None:
             # The turn nearest to the middle: a range may reach past half a turn.
             middle = (self.twist[0] + self.twist[1]) / 2
             whole = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
-            twist = np.clip(twist - whole, *self.twist)
+            turned = twist - whole
+            twist = np.clip(turned, *self.twist)
+            outside |= twist != turned
         if self.swing is not None:
             across = so3.log(swing)
             parts = across @ self.axes[1:].T
             wide = np.maximum(self.swing, SMALLEST_CONE)
-            reach = np.linalg.norm(parts / wide, axis=-1, keepdims=True)
-            swing = so3.exp(across / np.maximum(reach, 1.0))
-        inside = so3.multiply(swing, so3.from_axis_angle(self.twist_axis, twist))
-        within = so3.angle_between(inside, rotations) < LIMIT_TOLERANCE
-        return np.where(within[:, None], rotations, inside)
+            reach = np.linalg.norm(parts / wide, axis=-1)
+            outside |= reach > 1
+        if not outside.any():
+            return rotations
+        if self.swing is not None:
+            shorter = across[outside] / np.maximum(reach[outside], 1.0)[:, None]
+            swing[outside] = so3.exp(shorter)
+        held = so3.from_axis_angle(self.twist_axis, twist[outside])
+        inside = so3.multiply(swing[outside], held)
+        before = rotations[outside]
+        within = so3.angle_between(inside, before) < LIMIT_TOLERANCE
+        made = rotations.copy()
+        made[outside] = np.where(within[:, None], before, inside)
+        return made
 
 
 # A cone of no width is a line that rounding always misses [rad].

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.mocap.retarget.map import JointMap, map_text
+from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.options import RetargetOptions
-from animtool.mocap.retarget.report import RetargetReport, report_of
+from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import onto_rig
+from animtool.motion import Motion
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
@@ -21,7 +25,7 @@ from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.take import Take, TakeStream
+from animtool.take import TakeStream
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
@@ -46,19 +50,24 @@ class RetargetJob:
 
 
 @dataclass(slots=True)
-class Retargeting:
+class RetargetResult:
     """What became of a job."""
 
     source: Path
     rig: Path
-    score: RetargetReport
+    going: Retargeting
     found: JointMap
-    take: Take
     source_rig: Rig
+    target: Rig
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
     outputs: list[Path] = field(default_factory=list)
     written: BakeReport | ConvertReport | None = None
+
+    @property
+    def score(self) -> RetargetReport:
+        """How well the take fits."""
+        return self.going.report()
 
 
 def retarget_outputs(job: RetargetJob) -> list[Path]:
@@ -77,7 +86,7 @@ def _named_rig(job: RetargetJob) -> Path | None:
     return job.rig if is_named(job.rig, "rig") else None
 
 
-def run_retarget(job: RetargetJob, *, progress: Progress = None) -> Retargeting:
+def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
     """Bring a take onto another rig, and write it.
 
     Args:
@@ -99,19 +108,19 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> Retargeting:
         named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
         inputs = [path for path in named if path is not None]
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    made: list[Retargeting] = []
+    made: list[RetargetResult] = []
 
     def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
         del path, options
-        made.append(_retargeted(job, outputs, progress))
-        stream = TakeStream.of(replace(made[0].take, notices=()))
+        stream, result = _retargeted(job, outputs, progress)
+        made.append(result)
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details = {"format": "retarget", "units": unit}
         return stream
 
     with together():
         if job.output is None and not job.to_stdout:
-            solve(job.source, progress=progress)
+            deque(solve(job.source, progress=progress).blocks, maxlen=0)
             report = made[0]
             refuse_warnings(report.notices, strict=job.bake.strict)
         else:
@@ -120,7 +129,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> Retargeting:
             report.written = written
             report.notices += [n for n in written.notices if n not in report.notices]
         if job.write_map is not None:
-            text = map_text(report.found, report.source_rig, report.take.rig)
+            text = map_text(report.found, report.source_rig, report.target)
             with replacing(job.write_map) as temporary:
                 temporary.write_text(text, "utf-8", newline="\n")
     report.outputs = outputs
@@ -149,20 +158,41 @@ def _written(
 
 def _retargeted(
     job: RetargetJob, outputs: list[Path], progress: Progress
-) -> Retargeting:
+) -> tuple[TakeStream, RetargetResult]:
+    seconds = {"read": 0.0, "solve": 0.0}
     began = time.perf_counter()
     with sparing_inputs(outputs):
         rig, notices = open_rig(job.rig)
         stream = open_source(job.source, job.reading, progress=progress)
-        take = stream.collect()
-    notices = [*notices, *stream.notices]
-    read = time.perf_counter()
-    with naming(job.source):
-        made, found, odd = onto_rig(take, rig, job.options)
-    score = report_of(made, found)
-    notices += odd
-    solved = time.perf_counter()
-    seconds = {"read": read - began, "solve": solved - read}
-    return Retargeting(
-        job.source, job.rig, score, found, made.take, take.rig, notices, seconds
+        seconds["read"] = time.perf_counter() - began
+        stream.blocks = _timed(stream.blocks, seconds, "read")
+        with naming(job.source):
+            going, found, odd = onto_rig(stream, rig, job.options)
+    seconds["solve"] = time.perf_counter() - began - seconds["read"]
+    notices = [*notices, *stream.notices, *odd]
+    made = replace(
+        stream,
+        rig=rig,
+        blocks=_timed(going.blocks(), seconds, "solve"),
+        notices=[],
+        curve=None,
+        count=0,
+        control_curves={},
     )
+    result = RetargetResult(
+        job.source, job.rig, going, found, stream.rig, rig, notices, seconds
+    )
+    return made, result
+
+
+def _timed(
+    blocks: Iterator[Motion], seconds: dict[str, float], stage: str
+) -> Iterator[Motion]:
+    """Yield blocks, and count the time that they take."""
+    while True:
+        began = time.perf_counter()
+        block = next(blocks, None)
+        seconds[stage] += time.perf_counter() - began
+        if block is None:
+            return
+        yield block

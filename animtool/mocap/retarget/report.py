@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.mocap.contacts import intervals
+from animtool.mocap.contacts import FootContacts, intervals
+from animtool.mocap.retarget.feet import Placed
+from animtool.mocap.retarget.legs import leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
-from animtool.mocap.retarget.motion import Retargeted
+from animtool.mocap.retarget.transfer import Person, Transfer
 from animtool.scores import PassScores, Score, ScoreUnit
-from animtool.units import UpAxis
 
 # Roles whose bones are compared, with the role that each ends at.
 BONES = {
@@ -62,58 +63,154 @@ class RetargetReport:
     unmapped_target: tuple[str, ...]
 
 
-def report_of(made: Retargeted, found: JointMap) -> RetargetReport:
-    """Return how well a take fits."""
-    transfer, world, source = made.transfer, made.world.positions, made.source.positions
-    rig = made.take.rig
-    up = 1 if rig.up is UpAxis.Y else 2
-    drifts, others, soles, below = [np.zeros(0)], [np.zeros(0)], [0.0], [0.0]
-    stands = np.zeros((len(world), 0), np.bool_)
-    for k, side in enumerate(made.sides):
-        leg, like = transfer.target.leg(side), transfer.source.leg(side)
-        assert leg is not None
-        assert like is not None
-        contacts = made.contacts[k]
-        stands = np.concatenate([stands, contacts.any[:, None]], axis=1)
-        for own, other, mask in (
-            (leg[2], like[2], contacts.ankle),
-            (leg[3], like[3], contacts.toe),
-        ):
-            if own < 0 or other < 0:
-                continue
-            points, scaled = world[:, own], transfer.scale * source[:, other]
-            drifts.append(_drift(points, mask, up))
-            others.append(_drift(scaled, mask, up))
-        sole = world[:, leg[3] if leg[3] >= 0 else leg[2], up]
-        flat = contacts.toe if leg[3] >= 0 else contacts.any
-        if flat.any():
-            level = float(np.median(sole[flat]))
-            if made.placed is not None:
-                level = made.placed.soles[k]
-            soles.append(float(np.abs(sole[flat] - level).max()))
-            below.append(level - float(sole.min()))
-    drift, theirs = np.concatenate(drifts), np.concatenate(others)
-    angles = _angles(made, stands)
-    names, ours = rig.names, transfer.source.rig.names
-    return RetargetReport(
-        len(world),
-        transfer.scale,
-        len(found.pairs),
-        float(stands.mean()) if stands.size else 0.0,
-        float(drift.mean()) if len(drift) else 0.0,
-        float(drift.max(initial=0.0)),
-        float(theirs.max(initial=0.0)),
-        max(soles),
-        max(below),
-        _reach_error(made),
-        float(angles.mean()) if len(angles) else 0.0,
-        float(angles.max(initial=0.0)),
-        _acceleration(made, found),
-        0.0 if made.placed is None else made.placed.lowered,
-        {names[j]: share for j, share in made.clamped.items()},
-        tuple(ours[j] for j in found.unmapped_source),
-        tuple(names[j] for j in found.unmapped_target),
-    )
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Which feet stand, and when."""
+
+    sides: str  # of the legs that both skeletons have, such as "lr"
+    contacts: Sequence[FootContacts]  # of each
+    placed: Placed | None  # None where feet are not held
+
+
+class FitMeter:
+    """How well a take fits, gathered block by block.
+
+    Args:
+        transfer: How the rig follows.
+        found: Which joints follow which.
+        standing: Which feet stand, of all frames.
+    """
+
+    def __init__(self, transfer: Transfer, found: JointMap, standing: Standing) -> None:
+        self._transfer, self._found, self._standing = transfer, found, standing
+        self._up = up_index(transfer.target.rig)
+        self._frames = 0
+        # Ankle and toe of each leg, of the target and of the source, scaled; the toe is
+        # the ankle where there is none (F, 2, 2, 3).
+        self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
+        self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
+        self._reach = 0.0
+        # The largest accelerations of both so far, and the last frames of both.
+        self._fastest = np.zeros(2)
+        self._last: list[FloatArray] = []
+
+    def add(self, begin: int, target: FloatArray, source: FloatArray) -> None:
+        """Take the frames that come next.
+
+        Args:
+            begin: The first of them.
+            target: Its joints ``(F, K, 3)`` [m].
+            source: Those of the source, in the target's axes ``(F, J, 3)`` [m].
+        """
+        self._frames += len(target)
+        part = slice(begin, begin + len(target))
+        scale = self._transfer.scale
+        for k, side in enumerate(self._standing.sides):
+            rows = []
+            for person, points, size in self._both(target, source):
+                _, _, ankle, toe = leg_of(person, side)
+                rows.append(size * points[:, [ankle, toe if toe >= 0 else ankle]])
+            self._feet[k].append(np.stack(rows, axis=1))
+        self._add_angles(part, target, source)
+        self._reach = max(self._reach, _reach_error(self._both(target, source)))
+        pairs = self._found.pairs
+        now = [
+            target[:, [pair.target for pair in pairs]],
+            scale * source[:, [pair.source for pair in pairs]],
+        ]
+        if self._last:
+            now = [np.concatenate(each) for each in zip(self._last, now, strict=True)]
+        self._last = [each[-2:].copy() for each in now]
+        if len(now[0]) > 2:
+            sizes = [
+                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(initial=0.0)
+                for each in now
+            ]
+            self._fastest = np.maximum(self._fastest, sizes)
+
+    def _both(
+        self, target: FloatArray, source: FloatArray
+    ) -> list[tuple[Person, FloatArray, float]]:
+        """Return both skeletons with where they are, and what scales them."""
+        transfer = self._transfer
+        return [
+            (transfer.target, target, 1.0),
+            (transfer.source, source, transfer.scale),
+        ]
+
+    def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
+        """Take angles between bones of both, legs that stand left out."""
+        standing = self._standing
+        total, count, most = self._angles
+        for side in "lr":
+            for role, end in BONES.items():
+                ways = []
+                for person, points, _ in self._both(target, source):
+                    first = person.first(f"{role}_{side}")
+                    last = person.first(f"{end}_{side}")
+                    if min(first, last) >= 0 and person.apart(first, last):
+                        ways.append(points[:, last] - points[:, first])
+                if len(ways) < 2:
+                    continue
+                across = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1)
+                angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
+                if role in {"thigh", "shin"} and side in standing.sides:
+                    k = standing.sides.index(side)
+                    angle = angle[~standing.contacts[k].any[part]]
+                total, count = total + float(angle.sum()), count + len(angle)
+                most = max(most, float(angle.max(initial=0.0)))
+        self._angles = total, count, most
+
+    def report(self, clamped: Mapping[int, float]) -> RetargetReport:
+        """Return how well the frames so far fit.
+
+        Args:
+            clamped: Joints that limits held, in shares of the frames.
+        """
+        transfer, found, standing = self._transfer, self._found, self._standing
+        drifts, others = [np.zeros(0)], [np.zeros(0)]
+        soles, below, stands = [0.0], [0.0], 0.0
+        for k, side in enumerate(standing.sides):
+            feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
+            stands += float(contacts.any.mean()) / len(standing.sides)
+            has_toe = leg_of(transfer.target, side)[3] >= 0
+            both = has_toe and leg_of(transfer.source, side)[3] >= 0
+            for joint, mask in enumerate((contacts.ankle, contacts.toe)):
+                if joint == 0 or both:
+                    drifts.append(_drift(feet[:, 0, joint], mask, self._up))
+                    others.append(_drift(feet[:, 1, joint], mask, self._up))
+            sole = feet[:, 0, 1, self._up]
+            flat = contacts.toe if has_toe else contacts.any
+            if flat.any():
+                level = float(np.median(sole[flat]))
+                if standing.placed is not None:
+                    level = standing.placed.soles[k]
+                soles.append(float(np.abs(sole[flat] - level).max()))
+                below.append(level - float(sole.min()))
+        drift, theirs = np.concatenate(drifts), np.concatenate(others)
+        total, count, most = self._angles
+        own, other = self._fastest.tolist()
+        names, ours = transfer.target.rig.names, transfer.source.rig.names
+        placed = standing.placed
+        return RetargetReport(
+            self._frames,
+            transfer.scale,
+            len(found.pairs),
+            stands,
+            float(drift.mean()) if len(drift) else 0.0,
+            float(drift.max(initial=0.0)),
+            float(theirs.max(initial=0.0)),
+            max(soles),
+            max(below),
+            self._reach,
+            total / count if count else 0.0,
+            most,
+            own / other if other > 0 else 0.0,
+            0.0 if placed is None else placed.lowered,
+            {names[j]: share for j, share in clamped.items()},
+            tuple(ours[j] for j in found.unmapped_source),
+            tuple(names[j] for j in found.unmapped_target),
+        )
 
 
 def scores_of(report: RetargetReport) -> PassScores:
@@ -150,39 +247,12 @@ def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
     return np.concatenate(rows)
 
 
-def _angles(made: Retargeted, stands: BoolArray) -> FloatArray:
-    """Return angles between bones of both, legs that stand left out [rad]."""
-    transfer, rows = made.transfer, [np.zeros(0)]
-    for side in "lr":
-        for role, end in BONES.items():
-            ways = []
-            for person, points in (
-                (transfer.target, made.world.positions),
-                (transfer.source, made.source.positions),
-            ):
-                first = person.first(f"{role}_{side}")
-                last = person.first(f"{end}_{side}")
-                if min(first, last) >= 0:
-                    ways.append(points[:, last] - points[:, first])
-            if len(ways) < 2:
-                continue
-            across = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1)
-            angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
-            if role in {"thigh", "shin"} and side in made.sides:
-                angle = angle[~stands[:, made.sides.index(side)]]
-            rows.append(angle)
-    return np.concatenate(rows)
-
-
-def _reach_error(made: Retargeted) -> float:
+def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
     """Return how far the share of the arm that a hand is off differs, at most."""
     worst = 0.0
     for side in "lr":
         shares = []
-        for person, points in (
-            (made.transfer.target, made.world.positions),
-            (made.transfer.source, made.source.positions),
-        ):
+        for person, points, _ in both:
             arm = [person.first(f"{role}_{side}") for role in ARM]
             if min(arm) < 0:
                 continue
@@ -193,16 +263,3 @@ def _reach_error(made: Retargeted) -> float:
         if len(shares) == 2:
             worst = max(worst, float(np.abs(shares[0] - shares[1]).max(initial=0.0)))
     return worst
-
-
-def _acceleration(made: Retargeted, found: JointMap) -> float:
-    """Return the largest acceleration of joints over that of the source, scaled."""
-    if len(made.world.positions) < 3:
-        return 0.0
-    own = made.world.positions[:, [pair.target for pair in found.pairs]]
-    other = made.source.positions[:, [pair.source for pair in found.pairs]]
-    sizes = [
-        float(np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max())
-        for each in (own, made.transfer.scale * other)
-    ]
-    return sizes[0] / sizes[1] if sizes[1] > 0 else 0.0

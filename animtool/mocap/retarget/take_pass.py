@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,16 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.mocap.retarget.map import JointMap
-from animtool.mocap.retarget.motion import Retargeted, retarget_take
+from animtool.mocap.retarget.motion import Retargeting, transfer_of
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.pairing import map_joints
-from animtool.mocap.retarget.report import report_of, scores_of
+from animtool.mocap.retarget.report import scores_of
+from animtool.motion import Motion
 from animtool.options import with_written
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Take
+from animtool.take import TakeStream
 
 
 @with_written(RetargetOptions)
@@ -31,55 +34,67 @@ class RetargetPassOptions:
 
 
 def onto_rig(
-    take: Take, rig: Rig, options: RetargetOptions
-) -> tuple[Retargeted, JointMap, list[Fault]]:
-    """Return a take on another rig, the map of joints, and what is odd.
+    stream: TakeStream, rig: Rig, options: RetargetOptions
+) -> tuple[Retargeting, JointMap, list[Fault]]:
+    """Return a take on its way to another rig, the map of joints, and what is odd.
 
     Raises:
         FormatError: The map file cannot be read, or names joints that neither has.
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
     """
-    rest = _rest(take, options.rest_frame)
+    rest, blocks = _rest(stream.blocks, options.rest_frame)
+    first = next(blocks)
     found = map_joints(
-        take.rig,
+        stream.rig,
         rig,
         preset=options.preset,
         target_preset=options.target_preset,
         map_file=options.map,
         mode=options.by,
-        source_positions=_positions(take, rest),
+        source_positions=_positions(stream.rig, first, rest),
     )
-    made = retarget_take(take, rig, found, rest=rest, lock=not options.free_feet)
+    transfer = transfer_of(stream.rig, rig, found, rest)
+    fps = float(stream.fps / stream.step)
+    lock = not options.free_feet
+    made = Retargeting(transfer, found, chain([first], blocks), fps, lock=lock)
     notices = list(found.notices)
-    if not options.free_feet and not any(own.any.any() for own in made.contacts):
+    if lock and not any(own.any.any() for own in made.standing.contacts):
         message = "no foot stands in any frame: none is held"
         hint = "is the take of a person with legs, and longer than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
     return made, found, notices
 
 
-def _rest(take: Take, frame: int | None) -> FloatArray | None:
-    """Return local turns of the frame that is the rest pose ``(J, 4)``."""
+def _rest(
+    blocks: Iterator[Motion], frame: int | None
+) -> tuple[FloatArray | None, Iterator[Motion]]:
+    """Return local turns of the frame that is the rest pose ``(J, 4)``, and all blocks.
+
+    Raises:
+        OptionError: There is no such frame (MAP006).
+    """
     if frame is None:
-        return None
-    if not 1 <= frame <= take.clock.count:
-        message = f"the rest pose is that of frame {frame}, and there are "
-        message += f"{take.clock.count}"
-        raise OptionError(Fault("MAP006", message, where="rest_frame"))
-    turns: FloatArray = take.motion.rotations.dense()[frame - 1]
-    return turns
+        return None, blocks
+    held, count = [], 0
+    for motion in blocks:
+        held.append(motion)
+        if count < frame <= count + motion.frames:
+            turns = motion.select(slice(frame - 1 - count, frame - count)).rotations
+            return turns.dense()[0], chain(held, blocks)
+        count += motion.frames
+    message = f"the rest pose is that of frame {frame}, and there are {count}"
+    raise OptionError(Fault("MAP006", message, where="rest_frame"))
 
 
-def _positions(take: Take, rest: FloatArray | None) -> FloatArray:
+def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
     """Return where joints are in a pose of a person who stands ``(J, 3)`` [m].
 
     That of the rest pose, or of the first frame: of a skeleton that has none.
     """
-    motion = take.motion
-    turns = motion.rotations.dense()[:1] if rest is None else rest[None]
-    places = motion.translations.dense()[:1]
-    return np.asarray(forward(take.rig, places, turns).positions[0])
+    start = first.select(slice(0, 1))
+    turns = start.rotations.dense() if rest is None else rest[None]
+    return np.asarray(forward(rig, start.translations.dense(), turns).positions[0])
 
 
 def _named_rig(options: RetargetPassOptions) -> Path:
@@ -89,16 +104,20 @@ def _named_rig(options: RetargetPassOptions) -> Path:
     return options.rig
 
 
-def _run(take: Take, options: Any, context: PassContext) -> Take:
+def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     rig = Rig.load(context.folder / _named_rig(options))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:
         settings = replace(settings, map=context.folder / settings.map)
-    made, found, notices = onto_rig(take, rig, settings)
+    made, _, notices = onto_rig(stream, rig, settings)
     context.notices.extend(notices)
-    context.scores.append(scores_of(report_of(made, found)))
-    return made.take
+    return replace(stream, rig=rig, blocks=_scored(made, context))
+
+
+def _scored(made: Retargeting, context: PassContext) -> Iterator[Motion]:
+    yield from made.blocks()
+    context.scores.append(scores_of(made.report()))
 
 
 def _checks(options: Any) -> OptionChecks:
@@ -109,7 +128,7 @@ PASS = Pass(
     "retarget",
     "Bring the take onto another rig, feet held where they stand",
     RetargetPassOptions,
-    Scope.CLIP,
+    Scope.WINDOW,
     _run,
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),

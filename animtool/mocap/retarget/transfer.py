@@ -19,6 +19,8 @@ from animtool.units import UpAxis, up_from_up
 _POINTING = {"upper_arm", "forearm", "hand", "thigh", "shin"}
 # Bones shorter than this share of the skeleton have no direction [1].
 NO_BONE = 1e-4
+# Joints that leave their rest by less, over the skeleton, do by rounding alone [1].
+NO_MOVE = 1e-9
 # Bones whose lengths differ by less, over the leg, are alike [1].
 ALIKE = 1e-6
 # What leads from a joint of a role to where its bone ends.
@@ -66,11 +68,15 @@ class Person:
         if end < 0:
             below = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end = below[0] if len(below) == 1 else -1
-        if end < 0:
+        if end < 0 or not self.apart(joint, end):
             return None
         way = self.positions[end] - self.positions[joint]
-        size = float(np.linalg.norm(way))
-        return way / size if size > NO_BONE * self.size else None
+        return np.asarray(way / np.linalg.norm(way))
+
+    def apart(self, joint: int, other: int) -> bool:
+        """Return whether two joints are not at one place at rest."""
+        way = self.positions[other] - self.positions[joint]
+        return float(np.linalg.norm(way)) > NO_BONE * self.size
 
     @property
     def size(self) -> float:
@@ -236,7 +242,7 @@ class Transfer:
         """
         ours, theirs = self.source.rig, self.target.rig
         off = translations - ours.rest_translations
-        moves = np.abs(off).max(axis=(0, 2)) > NO_BONE * self.source.size
+        moves = np.abs(off).max(axis=(0, 2)) > NO_MOVE * self.source.size
         made = theirs.rest_translations[None]
         hips = self.target.first("hips")
         for own, other in enumerate(self.follows.tolist()):

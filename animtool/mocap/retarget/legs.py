@@ -1,0 +1,191 @@
+"""Legs of a skeleton that follow another's: how they stand, and where they are put."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.mocap.contacts import find_contacts
+from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_leg
+from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.rig.limits import RangeLimit, swing_twist
+from animtool.rig.skeleton import JointType, Rig
+from animtool.units import UpAxis
+
+# Angles of a knee that are tried for its longest reach: within a hundredth of a degree.
+ANGLES = 20_001
+
+
+@dataclass(frozen=True, slots=True)
+class LegTracks:
+    """Where a leg of the target goes with the hips, and one of the source goes.
+
+    Of all frames: what decides where feet stand.
+    """
+
+    hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
+    ankle: FloatArray  # (F, 3) [m]
+    toe: FloatArray  # (F, 3) [m]; the ankle where there is none
+    turn: FloatArray  # of its foot in the world (F, 4)
+    source: FloatArray  # hip, ankle and toe of the source, in the target's axes (F, 9)
+
+    @staticmethod
+    def of(
+        transfer: Transfer,
+        side: str,
+        source: FloatArray,
+        turns: FloatArray,
+        about: FloatArray,
+    ) -> LegTracks:
+        """Return those of some frames.
+
+        Args:
+            transfer: How the target follows.
+            side: Of the leg.
+            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            turns: Of the target in the world ``(F, K, 4)``.
+            about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
+        """
+        thigh, _, foot, tip = leg_of(transfer.target, side)
+        first, _, ankle, toe = leg_of(transfer.source, side)
+        ends = source[:, [first, ankle, toe if toe >= 0 else ankle]]
+        tip = tip if tip >= 0 else foot
+        return LegTracks(
+            about[:, thigh],
+            about[:, foot],
+            about[:, tip],
+            turns[:, foot],
+            ends.reshape(len(ends), 9),
+        )
+
+    def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
+        """Return the foot of the target, and when that of the source stands."""
+        own, other = (leg_of(each, side) for each in (transfer.target, transfer.source))
+        up = up_index(transfer.target.rig)
+        hip, ankle, toe = self.source[:, :3], self.source[:, 3:6], self.source[:, 6:]
+        length = transfer.source.leg_length(side)
+        tip = toe if other[3] >= 0 else None
+        contacts = find_contacts(ankle, tip, fps, length, up)
+        reach = np.linalg.norm(ankle - hip, axis=1)
+        share = reach / length if length > 0 else np.ones(len(reach))
+        return Foot(
+            contacts,
+            self.hip,
+            self.ankle,
+            self.toe if own[3] >= 0 else None,
+            self.turn,
+            transfer.aligned[own[2]],
+            _standing(transfer, side, contacts.ground, up),
+            _reach(transfer.target, own),
+            np.minimum(share, 1.0),
+        )
+
+
+def up_index(rig: Rig) -> int:
+    """Return which component points up."""
+    return 1 if rig.up is UpAxis.Y else 2
+
+
+def leg_of(person: Person, side: str) -> tuple[int, int, int, int]:
+    """Return thigh, shin, foot and toe (-1 for none) of a leg that there is."""
+    leg = person.leg(side)
+    assert leg is not None
+    return leg
+
+
+def _reach(target: Person, leg: tuple[int, int, int, int]) -> float:
+    """Return how far a leg reaches [m]: a pin may not let it be straight."""
+    rig, (_, shin, foot, _) = target.rig, leg
+    joint, rest = rig.joints[shin], rig.rest_rotations[shin]
+    upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
+    if joint.type is not JointType.PIN:
+        return float(np.linalg.norm(upper) + np.linalg.norm(lower))
+    low, high = -np.pi, np.pi
+    if isinstance(joint.limits, RangeLimit):
+        low, high = joint.limits.low, joint.limits.high
+    angles = np.linspace(low, high, ANGLES)
+    turns = so3.from_axis_angle(np.array(joint.axis, np.float64), angles)
+    tips = upper + so3.rotate(so3.multiply(rest, turns), lower)
+    return float(np.linalg.norm(tips, axis=1).max())
+
+
+def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
+    """Return how high an ankle stands above the ground [m]."""
+    target, source = transfer.target, transfer.source
+    own, other = leg_of(target, side), leg_of(source, side)
+    low = float(target.positions[:, up].min())
+    ankle = float(target.positions[own[2], up])
+    # A rig that stands on the ground at rest says how high its ankles are.
+    if abs(low) < 0.1 * target.leg_length(side):
+        return ankle
+    scale = 1.0
+    if own[3] >= 0 and other[3] >= 0:
+        feet = [
+            float(np.linalg.norm(one.positions[leg[3]] - one.positions[leg[2]]))
+            for one, leg in ((target, own), (source, other))
+        ]
+        scale = feet[0] / feet[1] if feet[1] > 0 else 1.0
+    return ground * scale
+
+
+def put_ankle(
+    target: Person,
+    side: str,
+    joints: FloatArray,
+    goal: FloatArray,
+    turns: FloatArray,
+) -> None:
+    """Turn thigh and shin in the world so that the ankle is at its goal.
+
+    Args:
+        target: Whose leg it is.
+        side: Of the leg.
+        joints: Where thigh, shin and foot begin ``(F, 3, 3)`` [m].
+        goal: Of the ankle ``(F, 3)`` [m].
+        turns: Of all joints in the world ``(F, K, 4)``, changed.
+    """
+    rig, (thigh, shin, foot, _) = target.rig, leg_of(target, side)
+    hip = joints[:, 0]
+    if rig.joints[shin].type is JointType.PIN:
+        both = _pin_leg(rig, (thigh, shin, foot), hip, goal, turns)
+    else:
+        hinge = so3.rotate(turns[:, shin], _hinge(target, shin))
+        now = turns[:, thigh], turns[:, shin]
+        both = bend_leg(hip, (joints[:, 1], joints[:, 2]), goal, now, hinge)
+    turns[:, thigh], turns[:, shin] = both
+
+
+def _pin_leg(
+    rig: Rig,
+    leg: tuple[int, int, int],
+    hip: FloatArray,
+    goal: FloatArray,
+    turns: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of thigh and shin in the world, of a knee that is a pin."""
+    thigh, shin, foot = leg
+    joint, rest = rig.joints[shin], rig.rest_rotations[shin]
+    own = so3.multiply(so3.conjugate(turns[:, thigh]), turns[:, shin])
+    pin = np.array(joint.axis, np.float64)
+    angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
+    bones = rig.rest_translations[shin], so3.rotate(rest, rig.rest_translations[foot])
+    upper, bent = bend_at_pin(
+        hip, goal, turns[:, thigh], bones, so3.rotate(rest, pin), angle
+    )
+    if isinstance(joint.limits, RangeLimit):
+        bent = joint.limits.clamped(bent)
+    lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))
+    return upper, lower
+
+
+def _hinge(target: Person, shin: int) -> FloatArray:
+    """Return what a knee turns about, in its own frame ``(3,)``."""
+    joint = target.rig.joints[shin]
+    if joint.type is JointType.PIN:
+        return np.array(joint.axis, np.float64)
+    facing = target.facing
+    left = np.eye(3)[0] if facing is None else facing[0]
+    return so3.rotate(so3.conjugate(target.turns[shin]), left)
