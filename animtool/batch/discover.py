@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from animtool.batch.cuts import SHOT_NAMES, Cut, CutList, CutOptions, read_cuts
+from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.recipe import (
     INPUT_NAMES,
     Item,
@@ -50,10 +51,17 @@ RECORDS = ".animtool"
 MAX_FAULTS = 50
 
 
-def sample_source(spec: BatchSpec, recipe: Recipe, shot: Cut) -> Source:
-    """Return what the first item of an input is baked from."""
-    names = {**shot.names, **spec.rows[0]}
-    return recipe.source(Item(1, shot.found, shot.found.path, names, shot=shot.shot))
+def sample_source(
+    spec: BatchSpec, recipe: Recipe, shot: Cut, variables: Mapping[str, str]
+) -> Source:
+    """Return what the first item of an input is baked from.
+
+    variables: what overrides give the input.
+    """
+    names, file = {**shot.names, **spec.rows[0]}, shot.found
+    return recipe.source(
+        Item(1, file, file.path, names, variables=variables, shot=shot.shot)
+    )
 
 
 def check_columns(spec: BatchSpec) -> None:
@@ -73,7 +81,9 @@ def check_columns(spec: BatchSpec) -> None:
         raise OptionError(faults)
 
 
-def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut]) -> None:
+def check_effects(
+    spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut], own: Overridden
+) -> None:
     """Refuse scenes of which all items, or all variants, would be the same."""
     kinds = {spec.scene or shot.found.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
@@ -87,9 +97,10 @@ def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut]) -> None
             continue
         if spec.scene is None and not names:
             continue
-        scene = cast("Scene", sample_source(spec, recipe, shot))
-        own = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-        if spec.scene is not None and not scene.effective_variables & own:
+        values = own.values.get(shot.found.path, {})
+        scene = cast("Scene", sample_source(spec, recipe, shot, values))
+        inputs = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+        if spec.scene is not None and not scene.effective_variables & inputs:
             faults.append(_unused(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
             used = ", ".join(f"${{{name}}}" for name in names)
@@ -163,15 +174,18 @@ def find_batch(spec: BatchSpec) -> Batch:
     shots = cuts.shots
     if not shots:
         raise _nothing(spec)
-    recipe = _recipe(spec, [shot.found for shot in shots])
+    files = [shot.found for shot in shots]
+    recipe = _recipe(spec, files)
+    own = overridden(spec.overrides, files, spec.folder, _suffixes(spec), spec.path)
     sample = None
     if spec.scene is not None:
-        sample = sample_source(spec, recipe, shots[0])
+        values = own.values.get(files[0].path, {})
+        sample = sample_source(spec, recipe, shots[0], values)
         if spec.output is not None:
             recipe.refuse_several(sample)
     _check_variables(spec, recipe, sample)
-    check_effects(spec, recipe, shots)
-    items = _Items(spec, recipe, shots, sample).made()
+    check_effects(spec, recipe, shots, own)
+    items = _Items(spec, recipe, shots, sample, own).made()
     _check_roots(spec, items)
     options = spec.options
     table = None if spec.variants is None else spec.variants.path
@@ -186,7 +200,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in given if path is not None),
         sample,
-        tuple(cuts.notices),
+        (*cuts.notices, *own.notices),
     )
 
 
@@ -214,7 +228,8 @@ def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
 
 def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    given = [*spec.variables, *spec.rows[0]]
+    own = [name for one in spec.overrides for name in one.variables]
+    given = [*dict.fromkeys([*spec.variables, *own]), *spec.rows[0]]
     used = {name for name in given if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
@@ -233,6 +248,7 @@ class _Items:
     recipe: Recipe
     shots: Sequence[Cut]
     sample: Source | None
+    own: Overridden
     faults: list[Fault] = field(default_factory=list)
 
     def made(self) -> tuple[Item, ...]:
@@ -259,18 +275,20 @@ class _Items:
         outputs: NamedOutputs | None,
     ) -> Item:
         spec, file, own = self.spec, shot.found, {**shot.names, **row}
+        variables = self.own.values.get(file.path, {})
         parts = {name: file_name(value) for name, value in row.items()}
         more = "".join(f"_{part}" for part in parts.values())
         output = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
         if spec.cuts is not None:
             output = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
         if outputs is not None:
-            names = {**spec.variables, **input_names(file), **shot.names, **parts}
+            names = {**spec.variables, **variables, **input_names(file)}
+            names |= {**shot.names, **parts}
             try:
                 output = outputs.path(names)
             except UnsafeNameError as error:
                 self._refuse(shot, row, error)
-        item = Item(number, file, output, own, values=row, shot=shot.shot)
+        item = Item(number, file, output, own, (), row, variables, shot.shot)
         named_by_scene = getattr(self.sample, "output", None) is not None
         if outputs is None and (
             named_by_scene or (spec.scene is None and is_named(file.path, "scene"))

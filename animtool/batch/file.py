@@ -14,6 +14,13 @@ from annotated_types import Ge, Gt, Le
 from animtool.batch.cuts import SHOT_NAMES
 from animtool.batch.recipe import INPUT_NAMES, unknown_names
 from animtool.batch.spec import MAX_SECONDS, BatchSpec, Limits, parse_bytes
+from animtool.batch.variables_file import (
+    OverrideModel,
+    Value,
+    overrides_of_document,
+    value_text,
+    variables_of_document,
+)
 from animtool.batch.variants import (
     MAX_VARIANTS,
     TOO_MANY,
@@ -29,7 +36,6 @@ from animtool.config import project_roots
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
-from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
@@ -92,7 +98,6 @@ class RangeModel(FileModel):
     step: Real = key("From each value to the next.", 0.25, default=1)
 
 
-Value = str | Real | bool
 Column = str | list[Value] | RangeModel
 
 
@@ -130,11 +135,16 @@ class BatchModel(FileModel):
         8,
         default=None,
     )
-    variables: dict[str, str] = key(
+    variables: dict[str, Value] = key(
         "What `${name}` stands for in the scene; `--set` of the command "
         "line comes first.",
         {"shot": "sh010"},
         default={},
+    )
+    overrides: list[OverrideModel] = key(
+        "Other values of variables for some of the inputs; the last that fits counts.",
+        [{"inputs": ["takes/mixamo/**"], "variables": {"map": "mixamo.map.yaml"}}],
+        default=[],
     )
     variants: str | list[dict[str, Value]] | dict[str, Column] = key(
         "A table of values for `${name}` in the scene and `{name}` in the "
@@ -240,7 +250,10 @@ class _Reader:
             if isinstance(given, RangeModel):
                 ends = {"start": given.start, "stop": given.stop, "step": given.step}
                 yield from range_values(
-                    *(self._text((*at, key), value) for key, value in ends.items())
+                    *(
+                        value_text(self.document, (*at, key), value)
+                        for key, value in ends.items()
+                    )
                 )
             else:
                 yield from values_of_text(given)
@@ -249,18 +262,11 @@ class _Reader:
 
     def _value(self, at: Location, around: Any) -> str:
         """Return a value in a list or a row."""
-        text = self._text(at, around[at[-1]])
+        text = value_text(self.document, at, around[at[-1]])
         problem = value_problem(text)
         if problem is not None:
             self.document.add("BAT064", at, problem)
         return text
-
-    def _text(self, at: Location, value: Any) -> str:
-        """Return a value as it is written."""
-        if isinstance(value, str):
-            return value
-        written = self.document.written(at)
-        return written or str(value).lower()
 
 
 Made = TypeVar("Made")
@@ -309,7 +315,8 @@ class _BatchReader:
             hint = "files, folders and globs; a scene alone can have variants"
             self.document.add("DOC021", (), message, hint)
         variants = self._variants()
-        self._names(() if variants is None else variants.names)
+        columns = () if variants is None else variants.names
+        self._names(columns)
         memory = self.parsed(("limits", "memory"), model.limits.memory, parse_bytes)
         return BatchSpec(
             tuple(model.inputs),
@@ -317,7 +324,7 @@ class _BatchReader:
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
             None if model.scene is None else self.read_file(("scene",), model.scene),
-            model.variables,
+            variables_of_document(self.document, ("variables",), model.variables),
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
@@ -327,7 +334,14 @@ class _BatchReader:
             model.handles,
             variants,
             self.roots,
+            overrides_of_document(
+                self.document, model.overrides, {*self._taken(), *columns}
+            ),
         )
+
+    def _taken(self) -> set[str]:
+        """Return the names that an input or a shot gives a value."""
+        return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
 
     def _variants(self) -> Variants | None:
         """Return the table of values; None where there is none, or it is faulty."""
@@ -340,19 +354,13 @@ class _BatchReader:
         if isinstance(given, str):
             path = self._input(("variants",), given)
             return None if path is None else read_variants(path)
-        shots = SHOT_NAMES if self.of_shots else ()
-        taken = {*INPUT_NAMES, *self.model.variables, *shots}
+        taken = {*self._taken(), *self.model.variables}
         return rows_of_document(self.document, given, taken)
 
     def _names(self, columns: Sequence[str]) -> None:
-        """Check the names of variables, and those between braces in the output."""
+        """Check the names between braces in the output."""
         model = self.model
-        for name in model.variables:
-            if not is_variable_name(name):
-                message = f"{name!r} is no name of a variable"
-                hint = "letters, digits and _ make one, and no digit begins it"
-                self.document.add("BAT002", ("variables", name), message, hint)
-        known = {**model.variables, **dict.fromkeys(columns, "")}
+        known = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:
             known |= dict.fromkeys(SHOT_NAMES, "")
         for message, hint in unknown_names(model.output or "", known):

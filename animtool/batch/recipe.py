@@ -239,6 +239,10 @@ def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
         roots=spec.roots if mapped == output else (),
         inputs=tuple(mapped_path(text, rules) for text in spec.inputs),
         exclude=tuple(mapped_path(text, rules) for text in spec.exclude),
+        overrides=tuple(
+            replace(one, inputs=tuple(mapped_path(text, rules) for text in one.inputs))
+            for one in spec.overrides
+        ),
         output=mapped,
     )
 
@@ -267,6 +271,8 @@ class Item:
     files: tuple[Path, ...] = ()
     # Those of ``names`` that tell it from other variants.
     values: Mapping[str, str] = field(default_factory=dict)
+    # What overrides of the batch give it, in place of the variables of all.
+    variables: Mapping[str, str] = field(default_factory=dict)
     shot: Shot | None = None  # of a clip of a timeline; None is a file as it is
 
     @property
@@ -304,7 +310,7 @@ class Recipe:
         if self.scene is None:
             # A scene that is an input is no input of its own.
             del names["input"]
-        return {**names, **item.names, **self.variables}
+        return {**names, **item.names, **self.variables, **item.variables}
 
     def source(self, item: Item) -> Source:
         """Return what is baked: a scene, loaded, or a file."""

@@ -79,6 +79,7 @@ class ItemReport:
             "item": self.item.number,
             "input": str(self.item.found.path),
             **({"values": dict(self.item.values)} if self.item.values else {}),
+            **({"variables": dict(self.item.variables)} if self.item.variables else {}),
             "output": str(self.item.output),
             **({"outputs": [str(path) for path in files]} if files else {}),
             "status": str(self.status),

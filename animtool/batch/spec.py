@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
 
+from animtool.batch.overrides import Override
 from animtool.batch.variants import Variants
 from animtool.errors import excerpt
 from animtool.scene.options import BakeOptions
@@ -167,6 +168,7 @@ class BatchSpec:
             makes one.
         roots: Folders that outputs may be in, as a batch file is of a project; empty is
             any.
+        overrides: Other values of ``variables`` for some inputs; the last counts.
     """
 
     inputs: tuple[str, ...]
@@ -184,6 +186,7 @@ class BatchSpec:
     handles: int | None = None
     variants: Variants | None = None
     roots: tuple[Path, ...] = ()
+    overrides: tuple[Override, ...] = ()
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:

@@ -315,13 +315,16 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
             if given[option] is not None
         },
     )
+    names = dict(given["variables"])
+    overrides = tuple(one.without(names) for one in spec.overrides)
     if given["strict"]:
         spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
         spec,
         name=given["name"] or spec.name,
         exclude=(*spec.exclude, *excluded),
-        variables={**spec.variables, **dict(given["variables"])},
+        variables={**spec.variables, **names},
+        overrides=overrides,
         limits=limits,
     )
 

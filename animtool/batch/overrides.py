@@ -1,0 +1,77 @@
+"""Other values of variables for some inputs of a batch, chosen by patterns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from animtool.errors import Fault, Severity, listed
+from animtool.files import FoundFile, Places, files_meant
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """Values of variables for some inputs.
+
+    Attributes:
+        inputs: Files, folders and globs, seen from the folder of the batch.
+        variables: The values, by name.
+    """
+
+    inputs: tuple[str, ...]
+    variables: Mapping[str, str] = field(default_factory=dict)
+
+    def without(self, names: Collection[str]) -> Override:
+        """Return it without values of some names."""
+        left = {k: v for k, v in self.variables.items() if k not in names}
+        return replace(self, variables=left)
+
+
+@dataclass(frozen=True, slots=True)
+class Overridden:
+    """What the overrides of a batch are for the files that it found."""
+
+    values: Mapping[Path, Mapping[str, str]]  # by path of the file
+    notices: tuple[Fault, ...]  # warnings of overrides that no input matches
+
+
+def overridden(
+    overrides: Sequence[Override],
+    found: Sequence[FoundFile],
+    folder: Path,
+    suffixes: Sequence[str],
+    path: Path | None,
+) -> Overridden:
+    """Return the values of the variables of inputs; of several the last one counts.
+
+    Args:
+        overrides: In order.
+        found: The inputs.
+        folder: Where names of inputs start.
+        suffixes: How names of inputs end.
+        path: The batch file.
+    """
+    place = Places()
+    places = {place(file.path): file.path for file in found}
+    values: dict[Path, dict[str, str]] = {}
+    notices = []
+    for i, override in enumerate(overrides):
+        meant = {
+            place(file.path)
+            for text in override.inputs
+            for file in files_meant(os.fspath(folder / text), suffixes)
+        }
+        matched = [places[where] for where in meant if where in places]
+        for own in matched:
+            values.setdefault(own, {}).update(override.variables)
+        if not matched:
+            message = f"no input of the batch is {listed(override.inputs)}"
+            hint = "inputs are files, folders and globs, seen from the batch file"
+            file, where = None if path is None else str(path), f"overrides[{i}].inputs"
+            warning = Severity.WARNING
+            notices.append(
+                Fault("BAT066", message, file, (), hint, warning, where=where)
+            )
+    return Overridden(values, tuple(notices))
