@@ -22,6 +22,10 @@ PINNED = 1e9
 # A knee near its stop goes fast: by this factor legs are less straight than those of
 # the source, where feet are held.
 BENT = 1.4
+# Shares of a leg's length below which its knee is far from its stop.
+FAR_FROM_STRAIGHT = 0.98
+# How often feet in the air are raised, and how far below the ground they may stay [m].
+RISES, SUNK = 3, 1e-4
 # What corrects a foot in the air fades within this time [s].
 FADE = 0.06
 # A foot that leans more than this where it stands is not on level ground [rad].
@@ -57,6 +61,7 @@ class Placed:
     ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
     turns: Sequence[FloatArray]  # (F, 4)
     locked: Sequence[BoolArray]  # frames in which each stands (F,)
+    rolls: Sequence[FloatArray]  # how far the toe is what stands, 0 to 1 (F,)
     soles: Sequence[float]  # how high each toe stands, of none the ankle [m]
     lowered: float  # how far hips came down for legs that are too short, at most [m]
 
@@ -93,7 +98,10 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     down = _lowering(hips, feet, ankles, fps, up)
     hips[:, up] -= down
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
-    return Placed(hips, ankles, turns, locked, soles, float(down.max(initial=0.0)))
+    rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
+    return Placed(
+        hips, ankles, turns, locked, rolls, soles, float(down.max(initial=0.0))
+    )
 
 
 def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
@@ -111,6 +119,13 @@ def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
         correction[start:end] = so3.log(so3.multiply(aim, back))
     between(correction, flat, fps)
     return so3.align_signs(so3.multiply(so3.exp(correction), foot.turn))
+
+
+def _rolls(toe: BoolArray, fps: float) -> FloatArray:
+    """Return 1 where a toe stands, which fades to 0 about it ``(F,)``."""
+    made = toe[:, None].astype(np.float64)
+    between(made, toe, fps)
+    return np.asarray(np.clip(made[:, 0], 0.0, 1.0))
 
 
 def _heading(turn: FloatArray, up: int) -> FloatArray:
@@ -206,7 +221,7 @@ def _locked(
     contacts = foot.contacts
     stands = contacts.any
     correction = np.zeros_like(ankle)
-    level = _level_bone(foot, up)
+    level = foot.height + _level_bone(foot, up)
     for start, end in intervals(stands):
         own, way = ankle[start:end], bone[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
@@ -220,10 +235,35 @@ def _locked(
         after = flat[np.minimum(behind, len(flat) - 1)]
         way[alone] = way[np.where(alone - before <= after - alone, before, after)]
         goal = (own + way)[flat].mean(axis=0)
-        goal[up] = foot.height + level
+        goal[up] = level
         correction[start:end] = goal - way - own
     between(correction, stands, fps)
+    _above_ground(correction[:, up], (ankle + bone)[:, up], level, stands, fps)
     return ankle + correction
+
+
+def _above_ground(
+    correction: FloatArray, toe: FloatArray, level: float, stands: BoolArray, fps: float
+) -> None:
+    """Change a correction ``(F,)`` [m] so that no toe is below the ground in the air.
+
+    Args:
+        correction: Of the height of a foot.
+        toe: Its height without that ``(F,)`` [m].
+        level: Where it stands [m].
+        stands: When it does ``(F,)``.
+        fps: Frames a second.
+    """
+    known = stands.copy()
+    for _ in range(RISES):
+        low = ~stands & (toe + correction < level - SUNK)
+        if not low.any():
+            return
+        correction[low] = level - toe[low]
+        known |= low
+        rows = correction[:, None].copy()
+        between(rows, known, fps)
+        correction[:] = rows[:, 0]
 
 
 def between(values: FloatArray, known: BoolArray, fps: float) -> None:
@@ -248,7 +288,8 @@ def _lowering(
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
         most = upper(foot.straight, ALIKE * fps)
-        reach = np.minimum(1 - BENT * (1 - most), STRAIGHT) * foot.length
+        share = np.clip(1 - BENT * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
+        reach = share * foot.length
         flat = way.copy()
         flat[:, up] = 0.0
         across = np.linalg.norm(flat, axis=1)

@@ -55,7 +55,8 @@ class RetargetReport:
     # Between bones of both, feet that stand apart [rad].
     bone_angle_mean: float
     bone_angle_max: float
-    # The largest acceleration over that of the source, scaled.
+    # The largest acceleration over that of the source, scaled as legs are, or as the
+    # way from the hips to the joint where that is more.
     acceleration: float
     lowered: float  # how far the hips came down so that legs reach, at most [m]
     held: Mapping[str, float]  # share of frames in which limits stop a joint
@@ -93,6 +94,14 @@ class FitMeter:
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
+        ways = [person.ways for person in (transfer.target, transfer.source)]
+        ratios = [
+            ways[0][pair.target]
+            / max(ways[1][pair.source], transfer.source.size * 0.01)
+            for pair in found.pairs
+        ]
+        # Hands of arms that are longer, over the legs, go that much faster.
+        self._sizes = np.maximum(ratios, transfer.scale)[:, None]
 
     def add(self, begin: int, target: FloatArray, source: FloatArray) -> None:
         """Take the frames that come next.
@@ -104,7 +113,6 @@ class FitMeter:
         """
         self._frames += len(target)
         part = slice(begin, begin + len(target))
-        scale = self._transfer.scale
         for k, side in enumerate(self._standing.sides):
             rows = []
             for person, points, size in self._both(target, source):
@@ -116,7 +124,7 @@ class FitMeter:
         pairs = self._found.pairs
         now = [
             target[:, [pair.target for pair in pairs]],
-            scale * source[:, [pair.source for pair in pairs]],
+            self._sizes * source[:, [pair.source for pair in pairs]],
         ]
         if self._last:
             now = [np.concatenate(each) for each in zip(self._last, now, strict=True)]

@@ -84,6 +84,17 @@ class Person:
         return float(np.ptp(self.positions, axis=0).max())
 
     @property
+    def ways(self) -> FloatArray:
+        """Lengths of all bones from the hips to each joint at rest ``(J,)`` [m]."""
+        made = np.zeros(len(self.rig.joints))
+        hips = self.first("hips")
+        for j, parent in enumerate(self.rig.parents.tolist()):
+            if parent >= 0 and j != hips:
+                bone = self.positions[j] - self.positions[parent]
+                made[j] = made[parent] + np.linalg.norm(bone)
+        return made
+
+    @property
     def facing(self) -> FloatArray | None:
         """Left, up and forward of a person who stands, rows ``(3, 3)``, if known."""
         ways = []
