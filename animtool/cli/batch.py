@@ -28,11 +28,11 @@ from animtool.cli.options import (
     set_option,
 )
 from animtool.documents.names import is_named
-from animtool.errors import Severity
+from animtool.errors import Severity, listed
 from animtool.signals import TerminatedError
 
 if TYPE_CHECKING:
-    from animtool.batch.run import BatchReport, ItemReport
+    from animtool.batch.report import BatchReport, ItemReport
     from animtool.batch.spec import BatchSpec
 
 
@@ -270,7 +270,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
         raise
     _tell(console, report, given, _Repeat(inputs, given))
     if given["junit"] is not None:
-        from animtool.batch.run import junit_report
+        from animtool.batch.report import junit_report
         from animtool.output import check_outputs, write_parts
 
         check_outputs([given["junit"]], [], overwrite=True)
@@ -382,15 +382,26 @@ def _tell(
         for line in planned_text(report):
             console.result(line)
     console.faults(report.notices)
-    for entry in report.items:
-        for notice in entry.notices:
-            if notice.severity is Severity.NOTE:
-                console.detail(str(notice))
-            else:
-                console.faults([notice])
+    _tell_notices(console, report)
     for line in batch_text(report, dry=given["dry_run"]):
         console.say(line)
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")
         console.faults(entry.faults, fatal=True)
         console.say(f"  again: {repeat.command(entry)}")
+
+
+def _tell_notices(console: Console, report: BatchReport) -> None:
+    """Say what is odd about items, each once, and of which items."""
+    for notice, entries in report.notices_of_items().items():
+        paths = {entry.item.found.path.absolute() for entry in entries}
+        # One that names the only input needs no more.
+        named = notice.path is not None and paths == {Path(notice.path).absolute()}
+        of = [] if named else [f"  of {listed([e.item.label for e in entries])}"]
+        if notice.severity is Severity.NOTE:
+            for line in (str(notice), *of):
+                console.detail(line)
+            continue
+        console.faults([notice])
+        for line in of:
+            console.say(line)

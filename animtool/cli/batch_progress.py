@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from animtool.batch.recipe import values_text
-from animtool.batch.run import BatchReport, ItemReport, Listener
+from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.run import Listener
 from animtool.batch.work import Status
 from animtool.cli.console import Console
 from animtool.cli.scores_summary import scores_table

@@ -137,8 +137,8 @@ def retarget_text(report: RetargetResult) -> list[str]:
     each = duration_text(spent / max(frames, 1))
     lines = [
         f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
-        f"{counted(score.pairs, 'joint')} paired, legs {score.scale:.3g} times as "
-        f"long, {each} a frame"
+        f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
+        f"{each} a frame"
     ]
     if score.contacts:
         lines.append(

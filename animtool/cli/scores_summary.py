@@ -9,7 +9,7 @@ from animtool.cli.console import columns
 from animtool.errors import counted, listed
 
 if TYPE_CHECKING:
-    from animtool.batch.run import ItemReport
+    from animtool.batch.report import ItemReport
     from animtool.scores import PassScores
 
 # Of names in a line, and of takes in a table.

@@ -169,7 +169,11 @@ def _retargeted(
         with naming(job.source):
             going, found, odd = onto_rig(stream, rig, job.options)
     seconds["solve"] = time.perf_counter() - began - seconds["read"]
-    notices = [*notices, *stream.notices, *odd]
+    theirs = found.target.notices
+    notices = [*notices, *stream.notices]
+    for notice in odd:
+        path = job.rig if notice in theirs else job.source
+        notices.append(replace(notice, path=notice.path or str(path)))
     made = replace(
         stream,
         rig=rig,

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from support.batch import take_files
 
-from animtool.batch.run import BatchReport, RunOptions, run_batch
+from animtool.batch.report import BatchReport
+from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, made_by
 from animtool.scene.options import BakeOptions
 

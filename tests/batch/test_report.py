@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import pytest
 from support.batch import take_files
 
-from animtool.batch.run import BatchReport, RunOptions, junit_report, run_batch
+from animtool.batch.report import BatchReport, junit_report
+from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.errors import Fault, Severity
 

@@ -13,7 +13,8 @@ from support.batch import take_files, whole_outputs
 import animtool
 from animtool.batch.executors import EXECUTORS, Executor, Work
 from animtool.batch.recipe import Item
-from animtool.batch.run import BatchReport, ItemReport, Listener, RunOptions, run_batch
+from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.run import Listener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Outcome, Status
 from animtool.errors import ExitCode, OptionError

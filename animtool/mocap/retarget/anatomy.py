@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -161,7 +161,7 @@ def _one_person(search: _Search) -> list[Fault]:
     names = body.rig.names
     message = (
         f"{len(others) + 1} skeletons in one file: that of {names[main]!r} is mapped, "
-        f"{listed([repr(names[r]) for r in others], MAX_NAMED)} are not"
+        f"{listed([repr(names[r]) for r in others], MAX_NAMED)} left out"
     )
     hint = "write the others to files of their own"
     return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
@@ -359,15 +359,32 @@ def _rest(search: _Search) -> None:
             search.roles[j] = kind or END
 
 
+ONE_LEG = ("whole left leg", "whole right leg")
+
+
+def _missing_legs(roles: Sequence[str]) -> str:
+    """Return what a skeleton lacks of its legs; empty where both are whole."""
+    whole = [
+        {f"{role}_{side}" for role in ("thigh", "shin", "foot")} <= {*roles}
+        for side in "lr"
+    ]
+    if any(whole):
+        return "" if all(whole) else ONE_LEG[whole[0]]
+    return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
+
+
 def _doubts(search: _Search) -> list[Fault]:
     """Return what is odd about a skeleton, and what is done instead."""
     body, rig, roles = search.body, search.body.rig, search.roles
     hands = [j for j, role in enumerate(roles) if base_role(role) == "hand"]
     blunt = [repr(rig.names[j]) for j in hands if body.size > 0 and body.reach[j] <= 0]
     texts = []
-    if not any(base_role(role) == "thigh" for role in roles):
-        hint = "root motion keeps its scale, and no feet are locked"
-        texts.append(("MAP101", f"{rig.name!r} has no legs", hint))
+    missing = _missing_legs(roles)
+    if missing:
+        hint = "root motion is scaled as the rest of the body, and no feet are held"
+        if missing in ONE_LEG:
+            hint = "the foot of the other one alone is held"
+        texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
         texts.append(("MAP102", message, "joints are mapped by their names alone"))

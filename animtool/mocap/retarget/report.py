@@ -94,12 +94,11 @@ class FitMeter:
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
-        ways = [person.ways for person in (transfer.target, transfer.source)]
-        ratios = [
-            ways[0][pair.target]
-            / max(ways[1][pair.source], transfer.source.size * 0.01)
-            for pair in found.pairs
-        ]
+        ours = transfer.target.ways[[pair.target for pair in found.pairs]]
+        theirs = transfer.source.ways[[pair.source for pair in found.pairs]]
+        theirs = np.maximum(theirs, transfer.source.size * 0.01)
+        # A source without offsets has no lengths.
+        ratios = np.divide(ours, theirs, out=np.zeros_like(ours), where=theirs > 0)
         # Hands of arms that are longer, over the legs, go that much faster.
         self._sizes = np.maximum(ratios, transfer.scale)[:, None]
 

@@ -59,7 +59,8 @@ def onto_rig(
     lock = not options.free_feet
     made = Retargeting(transfer, found, chain([first], blocks), fps, lock=lock)
     notices = list(found.notices)
-    if lock and not any(own.any.any() for own in made.standing.contacts):
+    contacts = made.standing.contacts if lock else ()
+    if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"
         hint = "is the take of a person with legs, and longer than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))

@@ -358,17 +358,27 @@ def _heading(
 
 # Cosine of the angle to the vertical up to which a person stands.
 STANDS = 0.8
+# Roles whose way from the hips says how large a person is, whatever its arms are.
+BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}
 
 
 def _scale(source: Person, target: Person) -> float:
-    """Return the lengths of the target's legs over those of the source's."""
+    """Return the lengths of the target's legs over those of the source's.
+
+    Without legs, the lengths of the bones from the hips to the rest of the body.
+    """
     pairs = [
         (target.leg_length(side), source.leg_length(side))
         for side in "lr"
         if target.leg(side) and source.leg(side)
     ]
-    own, other = target.size, source.size
-    if pairs:
-        own, other = (sum(lengths) for lengths in zip(*pairs, strict=True))
+    if not pairs:
+        ways = target.ways, source.ways
+        pairs = [
+            (float(ways[0][target.first(role)]), float(ways[1][source.first(role)]))
+            for role in dict.fromkeys(source.roles)
+            if base_role(role) in BODY and role in target.roles
+        ]
+    own, other = (sum(lengths) for lengths in zip((0.0, 0.0), *pairs, strict=True))
     return own / other if other > 0 and own > 0 else 1.0

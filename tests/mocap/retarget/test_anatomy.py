@@ -172,12 +172,19 @@ def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
     assert set(seen.found) == {Found.STRUCTURE}
 
 
-def test_legs_that_are_missing_are_said() -> None:
-    rig, roles = person(
-        lambda role: "" if role[:-2] in {"thigh", "shin", "foot", "toe"} else role
-    )
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ({"thigh", "shin", "foot", "toe"}, "no legs"),
+        ({"foot", "toe"}, "no whole legs"),
+        ({"thigh_l", "shin_l", "foot_l", "toe_l"}, "no whole left leg"),
+    ],
+)
+def test_legs_that_are_missing_are_said(missing: set[str], said: str) -> None:
+    rig, roles = person(lambda role: "" if {role, role[:-2]} & missing else role)
     found = anatomy(rig)
     assert [fault.code for fault in found.notices] == ["MAP101"]
+    assert said in found.notices[0].message
     assert list(found.roles) == [roles[name] for name in rig.names]
 
 

@@ -1,0 +1,190 @@
+"""What became of a batch and its items, for people and programs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from animtool.batch.discover import Batch
+from animtool.batch.plan import Reason
+from animtool.batch.recipe import Item
+from animtool.batch.work import Measured, Outcome, Status
+from animtool.errors import ExitCode, Fault, Severity
+from animtool.junit import JunitCase, junit_xml
+from animtool.scores import PassScores, badness
+
+# How many of the slowest items, and of the worst errors, a summary names.
+NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ItemReport:
+    """What became of an item."""
+
+    item: Item  # the item
+    status: Status  # what became of it
+    reason: Reason  # why it was made, or not
+    detail: str = ""  # the file that changed, or what happened last time
+    seconds: float = 0.0  # wall time of making it; 0 where it was not made
+    faults: tuple[Fault, ...] = ()  # why it failed
+    notices: tuple[Fault, ...] = ()  # warnings and notes
+    # What the bake measured; None where it was not made.
+    measured: Measured | None = None
+    scores: tuple[PassScores, ...] = ()  # how well passes did
+
+    @classmethod
+    def of(
+        cls, item: Item, reason: Reason, detail: str, outcome: Outcome
+    ) -> ItemReport:
+        """Return the report of an item that was made, or failed."""
+        return cls(
+            item,
+            outcome.status,
+            reason,
+            detail,
+            outcome.seconds,
+            outcome.faults,
+            outcome.notices,
+            outcome.measured,
+            outcome.scores,
+        )
+
+    @property
+    def why(self) -> str:
+        """Why it failed, in a line."""
+        if not self.faults:
+            return ""
+        more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
+        return f"{self.faults[0].code} {self.faults[0].message}{more}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as plain values."""
+        files = self.item.files
+        found: dict[str, object] = {
+            "item": self.item.number,
+            "input": str(self.item.found.path),
+            **({"values": dict(self.item.values)} if self.item.values else {}),
+            **({"variables": dict(self.item.variables)} if self.item.variables else {}),
+            "output": str(self.item.output),
+            **({"outputs": [str(path) for path in files]} if files else {}),
+            "status": str(self.status),
+            "reason": str(self.reason),
+        }
+        if self.item.shot is not None:
+            found["shot"] = self.item.shot.as_dict()
+        if self.detail:
+            found["detail"] = self.detail
+        if self.status in {Status.DONE, Status.FAILED}:
+            found["seconds"] = round(self.seconds, 6)
+        if self.measured is not None:
+            found["samples"] = self.measured.samples
+            found["error"] = {
+                "meters": self.measured.error,
+                "joint": self.measured.joint,
+            }
+        if self.scores:
+            found["scores"] = [one.as_dict() for one in self.scores]
+        if self.faults:
+            found["faults"] = [fault.as_dict() for fault in self.faults]
+        if self.notices:
+            found["notices"] = [notice.as_dict() for notice in self.notices]
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class BatchReport:
+    """What became of a batch."""
+
+    batch: Batch  # the batch
+    items: tuple[ItemReport, ...]  # those that were looked at, in order
+    seconds: float  # wall time of all
+    notices: tuple[Fault, ...] = ()  # warnings of the records of earlier runs
+
+    def count(self, status: Status) -> int:
+        """Return of how many items something became."""
+        return sum(report.status is status for report in self.items)
+
+    def reasons(self) -> Counter[Reason]:
+        """Return how many items there are of each reason."""
+        return Counter(report.reason for report in self.items)
+
+    @property
+    def failed(self) -> list[ItemReport]:
+        """The items that failed, in order."""
+        return [report for report in self.items if report.status is Status.FAILED]
+
+    @property
+    def slowest(self) -> list[ItemReport]:
+        """The items that took longest, longest first."""
+        made = [report for report in self.items if report.status is Status.DONE]
+        return sorted(made, key=lambda report: -report.seconds)[:NAMED]
+
+    @property
+    def worst(self) -> list[ItemReport]:
+        """The items whose files are farthest from their sources, farthest first."""
+        measured = [report for report in self.items if _error(report) > 0]
+        return sorted(measured, key=lambda report: -_error(report))[:NAMED]
+
+    @property
+    def scored(self) -> list[ItemReport]:
+        """The items whose passes have scores, the worst first."""
+        found = [report for report in self.items if report.scores]
+        return sorted(found, key=lambda report: badness(report.scores), reverse=True)
+
+    def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
+        """Return what is said of items, each once, with the items that it is of."""
+        found: dict[Fault, list[ItemReport]] = {}
+        for report in self.items:
+            for notice in report.notices:
+                found.setdefault(notice, []).append(report)
+        return found
+
+    def warned(self) -> list[ItemReport]:
+        """Return the items about which there are warnings."""
+        return [
+            report
+            for report in self.items
+            if any(n.severity is Severity.WARNING for n in report.notices)
+        ]
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """What a process that ran the batch returns."""
+        return ExitCode.FINDINGS if self.failed else ExitCode.OK
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "batch": "animtool/1",
+            **{str(status).replace(" ", "_"): self.count(status) for status in Status},
+            "seconds": round(self.seconds, 6),
+            **(
+                {"notices": [n.as_dict() for n in self.notices]} if self.notices else {}
+            ),
+            "items": [report.as_dict() for report in self.items],
+        }
+
+
+def _error(report: ItemReport) -> float:
+    return 0.0 if report.measured is None else report.measured.error
+
+
+def junit_report(reports: Sequence[ItemReport]) -> str:
+    """Return a suite with a test case for each item."""
+    return junit_xml("animtool batch", map(_case, reports))
+
+
+def _case(report: ItemReport) -> JunitCase:
+    name = str(report.item.output)
+    odd = [n for n in report.notices if n.severity is not Severity.NOTE]
+    said = "\n".join(map(str, odd))
+    if report.status is Status.FAILED:
+        first = report.faults[0]
+        text = "\n".join(map(str, report.faults))
+        return JunitCase(
+            name, "failure", first.code, first.message, text, said, report.seconds
+        )
+    if report.status is Status.DONE:
+        return JunitCase(name, said=said, seconds=report.seconds)
+    return JunitCase(name, "skipped", message=str(report.reason))

@@ -1,0 +1,159 @@
+"""Takes and rigs that lack something: each is named, with what is done instead."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+from support.usd import joint_positions, open_stage
+
+from animtool import open_source
+from animtool.motion import Motion
+
+SAMPLE = Path(__file__).parents[2] / "samples/retarget"
+WALK = (SAMPLE / "takes/walk.bvh").read_text("utf-8")
+RIG = (SAMPLE / "rigs/child.rig.yaml").read_text("utf-8")
+HEAD, _, FRAMES = WALK.partition("MOTION\n")
+COUNT, TIME, *ROWS = FRAMES.splitlines()
+
+
+def without_offsets() -> str:
+    """Return the walk with all joints in one place."""
+    return re.sub("OFFSET .*", "OFFSET 0 0 0", WALK)
+
+
+def twice() -> str:
+    """Return the walk of two people in one file."""
+    other = HEAD.removeprefix("HIERARCHY\n")
+    rows = [f"{row} {row}" for row in ROWS]
+    return "\n".join([f"{HEAD}{other}MOTION", COUNT, TIME, *rows, ""])
+
+
+def of_two_frames() -> str:
+    """Return the first two frames of the walk."""
+    return "\n".join([f"{HEAD}MOTION", "Frames: 2", TIME, *ROWS[:2], ""])
+
+
+def without_legs() -> str:
+    """Return the walk of a skeleton that ends at its hips."""
+    begin = HEAD.index("  JOINT LeftUpLeg")
+    head = f"{HEAD[:begin]}}}\n"
+    width = sum(map(int, re.findall(r"CHANNELS (\d)", head)))
+    rows = [" ".join(row.split()[:width]) for row in ROWS]
+    return "\n".join([f"{head}MOTION", COUNT, TIME, *rows, ""])
+
+
+def without_fingers() -> str:
+    """Return the rig with hands that end at the wrist."""
+    kept = [
+        re.sub(r", tips: \[\[.*?\]\]", "", line) if "name: wrist_" in line else line
+        for line in RIG.splitlines()
+        if not re.search("name: (thumb|index|middle|ring|pinky)_", line)
+    ]
+    return "\n".join(kept)
+
+
+TAKES = {
+    "offsets": (without_offsets, "MAP102", "by their names alone"),
+    "two": (twice, "MAP103", "'Hips_2' left out"),
+    "short": (of_two_frames, "MAP007", "none is held"),
+    "legs": (without_legs, "MAP101", "scaled as the rest of the body"),
+}
+
+
+@pytest.mark.parametrize(("take", "code", "text"), TAKES.values(), ids=TAKES)
+def test_a_take_that_lacks_something_is_named(
+    take: Callable[[], str], code: str, text: str, tmp_path: Path
+) -> None:
+    path, output = tmp_path / "take.bvh", tmp_path / "out.usdc"
+    path.write_text(take(), "utf-8")
+    rig = SAMPLE / "rigs/child.rig.yaml"
+    done = animtool("retarget", path, "--to", rig, "-o", output, "--format", "json")
+    assert done.code == 0, done.stderr
+    found = json.loads(done.stdout)
+    (notice,) = [one for one in found["notices"] if one["code"] == code]
+    assert notice["path"] == str(path)
+    assert text in f"{notice['message']}, {notice['hint']}"
+    frames = open_source(path).collect().clock.count
+    assert len(joint_positions(open_stage(output), range(1, frames + 1))) == frames
+    strict = animtool("retarget", path, "--to", rig, "--strict")
+    assert strict.code == (0 if code == "MAP007" else 1), strict.stderr
+
+
+def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
+    rig = tmp_path / "child.rig.yaml"
+    rig.write_text(without_fingers(), "utf-8")
+    done = animtool("retarget", SAMPLE / "takes/walk.bvh", "--to", rig)
+    assert done.code == 0, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "MAP104" in line]
+    assert line.startswith(str(rig))
+    assert "'wrist_l', 'wrist_r' end, the hand goes on as the forearm does" in line
+
+
+def test_root_motion_without_legs_is_scaled_by_the_body(tmp_path: Path) -> None:
+    """A body of twice the size goes twice as far."""
+    for name, size in (("one", 1), ("two", 2)):
+        text = re.sub(
+            "OFFSET (.*)",
+            lambda found, size=size: (
+                "OFFSET " + " ".join(str(size * float(n)) for n in found[1].split())
+            ),
+            without_legs(),
+        )
+        (tmp_path / f"{name}.bvh").write_text(text, "utf-8")
+    output = tmp_path / "out.bvh"
+    done = animtool(
+        *("retarget", tmp_path / "one.bvh", "--to", tmp_path / "two.bvh"),
+        *("-o", output),
+    )
+    assert done.code == 0, done.stderr
+    made, source = (
+        open_source(path).collect().motion for path in (output, tmp_path / "one.bvh")
+    )
+
+    def travel(motion: Motion) -> list[float]:
+        hips = motion.translations.dense()[:, 0]
+        return list(hips[-1] - hips[0])
+
+    assert travel(made) == pytest.approx([2 * x for x in travel(source)], abs=1e-6)
+
+
+def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:
+    (tmp_path / "takes").mkdir()
+    for name, (take, _, _) in TAKES.items():
+        (tmp_path / f"takes/{name}.bvh").write_text(take(), "utf-8")
+    (tmp_path / "child.rig.yaml").write_text(RIG, "utf-8")
+    (tmp_path / "odd.map.yaml").write_text(
+        "map: animtool/1\njoints:\n- {source: LeftArm, target: shulder_l}\n", "utf-8"
+    )
+    (tmp_path / "onto.scene.yaml").write_text(
+        "scene: animtool/1\nsource: {file: ${input}}\npasses:\n"
+        "- retarget: {rig: child.rig.yaml, map: ${map}, rest_frame: ${rest}}\n",
+        "utf-8",
+    )
+    batch = tmp_path / "onto.batch.yaml"
+    batch.write_text(
+        "batch: animtool/1\ninputs: [takes]\nscene: onto.scene.yaml\n"
+        "variables: {map: '', rest: 3}\noverrides:\n"
+        "- {inputs: [takes/two.bvh], variables: {map: odd.map.yaml}}\n"
+        "- {inputs: [takes/offsets.bvh], variables: {rest: ''}}\n"
+        "output: 'out/{stem}.usdc'\n",
+        "utf-8",
+    )
+    done = animtool("batch", batch, "--format", "json", "-j", "2")
+    assert done.code == 1
+    items = {
+        Path(item["input"]).stem: item for item in json.loads(done.stdout)["items"]
+    }
+    for name in ("offsets", "legs"):
+        codes = [notice["code"] for notice in items[name]["notices"]]
+        assert TAKES[name][1] in codes
+        assert items[name]["scores"]
+    faults = {name: items[name].get("faults", []) for name in TAKES}
+    assert [fault["code"] for fault in faults["short"]] == ["MAP006"]
+    assert [(f["code"], f["lines"]) for f in faults["two"]] == [("MAP001", [3])]
+    assert f"  of {items['legs']['input']}" in done.stderr
