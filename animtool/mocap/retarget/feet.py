@@ -34,7 +34,7 @@ LEVEL = np.radians(20.0)
 STRAIGHT = 0.9995
 # Legs are as straight as those of the source are within this time of it [s].
 ALIKE = 1.0
-# How far ahead the hips know that a leg is too short [s].
+# How far ahead the hips know that a leg does not reach [s].
 LOWERING = 0.03
 
 
@@ -50,6 +50,7 @@ class Foot:
     level: FloatArray  # turn of the foot where it stands at rest (4,)
     height: float  # of the ankle above the ground where it stands [m]
     length: float  # how far the leg reaches [m]
+    shortest: float  # how near to the hip the ankle comes [m]
     straight: FloatArray  # share of it that the leg of the source reaches (F,)
 
 
@@ -95,8 +96,8 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         _locked(hips + ankle, bone, foot, fps, up)
         for foot, ankle, bone in zip(feet, held, bones, strict=True)
     ]
-    down = _lowering(hips, feet, ankles, fps, up)
-    hips[:, up] -= down
+    down, rise = _reaching(hips, feet, ankles, fps, up)
+    hips[:, up] += rise - down
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
@@ -276,28 +277,33 @@ def between(values: FloatArray, known: BoolArray, fps: float) -> None:
     values[~known] = made[~known]
 
 
-def _lowering(
+def _reaching(
     hips: FloatArray,
     feet: Sequence[Foot],
     ankles: Sequence[FloatArray],
     fps: float,
     up: int,
-) -> FloatArray:
-    """Return how far hips come down so that legs reach ``(F,)`` [m]."""
-    needed = np.zeros(len(hips))
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far hips come down and up so that legs reach, both ``(F,)`` [m]."""
+    down, rise = np.zeros((2, len(hips)))
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
         most = upper(foot.straight, ALIKE * fps)
         share = np.clip(1 - BENT * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
-        reach = share * foot.length
         flat = way.copy()
         flat[:, up] = 0.0
-        across = np.linalg.norm(flat, axis=1)
-        high = np.sqrt(np.maximum(reach**2 - across**2, 0.0))
-        needed = np.maximum(needed, way[:, up] - high)
-    if not (needed > 0).any():
-        return np.zeros(len(hips))
-    return upper(needed, max(2 * LOWERING * fps, 2.0))
+        across = (flat**2).sum(axis=1)
+        high = np.sqrt(np.maximum((share * foot.length) ** 2 - across, 0.0))
+        down = np.maximum(down, way[:, up] - high)
+        low = np.sqrt(np.maximum(foot.shortest**2 - across, 0.0))
+        # Who hangs by the feet is not turned over.
+        upright = (way[:, up] > 0) & (low > 0)
+        rise = np.maximum(rise, np.where(upright, low - way[:, up], 0.0))
+    width = max(2 * LOWERING * fps, 2.0)
+    return (
+        upper(down, width) if down.any() else down,
+        upper(rise, width) if rise.any() else rise,
+    )
 
 
 def upper(values: FloatArray, width: float) -> FloatArray:

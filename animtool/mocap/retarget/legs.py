@@ -15,7 +15,7 @@ from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
 from animtool.units import UpAxis
 
-# Angles of a knee that are tried for its longest reach: within a hundredth of a degree.
+# Angles of a knee that are tried for its reach: within a hundredth of a degree.
 ANGLES = 20_001
 
 
@@ -71,6 +71,7 @@ class LegTracks:
         contacts = find_contacts(ankle, tip, fps, length, up)
         reach = np.linalg.norm(ankle - hip, axis=1)
         share = reach / length if length > 0 else np.ones(len(reach))
+        shortest, longest = _reach(transfer.target, own)
         return Foot(
             contacts,
             self.hip,
@@ -79,7 +80,8 @@ class LegTracks:
             self.turn,
             transfer.aligned[own[2]],
             _standing(transfer, side, contacts.ground, up),
-            _reach(transfer.target, own),
+            longest,
+            shortest,
             np.minimum(share, 1.0),
         )
 
@@ -96,20 +98,22 @@ def leg_of(person: Person, side: str) -> tuple[int, int, int, int]:
     return leg
 
 
-def _reach(target: Person, leg: tuple[int, int, int, int]) -> float:
-    """Return how far a leg reaches [m]: a pin may not let it be straight."""
+def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float]:
+    """Return how near and how far an ankle can be [m]: a pin may have limits."""
     rig, (_, shin, foot, _) = target.rig, leg
     joint, rest = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
     if joint.type is not JointType.PIN:
-        return float(np.linalg.norm(upper) + np.linalg.norm(lower))
+        sizes = np.linalg.norm(upper), np.linalg.norm(lower)
+        return float(abs(sizes[0] - sizes[1])), float(sizes[0] + sizes[1])
     low, high = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
         low, high = joint.limits.low, joint.limits.high
     angles = np.linspace(low, high, ANGLES)
     turns = so3.from_axis_angle(np.array(joint.axis, np.float64), angles)
     tips = upper + so3.rotate(so3.multiply(rest, turns), lower)
-    return float(np.linalg.norm(tips, axis=1).max())
+    reach = np.linalg.norm(tips, axis=1)
+    return float(reach.min()), float(reach.max())
 
 
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
