@@ -21,6 +21,8 @@ ABOVE_NOISE = 1.2
 SLOW = 0.18
 # A foot that stands is no higher above where it is lowest than this many of these.
 LOW = 0.12
+# A heel that is higher than this many of these is raised: the toe alone stands.
+RAISED = 0.05
 # Of all frames, those that a foot is lower in are outliers.
 LOWEST = 0.02
 # Of fewer frames nobody says what stands.
@@ -99,10 +101,11 @@ def find_contacts(
         speed = np.linalg.norm(np.gradient(smooth, axis=0), axis=1) * fps
         stands.append((speed < slow, smooth[:, up]))
     masks = []
-    for still, height in stands:
+    for k, (still, height) in enumerate(stands):
         lows = height[still] if still.any() else height
         base = float(np.quantile(lows, LOWEST))
-        masks.append(without_short(still & (height < base + LOW * leg), fps))
+        low = RAISED if k == 0 and toe is not None else LOW
+        masks.append(without_short(still & (height < base + low * leg), fps))
     flat = masks[0] & masks[-1]
     height = stands[0][1]
     ground = float(np.median(height[flat])) if flat.any() else float(height.min())

@@ -9,7 +9,13 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.maths import so3
-from animtool.mocap.contacts import FootContacts, intervals, smoothed, without_short
+from animtool.mocap.contacts import (
+    RAISED,
+    FootContacts,
+    intervals,
+    smoothed,
+    without_short,
+)
 
 # The hips go over from one foot to the other within this time of a contact [s].
 HANDOVER = 0.15
@@ -51,6 +57,7 @@ class Foot:
     height: float  # of the ankle above the ground where it stands [m]
     length: float  # how far the leg reaches [m]
     shortest: float  # how near to the hip the ankle comes [m]
+    above: FloatArray  # ankle of the source above where it stands, scaled (F,) [m]
     straight: FloatArray  # share of it that the leg of the source reaches (F,)
 
 
@@ -237,6 +244,10 @@ def _locked(
         way[alone] = way[np.where(alone - before <= after - alone, before, after)]
         goal = (own + way)[flat].mean(axis=0)
         goal[up] = level
+        if foot.toe is None:
+            # Who kneels stands on the toes, though there is no joint of them.
+            high = float(np.median(foot.above[start:end]))
+            goal[up] += high if high > RAISED * foot.length else 0.0
         correction[start:end] = goal - way - own
     between(correction, stands, fps)
     _above_ground(correction[:, up], (ankle + bone)[:, up], level, stands, fps)

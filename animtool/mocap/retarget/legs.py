@@ -29,7 +29,9 @@ class LegTracks:
     hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray  # (F, 3) [m]; the ankle where there is none
-    turn: FloatArray  # of its foot in the world (F, 4)
+    knee: FloatArray  # (F, 3) [m]
+    # In the world: of what is above the thigh, of thigh, shin and foot (F, 4, 4).
+    turns: FloatArray
     source: FloatArray  # hip, ankle and toe of the source, in the target's axes (F, 9)
 
     @staticmethod
@@ -49,7 +51,9 @@ class LegTracks:
             turns: Of the target in the world ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
-        thigh, _, foot, tip = leg_of(transfer.target, side)
+        target = transfer.target
+        thigh, shin, foot, tip = leg_of(target, side)
+        above = int(target.rig.parents[thigh])
         first, _, ankle, toe = leg_of(transfer.source, side)
         ends = source[:, [first, ankle, toe if toe >= 0 else ankle]]
         tip = tip if tip >= 0 else foot
@@ -57,7 +61,8 @@ class LegTracks:
             about[:, thigh],
             about[:, foot],
             about[:, tip],
-            turns[:, foot],
+            about[:, shin],
+            turns[:, [max(above, 0), thigh, shin, foot]],
             ends.reshape(len(ends), 9),
         )
 
@@ -77,11 +82,12 @@ class LegTracks:
             self.hip,
             self.ankle,
             self.toe if own[3] >= 0 else None,
-            self.turn,
+            self.turns[:, 3],
             transfer.aligned[own[2]],
             _standing(transfer, side, contacts.ground, up),
             longest,
             shortest,
+            transfer.scale * (ankle[:, up] - contacts.ground),
             np.minimum(share, 1.0),
         )
 
@@ -140,26 +146,37 @@ def put_ankle(
     side: str,
     joints: FloatArray,
     goal: FloatArray,
-    turns: FloatArray,
-) -> None:
-    """Turn thigh and shin in the world so that the ankle is at its goal.
+    turns: tuple[FloatArray, FloatArray],
+    swivel: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of thigh and shin in the world that bring the ankle to its goal.
 
     Args:
         target: Whose leg it is.
         side: Of the leg.
         joints: Where thigh, shin and foot begin ``(F, 3, 3)`` [m].
         goal: Of the ankle ``(F, 3)`` [m].
-        turns: Of all joints in the world ``(F, K, 4)``, changed.
+        turns: Of thigh and shin in the world as they are ``(F, 4)``.
+        swivel: How far the knee then goes round the line from hip to ankle ``(F,)``
+            [rad].
     """
     rig, (thigh, shin, foot, _) = target.rig, leg_of(target, side)
     hip = joints[:, 0]
     if rig.joints[shin].type is JointType.PIN:
-        both = _pin_leg(rig, (thigh, shin, foot), hip, goal, turns)
+        made = _pin_leg(rig, (thigh, shin, foot), hip, goal, turns)
     else:
-        hinge = so3.rotate(turns[:, shin], _hinge(target, shin))
-        now = turns[:, thigh], turns[:, shin]
-        both = bend_leg(hip, (joints[:, 1], joints[:, 2]), goal, now, hinge)
-    turns[:, thigh], turns[:, shin] = both
+        hinge = so3.rotate(turns[1], _hinge(target, shin))
+        made = bend_leg(hip, (joints[:, 1], joints[:, 2]), goal, turns, hinge)
+    return made if swivel is None else swivelled(made, goal - hip, swivel)
+
+
+def swivelled(
+    turns: tuple[FloatArray, FloatArray], way: FloatArray, angle: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of thigh and shin that go round a way ``(F, 3)`` by an angle."""
+    axis = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    turn = so3.from_axis_angle(axis, angle)
+    return so3.multiply(turn, turns[0]), so3.multiply(turn, turns[1])
 
 
 def _pin_leg(
@@ -167,18 +184,16 @@ def _pin_leg(
     leg: tuple[int, int, int],
     hip: FloatArray,
     goal: FloatArray,
-    turns: FloatArray,
+    turns: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Return turns of thigh and shin in the world, of a knee that is a pin."""
-    thigh, shin, foot = leg
+    _, shin, foot = leg
     joint, rest = rig.joints[shin], rig.rest_rotations[shin]
-    own = so3.multiply(so3.conjugate(turns[:, thigh]), turns[:, shin])
+    own = so3.multiply(so3.conjugate(turns[0]), turns[1])
     pin = np.array(joint.axis, np.float64)
     angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
     bones = rig.rest_translations[shin], so3.rotate(rest, rig.rest_translations[foot])
-    upper, bent = bend_at_pin(
-        hip, goal, turns[:, thigh], bones, so3.rotate(rest, pin), angle
-    )
+    upper, bent = bend_at_pin(hip, goal, turns[0], bones, so3.rotate(rest, pin), angle)
     if isinstance(joint.limits, RangeLimit):
         bent = joint.limits.clamped(bent)
     lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))

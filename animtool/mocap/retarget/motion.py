@@ -14,7 +14,13 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import place_feet
-from animtool.mocap.retarget.legs import LegTracks, leg_of, put_ankle, up_index
+from animtool.mocap.retarget.legs import (
+    LegTracks,
+    leg_of,
+    put_ankle,
+    up_index,
+)
+from animtool.mocap.retarget.legs_in_limits import within_limits
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.poses import (
     LocalTurns,
@@ -104,9 +110,9 @@ class Retargeting:
             )
             self._stopped.append(turns.held)
         self._hips = np.concatenate(hips)
+        whole = [joined([each[k] for each in tracks]) for k in range(len(legs))]
         feet = [
-            joined([each[k] for each in tracks]).foot(transfer, side, fps)
-            for k, side in enumerate(legs)
+            one.foot(transfer, side, fps) for one, side in zip(whole, legs, strict=True)
         ]
         placed = None
         if legs and lock and not transfer.alike:
@@ -115,7 +121,9 @@ class Retargeting:
             off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]
             self._hips[:, up] += float(np.mean(off))
             placed = place_feet(self._hips, feet, fps, up)
-            self._hips = placed.hips
+            self._hips, self._swivels = within_limits(
+                transfer.target, "".join(legs), whole, placed, fps
+            )
         contacts = tuple(foot.contacts for foot in feet)
         self.standing = Standing("".join(legs), contacts, placed)
         self._meter = FitMeter(transfer, found, self.standing)
@@ -201,7 +209,10 @@ class Retargeting:
                 zip(self.standing.sides, legs, strict=True)
             ):
                 joints = hips[:, None] + about[:, leg[:3]]
-                put_ankle(target, side, joints, goals[k], world)
+                both = world[:, leg[0]], world[:, leg[1]]
+                world[:, leg[0]], world[:, leg[1]] = put_ankle(
+                    target, side, joints, goals[k], both, self._swivels[k][part]
+                )
                 world[:, leg[2]] = placed.turns[k][part]
             made = local_turns(self.transfer, world, turns, changed)
             if tried == TRIES - 1:
