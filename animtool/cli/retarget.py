@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from animtool.scene.retarget import RetargetResult
 
 MAX_NAMED = 8
+# What rounding leaves of lengths and angles [m, rad].
+NEGLIGIBLE = 1e-9
 
 
 @click.command(
@@ -124,14 +126,14 @@ def retarget(
     if given["report_format"] == "json":
         console.result_json(retarget_json(report))
         return
-    for line in retarget_text(report):
+    for line in retarget_text(report, MAX_NAMED if console.verbosity <= 0 else None):
         console.say(line)
     for stage, seconds in report.seconds.items():
         console.detail(f"{stage}: {seconds:.3f} s")
 
 
-def retarget_text(report: RetargetResult) -> list[str]:
-    """Return the lines of a summary."""
+def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
+    """Return the lines of a summary; ``most``: names in a line, None is all."""
     score = report.score
     frames, spent = score.frames, report.seconds["solve"]
     each = duration_text(spent / max(frames, 1))
@@ -143,13 +145,13 @@ def retarget_text(report: RetargetResult) -> list[str]:
     if score.contacts:
         lines.append(
             f"  feet stand in {percent(score.contacts)} of frames; they drift "
-            f"{length_text(score.drift_mean)}, {length_text(score.drift_max)} at most "
-            f"(the source {length_text(score.source_drift_max)}, scaled); soles within "
-            f"{length_text(score.sole_error)}"
+            f"{_length(score.drift_mean)}, {_length(score.drift_max)} at most "
+            f"(the source {_length(score.source_drift_max)}, scaled); soles within "
+            f"{_length(score.sole_error)}"
         )
     lines.append(
-        f"  limbs {angle_text(math.degrees(score.bone_angle_mean))} off the source's, "
-        f"{angle_text(math.degrees(score.bone_angle_max))} at most; hands reach within "
+        f"  limbs {_angle(score.bone_angle_mean)} off the source's, "
+        f"{_angle(score.bone_angle_max)} at most; hands reach within "
         f"{percent(score.reach_error)} of the arm; accelerations up to "
         f"{score.acceleration:.3g} times the source's"
     )
@@ -163,10 +165,18 @@ def retarget_text(report: RetargetResult) -> list[str]:
         ("not mapped, of the rig", score.unmapped_target),
     ):
         if names:
-            lines.append(f"  {what}: {listed(list(names), MAX_NAMED)}")
+            lines.append(f"  {what}: {listed(names, most or len(names))}")
     if report.outputs:
         lines.append(f"  written: {', '.join(map(str, report.outputs))}")
     return lines
+
+
+def _length(meters: float) -> str:
+    return length_text(meters if meters > NEGLIGIBLE else 0.0)
+
+
+def _angle(radians: float) -> str:
+    return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
 
 
 def _held(report: RetargetResult) -> list[str]:

@@ -103,6 +103,9 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     if job.write_map is not None and not is_named(job.write_map, "map"):
         message, hint = "is no name of a map file", "allowed: .map.yaml, .map.yml"
         raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
+    if job.source.is_dir():
+        hint = "a batch of a scene with the pass retarget takes folders: animtool batch"
+        raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
     outputs = retarget_outputs(job)
     if outputs:
         named = (job.source, job.rig, job.options.map, job.bake.rig_layer)

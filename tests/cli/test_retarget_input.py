@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
 from support.cli import animtool
+from support.full_rigs import FULL_RIGS, full_rig
 from support.usd import joint_positions, open_stage
 
 from animtool import open_source
-from animtool.motion import Motion
+from animtool.clock import Clock
+from animtool.formats.bvh.write import write_bvh
+from animtool.motion import Channel, Motion
+from animtool.take import Take
 
 SAMPLE = Path(__file__).parents[2] / "samples/retarget"
 WALK = (SAMPLE / "takes/walk.bvh").read_text("utf-8")
@@ -94,6 +100,13 @@ def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
     assert "'wrist_l', 'wrist_r' end, the hand goes on as the forearm does" in line
 
 
+def test_a_take_in_another_unit_is_named() -> None:
+    source, rig = SAMPLE / "takes/walk.bvh", SAMPLE / "rigs/child.rig.yaml"
+    done = animtool("retarget", source, "--to", rig, "--units", "m")
+    assert "MAP106 the rig is 0.00544 times as large" in done.stderr
+    assert "MAP106" not in animtool("retarget", source, "--to", rig).stderr
+
+
 def test_root_motion_without_legs_is_scaled_by_the_body(tmp_path: Path) -> None:
     """A body of twice the size goes twice as far."""
     for name, size in (("one", 1), ("two", 2)):
@@ -120,6 +133,38 @@ def test_root_motion_without_legs_is_scaled_by_the_body(tmp_path: Path) -> None:
         return list(hips[-1] - hips[0])
 
     assert travel(made) == pytest.approx([2 * x for x in travel(source)], abs=1e-6)
+
+
+def test_a_mixamo_take_goes_onto_a_rig_of_unreal_without_a_map(tmp_path: Path) -> None:
+    """Every joint follows the one of its role; those without a role are listed."""
+    mixamo = {"Chest": "Spine1"}
+    take, target = tmp_path / "take.bvh", tmp_path / "manny.bvh"
+    take.write_text(
+        re.sub(
+            r"(ROOT|JOINT) (\w+)",
+            lambda found: f"{found[1]} mixamorig:{mixamo.get(found[2], found[2])}",
+            WALK,
+        ),
+        "utf-8",
+    )
+    rig, roles = full_rig(*FULL_RIGS["ue5_manny"])
+    rig = replace(rig, meters_per_unit=0.01)
+    rest = rig.rest_translations[None], rig.rest_rotations[None]
+    still = Motion(*map(Channel.from_dense, rest))
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), 1)
+    write_bvh(Take(rig, clock, still), target)
+    done = animtool("retarget", take, "--to", target, "--format", "json")
+    assert done.code == 0, done.stderr
+    found = json.loads(done.stdout)
+    known = dict(zip(rig.names, roles, strict=True))
+    pairs = {pair["target"]: pair["role"] for pair in found["joints"]}
+    assert pairs == {name: known[name] for name in pairs}
+    assert len(pairs) == 25
+    assert found["unmapped_source"] == []
+    twisted = {name for name in rig.names if "twist" in name}
+    assert {*found["unmapped_target"]} == {*rig.names} - pairs.keys() - twisted
+    text = animtool("retarget", take, "--to", target, "-v").stderr
+    assert ", ".join(found["unmapped_target"]) in text
 
 
 def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:

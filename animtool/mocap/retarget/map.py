@@ -10,6 +10,9 @@ from animtool.errors import Fault
 from animtool.mocap.retarget.roles import Anatomy, Found
 from animtool.rig.skeleton import Rig
 
+# Columns of a map file's lists.
+WIDTH = 88
+
 
 @dataclass(frozen=True, slots=True)
 class JointPair:
@@ -76,6 +79,8 @@ def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     ours, theirs = source.names, target.names
     yield f"# {text(source.name)} onto {text(target.name)}"
     yield "map: animtool/1"
+    # Who edits it finds the key, and what it may be.
+    yield "others: none  # auto maps joints that are not named here, as without a file"
     yield "joints:"
     chained = {j for chain in found.chains for j in chain.target}
     chains = {chain.target[0]: chain for chain in found.chains}
@@ -106,7 +111,21 @@ def _lines(found: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         yield "ignored:"
     for side, names in unmapped.items():
         if names:
-            yield f"  {side}: [{', '.join(map(text, names))}]"
+            yield from _wrapped(f"  {side}: [", list(map(text, names)))
+
+
+def _wrapped(head: str, names: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of a list of names, none broken."""
+    line = head
+    for i, name in enumerate(names):
+        last = i == len(names) - 1
+        item = f"{name}]" if last else f"{name},"
+        gap = "" if line == head or line.endswith(" ") else " "
+        if len(line) + len(gap) + len(item) > WIDTH and line != head:
+            yield line
+            line, gap = " " * len(head), ""
+        line += f"{gap}{item}"
+    yield line
 
 
 def _flow(names: Sequence[str]) -> str:

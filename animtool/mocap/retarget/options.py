@@ -15,7 +15,7 @@ class RetargetOptions:
     """How a take goes onto another rig.
 
     Attributes:
-        map: A map file, whose pairs go before all others.
+        map: A map file; None finds which joint follows which.
         by: What joints are told by.
         preset: The convention of the source's names; None finds it.
         target_preset: That of the target's names.
@@ -28,15 +28,16 @@ class RetargetOptions:
         None,
         "file",
         "--map",
-        help="A map file (.map.yaml), whose pairs of joints go before all others.",
+        help="A map file (.map.yaml): which joint follows which. Joints that it does "
+        "not name stay at rest, unless it says others: auto.",
     )
     by: MapMode = option(
         "auto",
         "name",
         "--by",
         choices=get_args(MapMode),
-        help="What joints are told by: their names and where they are, one of both, or "
-        "by equal names alone.",
+        help="How joints are recognised: by their names and by where they are in the "
+        "body, by one of both, or (rename) each by a joint of the same name.",
     )
     preset: str | None = option(
         None,

@@ -66,6 +66,7 @@ def onto_rig(
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
     transfer = transfer_of(source, rig, found, rest)
+    notices += _odd_scale(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
     made = Retargeting(transfer, found, chain([first], blocks), fps, lock=lock)
@@ -127,6 +128,21 @@ def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
     start = first.select(slice(0, 1))
     turns = start.rotations.dense() if rest is None else rest[None]
     return np.asarray(forward(rig, start.translations.dense(), turns).positions[0])
+
+
+# Between these a person, a child, a giant and a doll stand; beyond them it is rather a
+# unit that is wrong, of which the smallest step but one is 10.
+LIKELY_SCALES = (1 / 9, 9.0)
+
+
+def _odd_scale(scale: float) -> list[Fault]:
+    """Return a warning of a rig that is of another order of size than the take."""
+    low, high = LIKELY_SCALES
+    if low <= scale <= high:
+        return []
+    message = f"the rig is {scale:.3g} times as large as who is in the take"
+    hint = "is the unit right? --units says that of a BVH take, a rig file its own"
+    return [Fault("MAP106", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _named_rig(options: RetargetPassOptions) -> Path:

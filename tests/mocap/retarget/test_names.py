@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,3 +148,9 @@ def test_a_left_shoulder_is_what_is_around_it(
     found = dict(zip(rig.names, anatomy(rig).roles, strict=True))
     assert found["LeftShoulder"] == role
     assert found["RightShoulder"] == f"{base_role(role)}_r"
+
+
+def test_the_page_of_unknown_presets_lists_all(root: Path) -> None:
+    page = (root / "animtool/docs/rules/MAP003.md").read_text("utf-8")
+    listed = page.partition("The presets are ")[2]
+    assert re.findall(r"`(\w+)`", listed) == sorted(presets())
