@@ -92,6 +92,7 @@ PASSES: dict[str, str] = {
     "blend": "animtool.edit.layers:BLEND",
     "clean": "animtool.mocap.clean:PASS",
     "difference": "animtool.edit.layers:DIFFERENCE",
+    "feet": "animtool.mocap.retarget.take_pass:FEET",
     "hang": "animtool.edit.tree:PASS",
     "ik": "animtool.ik.take_pass:PASS",
     "layer": "animtool.edit.layers:LAYER",

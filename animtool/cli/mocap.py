@@ -12,12 +12,15 @@ from animtool.cli.options import (
     INPUT,
     common_options,
     format_option,
+    read_values,
+    record_option,
     source_option,
     source_options,
     source_options_record,
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.mocap.clean_options import CleanOptions
 
 
 @click.group(
@@ -33,7 +36,8 @@ def mocap() -> None:
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
-  animtool mocap clean take.bvh -o clean.bvh --spikes 2 --no-smooth
+  animtool mocap clean take.bvh -o clean.bvh --spikes 2 --noise keep
+  animtool mocap clean take.bvh -o clean.usdc --feet hold
   animtool mocap clean take.usdc -o clean.clip.yaml --cutoff 6"""
 )
 @click.argument("source", type=INPUT)
@@ -44,31 +48,16 @@ Examples:
     required=True,
     help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh.",
 )
+@record_option(CleanOptions)
 @click.option(
-    "--spikes",
-    type=int,
-    default=3,
-    show_default=True,
-    metavar="FRAMES",
-    help="Longest spike that is removed; 0 leaves them.",
-)
-@click.option(
-    "--smooth/--no-smooth",
-    default=True,
-    show_default=True,
-    help="Filter each joint at the cut-off that its noise asks for.",
-)
-@click.option(
-    "--cutoff",
-    type=float,
-    metavar="HZ",
-    help="Filter every joint at this frequency instead.",
+    "--feet",
+    type=click.Choice(["free", "hold"]),
+    default="free",
+    help="Whether feet slide where they stand, as captured, or are held.  "
+    "[default: free]",
 )
 @source_options
-@click.option(
-    "--prim-path", metavar="PATH", help="The character, where a stage has several."
-)
-@source_option("take")
+@source_option("prim_path", "take")
 @strict_option
 @existing_options
 @format_option
@@ -79,18 +68,23 @@ def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None
 
     Filters have no lag. What was removed, and at which frequencies, is said.
     """
-    from animtool.mocap.clean import CleanOptions
-    from animtool.scene.clean import clean_source
+    from animtool.passes import find_pass
     from animtool.scene.convert import convert_outputs
+    from animtool.scene.passed import convert_passed
 
     if skipped(console, "mocap clean", given, output, lambda: convert_outputs(output)):
         return
+    options = CleanOptions(**read_values(CleanOptions, given))
+    passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
+    if given["feet"] == "hold":
+        feet = find_pass("feet")
+        passes.append((feet, feet.options()))
     with all_named(), console.progress(f"clean {source.name}") as progress:
-        report = clean_source(
+        report = convert_passed(
             source,
             output,
-            CleanOptions(given["spikes"], given["smooth"], given["cutoff"]),
-            source_options_record(given, "take", prim_path=given["prim_path"]),
+            passes,
+            source_options_record(given, "take", "prim_path"),
             overwrite=given["overwrite"],
             strict=given["strict"],
             progress=progress,

@@ -23,10 +23,12 @@ from animtool.maths.filters import (
     lowpass_turns,
     noise_level,
 )
+from animtool.mocap.clean_options import CleanOptions
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.quantities import length_text
+from animtool.quantities import angle_text, length_text
 from animtool.rig.kinematics import rest_size
+from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import Take
 
 # A spike is this many times what the frames around it change their speed by.
@@ -41,22 +43,9 @@ NO_NOISE = 2e-4
 SEARCHES = 3
 # What goes across a spike holds what is slower than this share of the rate.
 ACROSS = 0.2
+# Noise of good captures is below this [rad].
+USUAL_NOISE = math.radians(0.2)
 MAX_NAMED = 6
-
-
-@dataclass(frozen=True, slots=True)
-class CleanOptions:
-    """What to remove.
-
-    Attributes:
-        spikes: Longest spike that is removed [frames]; 0 leaves them.
-        smooth: Filter each joint at the cut-off that its noise asks for.
-        cutoff: Filter every joint at this frequency instead [Hz].
-    """
-
-    spikes: int = 3
-    smooth: bool = True
-    cutoff: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +57,18 @@ class CleanedSignal:
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
     cutoff: float | None  # [Hz]; none where it was not filtered
+
+    @property
+    def part(self) -> str:
+        """What of which joint it is."""
+        return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
+
+    @property
+    def noise_text(self) -> str:
+        """The noise with its unit."""
+        if self.rotation:
+            return angle_text(math.degrees(self.noise))
+        return length_text(self.noise)
 
 
 @dataclass(slots=True)
@@ -99,7 +100,7 @@ class _Cleaner:
         return replace(channel, values=values).compact()
 
     def _cutoff(self, signal: FloatArray) -> float | None:
-        if not self.options.smooth:
+        if self.options.keep_noise:
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
@@ -190,7 +191,7 @@ def clean(
     take: Take,
     *,
     spikes: int = 3,
-    smooth: bool = True,
+    keep_noise: bool = False,
     cutoff: float | None = None,
 ) -> Take:
     """Return a take without spikes, each joint filtered as its noise asks for.
@@ -202,14 +203,14 @@ def clean(
     Args:
         take: F frames.
         spikes: Longest spike that is removed [frames]; 0 leaves them.
-        smooth: Whether to filter.
+        keep_noise: Whether noise stays.
         cutoff: Filter every joint at this frequency [Hz]; none chooses one for the
             translations and one for the rotations of each joint.
 
     Raises:
         OptionError: A number makes no sense (CAP001).
     """
-    options = CleanOptions(spikes, smooth, cutoff)
+    options = CleanOptions(spikes, keep_noise, cutoff)
     for check in _checks(options).values():
         check()
     cleaned, signals = cleaned_take(take, options)
@@ -233,7 +234,11 @@ def notices(
     take: Take, signals: list[CleanedSignal], options: CleanOptions
 ) -> list[Fault]:
     """Return what there is to say about a take that was cleaned."""
-    if take.clock.count <= NOISE_ORDER and options.smooth and options.cutoff is None:
+    if (
+        take.clock.count <= NOISE_ORDER
+        and not options.keep_noise
+        and options.cutoff is None
+    ):
         message = (
             f"{counted(take.clock.count, 'frame')} are too few to tell noise from "
             f"motion; nothing is filtered"
@@ -266,6 +271,31 @@ def _filtered(signals: list[CleanedSignal], count: int) -> str:
     return f"{text}; noise up to {length_text(shift)} and {math.degrees(turn):.2g} deg"
 
 
+def scores_of(frames: int, signals: list[CleanedSignal]) -> PassScores:
+    """Return how bad a take was, and what was done to which joint, the worst first."""
+    filtered = sorted(
+        (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
+    )
+    spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
+    lost = len({frame for s in signals for frame in s.spikes})
+    turns = (s.noise for s in signals if s.rotation)
+    shifts = (s.noise for s in signals if not s.rotation)
+    names = {
+        "filtered": tuple(
+            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.noise_text}" for s in filtered
+        ),
+        "spikes": tuple(f"{s.part} in {len(s.spikes)}" for s in spiky),
+    }
+    return PassScores(
+        (
+            Score("noise of places", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
+            Score("of turns", max(turns, default=0.0), ScoreUnit.ANGLE, USUAL_NOISE),
+            Score("frames with spikes", lost / max(frames, 1), ScoreUnit.SHARE, 0.01),
+        ),
+        {what: joints for what, joints in names.items() if joints},
+    )
+
+
 def _refused(message: str) -> OptionError:
     return OptionError(Fault("CAP001", message))
 
@@ -290,6 +320,7 @@ def _checks(options: CleanOptions) -> OptionChecks:
 def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
     cleaned, signals = cleaned_take(take, options)
     context.notices.extend(notices(take, signals, options))
+    context.scores.append(scores_of(take.clock.count, signals))
     return cleaned
 
 

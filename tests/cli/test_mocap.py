@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from support.cli import animtool
 
 from animtool import open_source
-from animtool.mocap.clean import CleanOptions
-from animtool.scene.clean import clean_source
+from animtool.mocap.clean_options import CleanOptions
+from animtool.passes import find_pass
+from animtool.scene.passed import convert_passed
 
 WALK = "samples/walk/walk.bvh"
 
@@ -37,7 +39,19 @@ def test_a_frequency_that_makes_no_sense_writes_nothing(
 
 def test_a_take_without_spikes_stays(root: Path, tmp_path: Path) -> None:
     output = tmp_path / "same.bvh"
-    report = clean_source(root / WALK, output, CleanOptions(smooth=False))
+    passes = [(find_pass("clean"), CleanOptions(keep_noise=True))]
+    report = convert_passed(root / WALK, output, passes)
     assert not report.notices
     before, after = (open_source(p).collect().motion for p in (root / WALK, output))
     assert abs(before.rotations.dense() - after.rotations.dense()).max() < 1e-6
+
+
+def test_feet_are_held_and_what_was_done_is_said(root: Path, tmp_path: Path) -> None:
+    output = tmp_path / "held.bvh"
+    arguments = ("--feet", "hold", "--noise", "keep", "--format", "json")
+    done = animtool("mocap", "clean", root / WALK, "-o", output, *arguments)
+    assert done.code == 0, done.stderr
+    passes = {one["pass"]: one["scores"] for one in json.loads(done.stdout)["scores"]}
+    assert list(passes) == ["clean", "feet"]
+    drift = next(score for score in passes["feet"] if score["name"] == "drift")
+    assert drift["value"] < 1e-6

@@ -18,6 +18,9 @@ from animtool.mocap.contacts import intervals
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
+from animtool.mocap.retarget.take_pass import FeetOptions, held_feet
+from animtool.mocap.retarget.transfer import Person
+from animtool.passes import PassContext
 
 HEADER = (
     f"{'take':12} {'target':8} {'drift [mm]':>16} {'sole [mm]':>9} {'reach':>7} "
@@ -61,10 +64,10 @@ class Case:
         legs = [made.transfer.target.leg(side) for side in "lr"]
         return [made.world.positions[:, leg[2]] for leg in legs if leg is not None]
 
-    def drift(self, made: Retargeted) -> FloatArray:
+    def drift(self, ankles: list[FloatArray]) -> FloatArray:
         """Return distances from the middle of each true contact [mm]."""
         rows = []
-        for ankle, mask in zip(self.ankles(made), self.contacts.T, strict=True):
+        for ankle, mask in zip(ankles, self.contacts.T, strict=True):
             for start, end in intervals(mask):
                 own = ankle[start:end][:, [0, 2]]
                 rows.append(1e3 * np.linalg.norm(own - own.mean(axis=0), axis=1))
@@ -87,7 +90,7 @@ def test_takes_fit_other_proportions(
     found = map_joints(ours, case.rig)
     pairs = {ours.names[pair.source]: names[pair.target] for pair in found.pairs}
     assert pairs == case.pair["joint_map"]
-    score, drift = made.report, case.drift(made)
+    score, drift = made.report, case.drift(case.ankles(made))
     record_property(
         HEADER,
         f"{case.stem:12} {which[1]:8} {drift.mean():7.3f} {drift.max():8.3f} "
@@ -132,7 +135,23 @@ def test_contacts_of_a_degraded_take_are_found(which: tuple[Path, str]) -> None:
     found = np.stack([contacts.any for contacts in made.standing.contacts], axis=1)
     both = (found & case.contacts).sum()
     assert 2 * both / (found.sum() + case.contacts.sum()) >= 0.97
-    assert case.drift(made).mean() <= 2.0
+    assert case.drift(case.ankles(made)).mean() <= 2.0
+
+
+@pytest.mark.parametrize("which", cases())
+def test_feet_of_takes_of_any_source_are_held(which: tuple[Path, str]) -> None:
+    """On their own skeleton: what slid stands, and what stood is where it was."""
+    case = Case(*which)
+    for kind, drift in (("source", 1e-3), ("degraded", 2.0)):
+        take = open_source(case.folder / f"{case.stem}.{kind}.bvh").collect()
+        held = held_feet(take, FeetOptions(), PassContext(open_source, Path()))
+        places = held.world().positions
+        person = Person.of(take.rig, map_joints(take.rig, take.rig).source.roles)
+        legs = [person.leg(side) for side in "lr"]
+        ankles = [places[:, leg[2]] for leg in legs if leg is not None]
+        assert case.drift(ankles).mean() <= drift
+        if kind == "source":
+            assert np.abs(places - take.world().positions).max() <= 1e-3
 
 
 @pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))

@@ -35,7 +35,7 @@ def spiked(take: Take, seed: int) -> tuple[Take, set[tuple[int, int]]]:
 
 
 def removed(take: Take) -> tuple[Take, set[tuple[int, int]]]:
-    cleaned, signals = cleaned_take(take, CleanOptions(smooth=False))
+    cleaned, signals = cleaned_take(take, CleanOptions(keep_noise=True))
     index = take.rig.names.index
     return cleaned, {(f, index(s.joint)) for s in signals for f in s.spikes}
 

@@ -53,7 +53,8 @@ class Foot:
     ankle: FloatArray  # (F, 3) [m]
     toe: FloatArray | None  # (F, 3) [m]
     turn: FloatArray  # of the foot in the world (F, 4)
-    level: FloatArray  # turn of the foot where it stands at rest (4,)
+    # Its turn where it stands at rest (4,); None where it stands as it is.
+    level: FloatArray | None
     height: float  # of the ankle above the ground where it stands [m]
     length: float  # how far the leg reaches [m]
     shortest: float  # how near to the hip the ankle comes [m]
@@ -119,10 +120,11 @@ def _settled(foot: Foot, fps: float, up: int) -> FloatArray:
     for start, end in intervals(flat):
         # The mean of turns that are near to each other.
         mean = so3.normalize(so3.align_signs(foot.turn[start:end]).sum(axis=0))
-        lean = so3.multiply(mean, so3.conjugate(foot.level))
-        aim = so3.multiply(_heading(lean, up), foot.level)
-        if so3.angle_between(aim, mean) > LEVEL:
-            aim = mean
+        aim = mean
+        if foot.level is not None:
+            lean = so3.multiply(mean, so3.conjugate(foot.level))
+            level = so3.multiply(_heading(lean, up), foot.level)
+            aim = mean if so3.angle_between(level, mean) > LEVEL else level
         back = so3.conjugate(foot.turn[start:end])
         correction[start:end] = so3.log(so3.multiply(aim, back))
     between(correction, flat, fps)
@@ -214,6 +216,10 @@ def _level_bone(foot: Foot, up: int) -> float:
     """Return how much higher the toe is than the ankle where the foot is level [m]."""
     if foot.toe is None:
         return 0.0
+    if foot.level is None:
+        flat = foot.contacts.ankle & foot.contacts.toe
+        ways = (foot.toe - foot.ankle)[flat if flat.any() else slice(None), up]
+        return float(np.median(ways))
     turn = so3.multiply(foot.level, so3.conjugate(foot.turn[:1]))
     return float(so3.rotate(turn, (foot.toe - foot.ankle)[:1])[0, up])
 
@@ -300,7 +306,9 @@ def _reaching(
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
         most = upper(foot.straight, ALIKE * fps)
-        share = np.clip(1 - BENT * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
+        # The same leg may be as straight as it was.
+        bent = BENT if foot.level is not None else 1.0
+        share = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
         flat = way.copy()
         flat[:, up] = 0.0
         across = (flat**2).sum(axis=1)

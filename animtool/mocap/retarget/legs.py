@@ -83,7 +83,7 @@ class LegTracks:
             self.ankle,
             self.toe if own[3] >= 0 else None,
             self.turns[:, 3],
-            transfer.aligned[own[2]],
+            None if transfer.alike else transfer.aligned[own[2]],
             _standing(transfer, side, contacts.ground, up),
             longest,
             shortest,
@@ -126,6 +126,8 @@ def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
     """Return how high an ankle stands above the ground [m]."""
     target, source = transfer.target, transfer.source
     own, other = leg_of(target, side), leg_of(source, side)
+    if transfer.alike:
+        return transfer.scale * ground
     low = float(target.positions[:, up].min())
     ankle = float(target.positions[own[2], up])
     # A rig that stands on the ground at rest says how high its ankles are.

@@ -77,6 +77,7 @@ class Retargeting:
         fps: float,
         *,
         lock: bool = True,
+        same: bool = False,
     ) -> None:
         """Go through a take for the first time.
 
@@ -86,6 +87,8 @@ class Retargeting:
             motions: Of the source, block by block.
             fps: Frames a second.
             lock: Whether feet stay where they stand.
+            same: Whether they do so on legs like those of the source, too; else such
+                legs move as the source's.
         """
         self.transfer, self._moves = transfer, False
         legs = [
@@ -115,7 +118,7 @@ class Retargeting:
             one.foot(transfer, side, fps) for one, side in zip(whole, legs, strict=True)
         ]
         placed = None
-        if legs and lock and not transfer.alike:
+        if legs and lock and (same or not transfer.alike):
             up = up_index(transfer.target.rig)
             # The ground of the source, scaled, is that of the target.
             off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]

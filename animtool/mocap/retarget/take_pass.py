@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity
+from animtool.mocap.retarget.legs import leg_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
 from animtool.mocap.retarget.options import RetargetOptions
@@ -23,7 +24,7 @@ from animtool.options import with_written
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.take import TakeStream
+from animtool.take import Take, TakeStream
 from animtool.units import UpAxis
 
 
@@ -36,9 +37,15 @@ class RetargetPassOptions:
 
 
 def onto_rig(
-    stream: TakeStream, rig: Rig, options: RetargetOptions
+    stream: TakeStream, rig: Rig, options: RetargetOptions, *, same: bool = False
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return a take on its way to another rig, the map of joints, and what is odd.
+
+    Args:
+        stream: The take.
+        rig: The rig that it goes onto.
+        options: How.
+        same: Whether feet are held on legs like those of the source, too.
 
     Raises:
         FormatError: The map file cannot be read, or names joints that neither has.
@@ -69,7 +76,8 @@ def onto_rig(
     notices += _odd_scale(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
-    made = Retargeting(transfer, found, chain([first], blocks), fps, lock=lock)
+    motions = chain([first], blocks)
+    made = Retargeting(transfer, found, motions, fps, lock=lock, same=same)
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"
@@ -164,6 +172,7 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
 
 
 def _scored(made: Retargeting, context: PassContext) -> Iterator[Motion]:
+    """Yield the motion of the target, and say how well it fits at the end."""
     yield from made.blocks()
     context.scores.append(scores_of(made.report()))
 
@@ -183,4 +192,51 @@ PASS = Pass(
     changes=frozenset(
         {TakePart.RIG, TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS}
     ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FeetOptions:
+    """What feet are told by.
+
+    Attributes:
+        map: A map file that says which joints are legs and feet; None finds them.
+    """
+
+    map: Path | None = None
+
+
+def held_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
+    """Return a take whose feet stay where they stand; its legs and hips move for it."""
+    path = None if options.map is None else context.folder / options.map
+    settings = RetargetOptions(map=path)
+    made, _, notices = onto_rig(TakeStream.of(take), take.rig, settings, same=True)
+    context.notices.extend(notices)
+    if made.standing.placed is None:
+        return take
+    motion = Motion.concatenate(list(made.blocks()))
+    context.scores.append(scores_of(made.report()))
+    person = made.transfer.target
+    legs = {leg_of(person, side)[0] for side in made.standing.sides}
+    for j, parent in enumerate(take.rig.parents.tolist()):
+        if parent in legs:
+            legs.add(j)
+    moved, root = np.array(sorted(legs)), np.array([max(person.first("hips"), 0)])
+    old = take.motion
+    held = replace(
+        old,
+        rotations=old.rotations.put(moved, motion.rotations.gather(moved)),
+        translations=old.translations.put(root, motion.translations.gather(root)),
+    )
+    return replace(take, motion=held)
+
+
+FEET = Pass(
+    "feet",
+    "Hold feet where they stand",
+    FeetOptions,
+    Scope.CLIP,
+    held_feet,
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
+    changes=frozenset({TakePart.JOINTS}),
 )
