@@ -25,9 +25,11 @@ from animtool.batch.records import (
     texts_in,
     whole_in,
 )
+from animtool.batch.score_records import scores_in
 from animtool.errors import Fault
 from animtool.files import FileState, open_input
 from animtool.output import replacing
+from animtool.scores import PassScores
 
 # What names, digests and clocks can be.
 MAX_DIGEST = 200
@@ -82,6 +84,7 @@ class ItemRecord:
     # When, by the clock of the disk that it was written to [ns]. Files that are as
     # young may have changed since without a sign.
     at: int
+    scores: tuple[PassScores, ...] = ()  # how well passes did
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
         """Return it as JSON has it."""
@@ -92,6 +95,7 @@ class ItemRecord:
             "inputs": [numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
             "at": self.at,
+            **({"scores": [s.as_dict() for s in self.scores]} if self.scores else {}),
         }
 
     @classmethod
@@ -110,6 +114,7 @@ class ItemRecord:
             tuple(_numbered(list_in(plain, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
             whole_in(plain, "at", -CLOCK, CLOCK),
+            scores_in(plain, "scores"),
         )
 
 

@@ -17,6 +17,7 @@ from animtool.batch.spec import made_by, named_from, place_of
 from animtool.errors import Fault, FormatError, OptionError, OutputError
 from animtool.files import FileState, Places
 from animtool.output import name_key
+from animtool.scores import PassScores
 
 
 class Reason(StrEnum):
@@ -42,6 +43,7 @@ class Decision:
     # The item's record with what files are now, where they were touched and are still
     # the same.
     refreshed: ItemRecord | None = None
+    scores: tuple[PassScores, ...] = ()  # of what is up to date
 
     @property
     def due(self) -> bool:
@@ -125,11 +127,13 @@ class Planner:
                     return Decision(item, reason, file.path)
                 now.append(same)
         if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
-            return Decision(item, Reason.UP_TO_DATE)
+            return Decision(item, Reason.UP_TO_DATE, scores=record.scores)
         refreshed = replace(
             record, inputs=tuple(inputs), outputs=tuple(outputs), at=self._now
         )
-        return Decision(item, Reason.UP_TO_DATE, refreshed=refreshed)
+        return Decision(
+            item, Reason.UP_TO_DATE, refreshed=refreshed, scores=record.scores
+        )
 
     def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:
         """Return the record of a file as it is now; None where it is another one."""

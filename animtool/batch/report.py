@@ -31,7 +31,8 @@ class ItemReport:
     notices: tuple[Fault, ...] = ()  # warnings and notes
     # What the bake measured; None where it was not made.
     measured: Measured | None = None
-    scores: tuple[PassScores, ...] = ()  # how well passes did
+    # How well passes did, also where an earlier run made it.
+    scores: tuple[PassScores, ...] = ()
 
     @classmethod
     def of(

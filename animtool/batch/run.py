@@ -131,7 +131,13 @@ def _retried(
 
 def _planned(decision: Decision) -> ItemReport:
     status = Status.NOT_RUN if decision.due else Status.SKIPPED
-    return ItemReport(decision.item, status, decision.reason, decision.detail)
+    return ItemReport(
+        decision.item,
+        status,
+        decision.reason,
+        decision.detail,
+        scores=decision.scores,
+    )
 
 
 class _Run:
@@ -253,6 +259,7 @@ class _Run:
                     outcome.inputs,
                     outcome.outputs,
                     outcome.at,
+                    outcome.scores,
                 )
             )
         else:

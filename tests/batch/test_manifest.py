@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -66,7 +67,9 @@ def test_writing_again_keeps_what_was_begun(tmp_path: Path) -> None:
 FILE = '{"file":0,"path":"a","size":1,"changed":2,"inode":3,"sha256":"ab"}'
 MADE = (
     '{"item":"a","how":"h","versions":"v","inputs":[0],'
-    '"outputs":[{"path":"o","size":1,"changed":2,"inode":3,"sha256":"cd"}],"at":4}'
+    '"outputs":[{"path":"o","size":1,"changed":2,"inode":3,"sha256":"cd"}],"at":4,'
+    '"scores":[{"pass":"p","where":"w","scores":[{"name":"drift","value":0.5,'
+    '"unit":"m","usual":1,"ideal":0}],"names":{"lost":["a"]}}]}'
 )
 
 
@@ -93,6 +96,14 @@ MADE = (
         ('"path":"o",', '"path":"o","absent":true,'),
         ('"item":"a"', '"made":"a"'),
         ('"item":"a"', '"known":[1],"item":"a"'),
+        ('"scores":[{"p', '"scores":{},"x":[{"p'),
+        ('"scores":[{"name"', '"scores":[],"x":[{"name"'),
+        ('"value":0.5', '"value":null'),
+        ('"value":0.5', '"value":1e999'),
+        ('"unit":"m"', '"unit":"km"'),
+        ('"usual":1', '"usual":0'),
+        ('["a"]', '"a"'),
+        ('"where":"w",', ""),
     ],
 )
 def test_lines_that_are_damaged_are_left_out(
@@ -103,6 +114,9 @@ def test_lines_that_are_damaged_are_left_out(
     path.write_text(f'{{"manifest":"animtool/1"}}\n{FILE}\n{line}\n')
     found = read_manifest(path)
     assert list(found.items) == ([] if old else ["a"])
+    if not old:
+        (own,) = found.items["a"].scores
+        assert own.as_dict() == json.loads(line)["scores"][0]
     assert [notice.code for notice in found.damaged] == (["BAT070"] if old else [])
     assert not found.known - {"o"}
 

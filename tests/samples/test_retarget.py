@@ -87,9 +87,12 @@ def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
     tmp_path: Path,
 ) -> None:
     """The scores come from the processes as the command alone has them."""
-    done = animtool(
-        *("batch", FOLDER / "onto.batch.yaml", "-j", "2", "--format", "json"),
-        *("-o", f"{tmp_path}/{{rig}}/{{stem}}.usdc"),
+    done, again = (
+        animtool(
+            *("batch", FOLDER / "onto.batch.yaml", "-j", "2", "--format", "json"),
+            *("-o", f"{tmp_path}/{{rig}}/{{stem}}.usdc"),
+        )
+        for _ in range(2)
     )
     assert done.code == 0, done.stderr
     items = json.loads(done.stdout)["items"]
@@ -105,6 +108,9 @@ def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
     worst = max(items, key=lambda item: float(item["worst"]))
     table = done.stderr.partition("the worst first:\n")[2].splitlines()
     assert table[1].split()[0] == worst["output"]
+    # What is up to date has the scores of the run that made it.
+    assert json.loads(again.stdout)["skipped"] == len(items)
+    assert again.stderr.partition("the worst first:\n")[2].splitlines() == table
     alone = animtool(
         *("retarget", worst["input"], "--format", "json"),
         *("--to", FOLDER / f"rigs/{worst['values']['rig']}.rig.yaml"),
