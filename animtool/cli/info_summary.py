@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from animtool.clock import span_label
-from animtool.errors import counted, listed
-from animtool.quantities import plain
+from animtool.errors import counted, listed, percent
+from animtool.quantities import angle_text, plain
 from animtool.rates import rate_label
 
 if TYPE_CHECKING:
@@ -102,11 +103,38 @@ def take_text(found: TakeDescription) -> list[str]:
         f"  animated  {moving}; the rest never move",
         *shapes,
         *_prim_lines(found.points),
+        *_capture_lines(found),
         f"  bounds    {_corners(found.bounds)} {found.units}, {found.up} up"
         if found.joints
         else f"  space     {found.units}, {found.up} up",
         f"  odd       {notices if found.notices else 'nothing'}",
     ]
+
+
+def _capture_lines(found: TakeDescription) -> list[str]:
+    """Return the lines on a take of a person."""
+    capture = found.capture
+    if capture is None:
+        return []
+    feet = ", ".join(
+        f"{side} {percent(foot.standing)} of frames, {counted(foot.steps, 'step')}"
+        for side, foot in capture.feet.items()
+    )
+    speeds = (
+        f"{plain(capture.speed_mean, 3)} m/s, {plain(capture.speed_max, 3)} at most"
+    )
+    lines = [f"  feet      stand: {feet}", f"  speed     {speeds}"]
+    if found.cycle is not None:
+        cycle = found.cycle
+        period = (cycle.last - cycle.first) / float(found.fps * found.step)
+        lines.append(
+            f"  cycle     {plain(period, 4)} s, frames {cycle.first:g} to "
+            f"{cycle.last:g}; its ends differ by {percent(cycle.share)} of what moves"
+        )
+    if capture.noisiest:
+        noise = angle_text(math.degrees(capture.noise))
+        lines.append(f"  noise     up to {noise}, {capture.noisiest}")
+    return lines
 
 
 def _shot_lines(shot: dict[str, object] | None) -> list[str]:

@@ -50,6 +50,7 @@ COMMANDS = {
         "animtool.cli.migrate:migrate",
         "Rewrite files of older versions as the newest.",
     ),
+    "loop": ("animtool.cli.loop:loop", "Find the cycle of a take, and repeat it."),
     "mocap": ("animtool.cli.mocap:mocap", "Mend what was captured: clean."),
     "plugins": (
         "animtool.cli.plugins:plugins",
@@ -149,6 +150,7 @@ SUPERVISED = {
     "ik",
     "info",
     "job",
+    "loop",
     "mocap",
     "retarget",
     "validate",

@@ -20,6 +20,7 @@ from animtool._types import FloatArray
 from animtool.edit.combine import continuous
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
+from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import Travel, nearby_places, travel_of
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
@@ -190,30 +191,6 @@ def gridded(track: Track, known: Transforms) -> Track:
 
 # Ends that differ by more than this share of what the cycle moves are seen to slide.
 POOR_SEAM = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class LoopOptions:
-    """The cycle and how often it is repeated.
-
-    Attributes:
-        first: Time code of the cycle's first frame; None is the take's.
-        last: Time code of the frame that shows the first pose again; None is the
-            take's last.
-        find: Look for the best cycle between ``first`` and ``last``.
-        shortest: Least length of a cycle that is looked for [s].
-        longest: Most [s].
-        repeats: How often the cycle is shown.
-        blend: Frames before the seam over which the poses are brought together.
-    """
-
-    first: float | None = None
-    last: float | None = None
-    find: bool = False
-    shortest: float = 0.25
-    longest: float = 10.0
-    repeats: int = 1
-    blend: int = 10
 
 
 def loop(
@@ -392,11 +369,11 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(_said(cycle, found=options.find))
+    context.notices.extend(said_of(cycle, found=options.find))
     return result
 
 
-def _said(cycle: Cycle, *, found: bool) -> list[Fault]:
+def said_of(cycle: Cycle, *, found: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "

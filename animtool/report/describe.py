@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.errors import Fault
+from animtool.errors import Fault, OptionError
+from animtool.mocap.facts import CaptureFacts, capture_facts
 from animtool.quantities import Description
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
@@ -17,10 +18,13 @@ from animtool.take import Take
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
+    from animtool.edit.cycle import Cycle
     from animtool.usd.simulated_read import PointPrim
 
 
 FRAMES_AT_ONCE = 1024
+# Of long takes, a cycle is looked for at the beginning.
+CYCLE_FRAMES = 6000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,8 @@ class TakeDescription(Description):
     notices: list[Fault]  # what is odd
     # The shot that a USD layer states, as reports of bakes have it; None for none.
     shot: dict[str, object] | None = None
+    capture: CaptureFacts | None = None  # of a person; None for other takes
+    cycle: Cycle | None = None  # of a person who repeats something
 
 
 def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:
@@ -80,6 +86,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     if motion.scales is not None:
         animated["scale"] = len(motion.scales.animated)
     clock = take.clock
+    capture = capture_facts(take)
     channels = stream.details.get("channels")
     takes = stream.details.get("takes")
     return TakeDescription(
@@ -108,7 +115,22 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         _points(Path(path)),
         stream.notices,
         _shot(Path(path)),
+        capture,
+        None if capture is None else _cycle(take),
     )
+
+
+def _cycle(take: Take) -> Cycle | None:
+    """Return the cycle of a take whose ends agree well enough to be one."""
+    from animtool.edit.cycle import find_cycle
+    from animtool.edit.looping import POOR_SEAM
+
+    last = min(take.clock.count, CYCLE_FRAMES) - 1
+    try:
+        found = find_cycle(take, None, float(take.clock.times[last]))
+    except OptionError:  # nothing moves, or it is shorter than any cycle
+        return None
+    return found if found.share <= POOR_SEAM else None
 
 
 def _shot(path: Path) -> dict[str, object] | None:

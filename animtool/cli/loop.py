@@ -1,0 +1,105 @@
+"""``animtool loop``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    read_values,
+    record_option,
+    source_option,
+    source_options,
+    source_options_record,
+    strict_option,
+)
+from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.edit.loop_options import LoopOptions
+from animtool.errors import percent
+from animtool.quantities import length_text, plain
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool loop walk.bvh
+  animtool loop walk.bvh -o cycle.usdc --repeats 8
+  animtool loop walk.bvh -o cycle.bvh --first 12 --last 44"""
+)
+@click.argument("source", type=INPUT)
+@click.option(
+    "-o",
+    "--output",
+    type=INPUT,
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh.  "
+    "[default: nothing]",
+)
+@record_option(LoopOptions)
+@source_options
+@source_option("prim_path", "take")
+@strict_option
+@existing_options
+@format_option
+@common_options
+@click.pass_obj
+def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
+    """Find the cycle of the take of SOURCE, and repeat it without a seam.
+
+    The best cycle between --first and --last is taken; where both are given, they are
+    the cycle. With -o it is written, repeated as often as is said.
+    """
+    from animtool.scene.convert import convert_outputs
+    from animtool.scene.cycle import loop_source
+
+    if output is not None and skipped(
+        console, "loop", given, output, lambda: convert_outputs(output)
+    ):
+        return
+    values = read_values(LoopOptions, given)
+    for end in ("first", "last"):
+        values[end] = None if values[end] is None else float(values[end])
+    find = values["first"] is None or values["last"] is None
+    with all_named(), console.progress(f"loop {source.name}") as progress:
+        cycle, report = loop_source(
+            source,
+            output,
+            LoopOptions(find=find, **values),
+            source_options_record(given, "prim_path", "take"),
+            overwrite=given["overwrite"],
+            strict=given["strict"],
+            progress=progress,
+        )
+    notices = cycle.notices if report is None else report.notices
+    console.faults(notices)
+    if given["report_format"] == "json":
+        console.result_json(
+            {
+                "loop": "animtool/1",
+                "source": str(source),
+                "output": None if output is None else str(output),
+                "first": cycle.found.first,
+                "last": cycle.found.last,
+                "seconds": cycle.seconds,
+                "apart": cycle.found.apart,
+                "share": cycle.found.share,
+                "notices": [notice.as_dict() for notice in notices],
+            }
+        )
+        return
+    found = cycle.found
+    console.say(
+        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {found.first:g} to "
+        f"{found.last:g}; its ends differ by {length_text(found.apart)}, "
+        f"{percent(found.share)} of what moves"
+    )
+    if report is not None:
+        from animtool.cli.summary import convert_text
+
+        for line in convert_text(report):
+            console.say(line)

@@ -1,0 +1,51 @@
+"""Which cycle is repeated, and how often."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from animtool.options import option
+
+
+@dataclass(frozen=True, slots=True)
+class LoopOptions:
+    """The cycle and how often it is repeated.
+
+    Attributes:
+        first: Time code of the cycle's first frame; None is the take's.
+        last: Time code of the frame that shows the first pose again; None is the
+            take's last.
+        find: Look for the best cycle between ``first`` and ``last``.
+        shortest: Least length of a cycle that is looked for [s].
+        longest: Most [s].
+        repeats: How often the cycle is shown.
+        blend: Frames before the seam over which the poses are brought together.
+    """
+
+    first: float | None = option(
+        None, "frame", "--first", help="The first frame of the cycle."
+    )
+    last: float | None = option(
+        None, "frame", "--last", help="The frame that shows the first pose again."
+    )
+    find: bool = False
+    shortest: float = option(
+        0.25,
+        "amount",
+        "--shortest",
+        metavar="SECONDS",
+        help="Least length of a cycle that is looked for.",
+    )
+    longest: float = option(
+        10.0, "amount", "--longest", metavar="SECONDS", help="Most of it."
+    )
+    repeats: int = option(
+        1, "count", "--repeats", help="How often the cycle is shown.", least=1
+    )
+    blend: int = option(
+        10,
+        "count",
+        "--blend",
+        metavar="FRAMES",
+        help="Frames before the seam over which the poses are brought together.",
+    )
