@@ -22,8 +22,8 @@ from animtool.errors import Fault
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[
     "switch", "answer", "text", "file", "choice", "unit", "axis", "rate", "range",
-    "frame", "rest", "offsets", "length", "lengths", "count", "name", "names", "angle",
-    "amount", "seed", "codes", "severities", "processes",
+    "frame", "rest", "source_rest", "offsets", "length", "lengths", "count", "name",
+    "names", "angle", "amount", "seed", "codes", "severities", "processes",
 ]  # fmt: skip
 
 

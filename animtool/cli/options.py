@@ -207,6 +207,7 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "range": (Parsed("frame_range", _of_scene("frame_range")), "A-B[xN]"),
     "frame": (Parsed("frame", _of_scene("frame")), "FRAME"),
     "rest": (Parsed("rest", _of_scene("rest")), None),
+    "source_rest": (Parsed("rest", _of_scene("source_rest")), None),
     "offsets": (Parsed("offsets", _of_scene("offsets")), "OFFSETS"),
     "length": (LENGTH, "LENGTH"),
     "lengths": (Parsed("joint_length", _joint_length), "JOINT=LENGTH"),

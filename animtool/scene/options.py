@@ -471,3 +471,20 @@ def parse_rest(text: str) -> int | None:
     if match is None:
         raise ValueError(f"{text!r} is neither offsets nor frame:N")
     return int(match[1])
+
+
+def parse_source_rest(text: str) -> int | str | None:
+    """Return ``rig``, or what `parse_rest` does.
+
+    Raises:
+        ValueError: It is none of these.
+
+    >>> parse_source_rest("rig")
+    'rig'
+    """
+    if text == "rig":
+        return text
+    try:
+        return parse_rest(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is neither offsets, frame:N nor rig") from None

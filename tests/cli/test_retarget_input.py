@@ -177,7 +177,7 @@ def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:
     )
     (tmp_path / "onto.scene.yaml").write_text(
         "scene: animtool/1\nsource: {file: ${input}}\npasses:\n"
-        "- retarget: {rig: child.rig.yaml, map: ${map}, rest_frame: ${rest}}\n",
+        "- retarget: {rig: child.rig.yaml, map: ${map}, rest: ${rest}}\n",
         "utf-8",
     )
     batch = tmp_path / "onto.batch.yaml"

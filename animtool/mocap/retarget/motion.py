@@ -279,7 +279,12 @@ class Retargeted:
 
 
 def transfer_of(
-    source: Rig, target: Rig, found: JointMap, rest: FloatArray | None = None
+    source: Rig,
+    target: Rig,
+    found: JointMap,
+    rest: FloatArray | None = None,
+    *,
+    as_rig: bool = False,
 ) -> Transfer:
     """Return how a rig follows another one.
 
@@ -289,9 +294,11 @@ def transfer_of(
         found: Which joints follow which.
         rest: Local turns of the source's joints in its rest pose ``(J, 4)``; None is
             that of its rig.
+        as_rig: Whether the source rests as the target does, whatever its bones say.
     """
     ours = Person.of(source, found.source.roles, rest)
-    return Transfer.of(ours, Person.of(target, found.target.roles), found)
+    theirs = Person.of(target, found.target.roles)
+    return Transfer.of(ours, theirs, found, as_rig=as_rig)
 
 
 def retarget_take(

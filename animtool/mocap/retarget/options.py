@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 from animtool.mocap.retarget.pairing import MapMode
 from animtool.options import option
@@ -19,8 +19,9 @@ class RetargetOptions:
         by: What joints are told by.
         preset: The convention of the source's names; None finds it.
         target_preset: That of the target's names.
-        rest_frame: Frame of the source, counted from 1, whose pose is its rest pose;
-            None is that of its skeleton.
+        rest: Frame of the source, counted from 1, whose pose is its rest pose; ``rig``
+            where it rests as the target does, whatever its offsets are; None is that of
+            its skeleton.
         free_feet: Whether feet may slide where they stand.
     """
 
@@ -53,12 +54,13 @@ class RetargetOptions:
         metavar="NAME",
         help="The convention of the rig's names.  [default: the nearest]",
     )
-    rest_frame: int | None = option(
+    rest: int | Literal["rig"] | None = option(
         None,
-        "rest",
+        "source_rest",
         "--rest",
-        metavar="offsets|frame:N",
-        help="Where the rest pose of the source comes from.  [default: offsets]",
+        metavar="offsets|frame:N|rig",
+        help="Where the rest pose of the source comes from; rig: it rests as the rig "
+        "does, whatever its offsets are.  [default: offsets]",
     )
     free_feet: bool = option(
         False,

@@ -52,7 +52,9 @@ def onto_rig(
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
     """
-    rest, blocks = _rest(stream.blocks, options.rest_frame)
+    as_rig = options.rest == "rig"
+    frame = None if isinstance(options.rest, str) else options.rest
+    rest, blocks = _rest(stream.blocks, frame)
     first = next(blocks)
     found = map_joints(
         stream.rig,
@@ -72,7 +74,7 @@ def onto_rig(
         hint = f"say so with --up {stands}, or turn it if it lies"
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
-    transfer = transfer_of(source, rig, found, rest)
+    transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
     notices += _odd_scale(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
@@ -125,7 +127,7 @@ def _rest(
             return turns.dense()[0], chain(held, blocks)
         count += motion.frames
     message = f"the rest pose is that of frame {frame}, and there are {count}"
-    raise OptionError(Fault("MAP006", message, where="rest_frame"))
+    raise OptionError(Fault("MAP006", message, where="rest"))
 
 
 def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:

@@ -151,8 +151,13 @@ class Transfer:
     twists: Sequence[tuple[int, int, int, float]] = field(default=())
 
     @staticmethod
-    def of(source: Person, target: Person, found: JointMap) -> Transfer:
-        """Return how the joints of a map follow."""
+    def of(
+        source: Person, target: Person, found: JointMap, *, as_rig: bool = False
+    ) -> Transfer:
+        """Return how the joints of a map follow.
+
+        ``as_rig``: whether the source rests as the target does.
+        """
         turn = up_from_up(target.rig.up, source.rig.up)
         upright = so3.IDENTITY if turn is None else np.array(turn)
         count = len(target.rig.joints)
@@ -175,7 +180,7 @@ class Transfer:
                 share[own] = (at - middles[low]) / gap if gap > 0 else 0.0
         for own, other in _namesakes(source.rig, target.rig, follows):
             follows[own] = after[own] = other
-        aligned = _aligned(source, target, follows, upright)
+        aligned = _aligned(source, target, follows, upright, as_rig=as_rig)
         twists = []
         for twist in found.twists:
             below = _below(target, twist.bone)
@@ -308,17 +313,22 @@ def _below(person: Person, bone: int) -> int:
 
 
 def _aligned(
-    source: Person, target: Person, follows: IntArray, upright: FloatArray
+    source: Person,
+    target: Person,
+    follows: IntArray,
+    upright: FloatArray,
+    *,
+    as_rig: bool,
 ) -> FloatArray:
     """Return how the target is turned where the source rests ``(K, 4)``.
 
     All of it faces the same way; limbs point the way of the source's, feet along the
-    ground.
+    ground, unless it rests as the target does.
     """
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
     heading = _heading(source, target, upright, up)
     made = so3.multiply(heading, target.turns)
-    for j, first in enumerate(follows.tolist()):
+    for j, first in enumerate(follows.tolist() if not as_rig else []):
         own = base_role(target.roles[j])
         if first < 0:
             continue

@@ -37,3 +37,24 @@ def test_a_take_that_stands_along_z_in_a_file_that_does_not_say_so(root: Path) -
         places.append(motion.translations.dense()[:, 0])
     # Its rest pose lies then, and faces the target as a whole, with how it leans.
     assert_allclose(places[1], places[0], atol=1e-3)
+
+
+def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
+    """Arms that hang in the offsets, of a take whose zero pose is that of the rig."""
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    down = {"LeftForeArm": (0.0, -0.3, 0.0), "RightForeArm": (0.0, -0.3, 0.0)}
+    joints = tuple(
+        replace(joint, translation=down.get(joint.name, joint.translation))
+        for joint in walk.rig.joints
+    )
+    take = replace(walk, rig=replace(walk.rig, joints=joints))
+    turns = {}
+    for rest in (None, "rig"):
+        options = RetargetOptions(rest=rest)  # type: ignore[arg-type]
+        made, _, _ = onto_rig(TakeStream.of(take), walk.rig, options)
+        turns[rest] = Motion.concatenate(list(made.blocks())).rotations.dense()
+    arm = walk.rig.index("LeftArm")
+    source = walk.motion.rotations.dense()
+    off = so3.angle_between(turns["rig"], source)
+    assert off.max() < 1e-7
+    assert so3.angle_between(turns[None], source)[:, arm].min() > 1
