@@ -15,7 +15,7 @@ from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.report import RetargetReport
-from animtool.mocap.retarget.take_pass import onto_rig
+from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.motion import Motion
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.rig.skeleton import Rig
@@ -177,11 +177,12 @@ def _retargeted(
     for notice in odd:
         path = job.rig if notice in theirs else job.source
         notices.append(replace(notice, path=notice.path or str(path)))
+    blocks = checked_blocks(going, job.options, notices, job.source)
     made = replace(
         stream,
         rig=rig,
-        blocks=_timed(going.blocks(), seconds, "solve"),
-        notices=[],
+        blocks=_timed(blocks, seconds, "solve"),
+        notices=notices,
         curve=None,
         count=0,
         control_curves={},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -86,8 +87,10 @@ def test_a_take_that_lacks_something_is_named(
     assert text in f"{notice['message']}, {notice['hint']}"
     frames = open_source(path).collect().clock.count
     assert len(joint_positions(open_stage(output), range(1, frames + 1))) == frames
-    strict = animtool("retarget", path, "--to", rig, "--strict")
+    refused = tmp_path / "refused.usdc"
+    strict = animtool("retarget", path, "--to", rig, "-o", refused, "--strict")
     assert strict.code == (0 if code == "MAP007" else 1), strict.stderr
+    assert refused.exists() == (code == "MAP007")
 
 
 def test_a_rig_whose_hands_have_no_ends_is_named(tmp_path: Path) -> None:
@@ -165,6 +168,31 @@ def test_a_mixamo_take_goes_onto_a_rig_of_unreal_without_a_map(tmp_path: Path) -
     assert {*found["unmapped_target"]} == {*rig.names} - pairs.keys() - twisted
     text = animtool("retarget", take, "--to", target, "-v").stderr
     assert ", ".join(found["unmapped_target"]) in text
+
+
+def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
+    tmp_path: Path,
+) -> None:
+    """The jump bends the ankles further than those of the rig go."""
+    for path in (*SAMPLE.glob("takes/[jm]*.bvh"), SAMPLE / "rigs/giant.rig.yaml"):
+        shutil.copy(path, tmp_path)
+    scene = tmp_path / "onto.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nsource: {file: ${input}}\npasses:\n"
+        "- retarget: {rig: giant.rig.yaml, warn_above: ${times}}\n",
+        "utf-8",
+    )
+    command = ("batch", tmp_path, "--scene", scene, "--format", "json", "--strict")
+    done = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=2")
+    assert done.code == 1
+    jump, march = json.loads(done.stdout)["items"]
+    assert [fault["code"] for fault in jump["faults"]] == ["MAP107"]
+    assert march["status"] == "done"
+    assert not (tmp_path / "jump.usdc").exists()
+    drift = march["scores"][0]["scores"][0]
+    assert drift["value"] <= 2 * drift["usual"]
+    odd = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=-1")
+    assert "MAP008 passes[0].retarget.warn_above" in odd.stderr
 
 
 def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:

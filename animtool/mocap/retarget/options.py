@@ -23,6 +23,8 @@ class RetargetOptions:
             where it rests as the target does, whatever its offsets are; None is that of
             its skeleton.
         free_feet: Whether feet may slide where they stand.
+        warn_above: Warn of scores that are more than so many times what a good take
+            has (MAP107), 0 or more; None warns of none.
     """
 
     map: Path | None = option(
@@ -68,4 +70,12 @@ class RetargetOptions:
         "--feet",
         choices=("hold", "free"),
         help="Whether feet stay where they stand, or slide.  [default: hold]",
+    )
+    warn_above: float | None = option(
+        None,
+        "amount",
+        "--warn-above",
+        metavar="TIMES",
+        help="Warn where drift, soles or another score is more than so many times what "
+        "a good take has; with --strict that fails.",
     )

@@ -52,6 +52,7 @@ def onto_rig(
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
     """
+    _check_bound(options)
     as_rig = options.rest == "rig"
     frame = None if isinstance(options.rest, str) else options.rest
     rest, blocks = _rest(stream.blocks, frame)
@@ -170,17 +171,54 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
         settings = replace(settings, map=context.folder / settings.map)
     made, _, notices = onto_rig(stream, rig, settings)
     context.notices.extend(notices)
-    return replace(stream, rig=rig, blocks=_scored(made, context))
+    blocks = checked_blocks(made, settings, stream.notices)
+    return replace(stream, rig=rig, blocks=_scored(made, blocks, context))
 
 
-def _scored(made: Retargeting, context: PassContext) -> Iterator[Motion]:
+def _scored(
+    made: Retargeting, blocks: Iterator[Motion], context: PassContext
+) -> Iterator[Motion]:
     """Yield the motion of the target, and say how well it fits at the end."""
-    yield from made.blocks()
+    yield from blocks
     context.scores.append(scores_of(made.report()))
 
 
+def checked_blocks(
+    made: Retargeting,
+    options: RetargetOptions,
+    notices: list[Fault],
+    path: Path | None = None,
+) -> Iterator[Motion]:
+    """Yield the motion of the target, and at the end add warnings of bad scores.
+
+    path: the file that they are located at.
+    """
+    yield from made.blocks()
+    if options.warn_above is None:
+        return
+    for score in scores_of(made.report()).scores:
+        if score.excess > options.warn_above:
+            good = replace(score, value=score.usual).text
+            message = f"{score.name} {score.text}, and a good take has up to {good}"
+            hint = "the report names the joints; limits, map or rest pose may be why"
+            file = None if path is None else str(path)
+            fault = Fault("MAP107", message, file, (), hint, Severity.WARNING)
+            notices.append(fault)
+
+
+def _check_bound(options: Any) -> None:
+    """Refuse a bound of scores that is none (MAP008)."""
+    bound = options.warn_above
+    if bound is not None and not 0 <= bound < np.inf:
+        message = f"warn_above must be finite and 0 or more, not {bound:g}"
+        raise OptionError(Fault("MAP008", message))
+
+
 def _checks(options: Any) -> OptionChecks:
-    return {"rig": lambda: _named_rig(options)}
+    return {
+        "rig": lambda: _named_rig(options),
+        "warn_above": lambda: _check_bound(options),
+    }
 
 
 PASS = Pass(
