@@ -168,6 +168,13 @@ def test_a_mixamo_take_goes_onto_a_rig_of_unreal_without_a_map(tmp_path: Path) -
     assert {*found["unmapped_target"]} == {*rig.names} - pairs.keys() - twisted
     text = animtool("retarget", take, "--to", target, "-v").stderr
     assert ", ".join(found["unmapped_target"]) in text
+    outputs, map_file = [tmp_path / f"{i}.bvh" for i in "ab"], tmp_path / "m.map.yaml"
+    for output, own in zip(outputs, ("--write-map", "--map"), strict=True):
+        done = animtool("retarget", take, "--to", target, "-o", output, own, map_file)
+        assert done.code == 0, done.stderr
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    _, _, ignored = map_file.read_text("utf-8").partition("ignored:")
+    assert max(map(len, ignored.splitlines())) <= 88
 
 
 def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(

@@ -12,6 +12,7 @@ from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.legs import leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
 from animtool.mocap.retarget.transfer import Person, Transfer
 from animtool.scores import PassScores, Score, ScoreUnit
 
@@ -32,7 +33,7 @@ USUAL_SOLE = 1e-3  # [m]
 USUAL_REACH = 0.01  # of the arm
 USUAL_ANGLE = np.radians(3.0)  # [rad]
 USUAL_ACCELERATION = 1.25  # of the source's
-USUAL_HELD = 0.2  # of frames
+USUAL_HELD = 0.05  # of frames
 USUAL_UNMAPPED = 0.2  # of the source's joints
 
 
@@ -60,6 +61,7 @@ class RetargetReport:
     acceleration: float
     lowered: float  # how far the hips came down so that legs reach, at most [m]
     held: Mapping[str, float]  # share of frames in which limits stop a joint
+    held_mean: float  # of that, over the paired joints but for fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 
@@ -215,6 +217,7 @@ class FitMeter:
             own / other if other > 0 else 0.0,
             0.0 if placed is None else placed.lowered,
             {names[j]: share for j, share in clamped.items()},
+            _mean_held(found, clamped),
             tuple(ours[j] for j in found.unmapped_source),
             tuple(names[j] for j in found.unmapped_target),
         )
@@ -223,14 +226,14 @@ class FitMeter:
 def scores_of(report: RetargetReport) -> PassScores:
     """Return the numbers by which takes are compared, and the joints they concern."""
     length, share = ScoreUnit.LENGTH, ScoreUnit.SHARE
-    lost, most = len(report.unmapped_source), max(report.held.values(), default=0.0)
+    lost, stopped = len(report.unmapped_source), report.held_mean
     values = (
         ("drift", report.drift_max, length, USUAL_DRIFT, 0.0),
         ("soles", report.sole_error, length, USUAL_SOLE, 0.0),
         ("hands", report.reach_error, share, USUAL_REACH, 0.0),
         ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, USUAL_ANGLE, 0.0),
         ("acceleration", report.acceleration, ScoreUnit.RATIO, USUAL_ACCELERATION, 1.0),
-        ("limits", most, share, USUAL_HELD, 0.0),
+        ("limits", stopped, share, USUAL_HELD, 0.0),
         ("not mapped", lost / max(lost + report.pairs, 1), share, USUAL_UNMAPPED, 0.0),
     )
     names = {
@@ -242,6 +245,13 @@ def scores_of(report: RetargetReport) -> PassScores:
         tuple(Score(*value) for value in values),
         {what: joints for what, joints in names.items() if joints},
     )
+
+
+def _mean_held(found: JointMap, clamped: Mapping[int, float]) -> float:
+    """Return the mean share of frames in which limits stop a joint, without fingers."""
+    fingers = {*FINGERS, MITTEN}
+    joints = [p.target for p in found.pairs if base_role(p.role) not in fingers]
+    return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
 def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
