@@ -155,6 +155,10 @@ def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[
         f"{percent(score.reach_error)} of the arm; accelerations up to "
         f"{score.acceleration:.3g} times the source's"
     )
+    if score.hand_error:
+        lines.append(
+            f"  hands within {length_text(score.hand_error)} of what they hold"
+        )
     if score.lowered:
         lines.append(
             f"  hips lowered by up to {length_text(score.lowered)}: legs reach"

@@ -261,14 +261,18 @@ def _locked(
 
 
 def _above_ground(
-    correction: FloatArray, toe: FloatArray, level: float, stands: BoolArray, fps: float
+    correction: FloatArray,
+    toe: FloatArray,
+    level: float,
+    stands: BoolArray,
+    fps: float,
 ) -> None:
     """Change a correction ``(F,)`` [m] so that no toe is below the ground in the air.
 
     Args:
         correction: Of the height of a foot.
         toe: Its height without that ``(F,)`` [m].
-        level: Where it stands [m].
+        level: How low it may be [m].
         stands: When it does ``(F,)``.
         fps: Frames a second.
     """
@@ -277,20 +281,22 @@ def _above_ground(
         low = ~stands & (toe + correction < level - SUNK)
         if not low.any():
             return
-        correction[low] = level - toe[low]
+        correction[low] = (level - toe)[low]
         known |= low
         rows = correction[:, None].copy()
         between(rows, known, fps)
         correction[:] = rows[:, 0]
 
 
-def between(values: FloatArray, known: BoolArray, fps: float) -> None:
-    """Fill rows ``(F, K)`` that are not known: they fade to 0 as smoothly as can be."""
+def between(
+    values: FloatArray, known: BoolArray, fps: float, fade: float = FADE
+) -> None:
+    """Fill rows ``(F, K)`` that are not known: they fade to 0 within a time [s]."""
     if known.all() or not known.any():
         return
     draw = np.where(known, PINNED, 1.0)
     places = values * np.where(known, PINNED, 0.0)[:, None]
-    made = _smoothest(draw, places, (FADE * fps) ** 4)
+    made = _smoothest(draw, places, (fade * fps) ** 4)
     values[~known] = made[~known]
 
 
@@ -333,7 +339,7 @@ def upper(values: FloatArray, width: float) -> FloatArray:
     return smoothed(windows.max(axis=1), width / 4)
 
 
-def bend_leg(
+def bend_limb(
     hip: FloatArray,
     joints: tuple[FloatArray, FloatArray],
     goal: FloatArray,

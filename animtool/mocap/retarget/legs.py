@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts
-from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_leg
+from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_limb
 from animtool.mocap.retarget.transfer import Person, Transfer
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
@@ -162,14 +163,34 @@ def put_ankle(
         swivel: How far the knee then goes round the line from hip to ankle ``(F,)``
             [rad].
     """
-    rig, (thigh, shin, foot, _) = target.rig, leg_of(target, side)
-    hip = joints[:, 0]
-    if rig.joints[shin].type is JointType.PIN:
-        made = _pin_leg(rig, (thigh, shin, foot), hip, goal, turns)
-    else:
-        hinge = so3.rotate(turns[1], _hinge(target, shin))
-        made = bend_leg(hip, (joints[:, 1], joints[:, 2]), goal, turns, hinge)
-    return made if swivel is None else swivelled(made, goal - hip, swivel)
+    leg = leg_of(target, side)[:3]
+    made = put_end(target, leg, joints, goal, turns, _hinge(target, leg[1]))
+    return made if swivel is None else swivelled(made, goal - joints[:, 0], swivel)
+
+
+def put_end(
+    target: Person,
+    limb: Sequence[int],
+    joints: FloatArray,
+    goal: FloatArray,
+    turns: tuple[FloatArray, FloatArray],
+    hinge: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns of both bones of a limb that bring its end to a goal, in the world.
+
+    Args:
+        target: Whose limb it is.
+        limb: Its joints: the first, the middle one and its end.
+        joints: Where these are ``(F, 3, 3)`` [m].
+        goal: Of the end ``(F, 3)`` [m].
+        turns: Of both bones in the world as they are ``(F, 4)``.
+        hinge: What the middle joint turns about where the limb is straight, in its own
+            frame ``(3,)``.
+    """
+    if target.rig.joints[limb[1]].type is JointType.PIN:
+        return _bent_pin(target, limb, joints[:, 0], goal, turns)
+    ends = joints[:, 1], joints[:, 2]
+    return bend_limb(joints[:, 0], ends, goal, turns, so3.rotate(turns[1], hinge))
 
 
 def swivelled(
@@ -181,21 +202,23 @@ def swivelled(
     return so3.multiply(turn, turns[0]), so3.multiply(turn, turns[1])
 
 
-def _pin_leg(
-    rig: Rig,
-    leg: tuple[int, int, int],
-    hip: FloatArray,
+def _bent_pin(
+    target: Person,
+    limb: Sequence[int],
+    start: FloatArray,
     goal: FloatArray,
     turns: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return turns of thigh and shin in the world, of a knee that is a pin."""
-    _, shin, foot = leg
-    joint, rest = rig.joints[shin], rig.rest_rotations[shin]
+    """Return turns of both bones in the world, of a limb that bends at a pin."""
+    rig, (_, middle, end) = target.rig, limb
+    joint, rest = rig.joints[middle], rig.rest_rotations[middle]
     own = so3.multiply(so3.conjugate(turns[0]), turns[1])
     pin = np.array(joint.axis, np.float64)
     angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
-    bones = rig.rest_translations[shin], so3.rotate(rest, rig.rest_translations[foot])
-    upper, bent = bend_at_pin(hip, goal, turns[0], bones, so3.rotate(rest, pin), angle)
+    bones = rig.rest_translations[middle], so3.rotate(rest, target.way(middle, end))
+    upper, bent = bend_at_pin(
+        start, goal, turns[0], bones, so3.rotate(rest, pin), angle
+    )
     if isinstance(joint.limits, RangeLimit):
         bent = joint.limits.clamped(bent)
     lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))

@@ -8,12 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import place_feet
+from animtool.mocap.retarget.hands import (
+    ArmTracks,
+    Floor,
+    arm_of,
+    place_hands,
+)
 from animtool.mocap.retarget.legs import (
     LegTracks,
     leg_of,
@@ -78,6 +85,7 @@ class Retargeting:
         *,
         lock: bool = True,
         same: bool = False,
+        hands: bool = False,
     ) -> None:
         """Go through a take for the first time.
 
@@ -89,6 +97,7 @@ class Retargeting:
             lock: Whether feet stay where they stand.
             same: Whether they do so on legs like those of the source, too; else such
                 legs move as the source's.
+            hands: Whether hands keep their contacts.
         """
         self.transfer, self._moves = transfer, False
         legs = [
@@ -96,7 +105,13 @@ class Retargeting:
             for side in "lr"
             if transfer.target.leg(side) and transfer.source.leg(side)
         ]
+        arms = [
+            side
+            for side in "lr"
+            if hands and arm_of(transfer.target, side) and arm_of(transfer.source, side)
+        ]
         self._spool = Spool()
+        reaches: list[list[ArmTracks]] = []
         tracks: list[list[LegTracks]] = []
         hips = []
         self._stopped: list[dict[int, int]] = []
@@ -107,6 +122,7 @@ class Retargeting:
             turns = posed.turns
             parts = posed.source, turns.world, posed.about
             tracks.append([LegTracks.of(transfer, side, *parts) for side in legs])
+            reaches.append([ArmTracks.of(transfer, side, *parts) for side in arms])
             hips.append(posed.hips)
             self._spool.append(
                 [posed.source, turns.local, turns.world, posed.bones, posed.about]
@@ -128,7 +144,20 @@ class Retargeting:
                 transfer.target, "".join(legs), whole, placed, fps
             )
         contacts = tuple(foot.contacts for foot in feet)
-        self.standing = Standing("".join(legs), contacts, placed)
+        floor = None
+        if feet:
+            ground = float(np.mean([foot.contacts.ground for foot in feet]))
+            high = float(np.mean([foot.height for foot in feet]))
+            floor = Floor(ground, transfer.scale * ground if placed is None else high)
+        held = place_hands(
+            transfer,
+            "".join(arms),
+            [joined([each[k] for each in reaches]) for k in range(len(arms))],
+            self._hips,
+            floor,
+            fps,
+        )
+        self.standing = Standing("".join(legs), contacts, placed, held)
         self._meter = FitMeter(transfer, found, self.standing)
         self._held: dict[int, int] = {}
         self._frames = 0
@@ -166,7 +195,9 @@ class Retargeting:
             begin, count = self._frames, len(arrays[0])
             hips = self._hips[begin : begin + count]
             source, local, world, bones, about = arrays
-            turns = self._with_legs(LocalTurns(local, world, held), hips, about, begin)
+            turns = LocalTurns(local, world, held)
+            turns = self._with_legs(turns, hips, about, begin)
+            turns = self._with_arms(turns, begin)
             self._frames += count
             for j, many in turns.held.items():
                 self._held[j] = self._held.get(j, 0) + many
@@ -236,13 +267,30 @@ class Retargeting:
                 break
         return made
 
+    def _with_arms(self, turns: LocalTurns, begin: int) -> LocalTurns:
+        """Return turns with arms that bring the hands to what they hold."""
+        changed: set[int] = set()
+        part, world = slice(begin, begin + len(turns.world)), turns.world.copy()
+        for hand in self.standing.hands:
+            arm = arm_of(self.transfer.target, hand.side)
+            bends = hand.bends[part]
+            if arm is None or not bends.any():
+                continue
+            world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])
+            changed.update(arm[:2])
+        if not changed:
+            return turns
+        return local_turns(self.transfer, world, turns, changed)
 
-def joined(parts: list[LegTracks]) -> LegTracks:
+
+Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
+
+
+def joined(parts: list[Tracks]) -> Tracks:
     """Return the tracks of consecutive frames as one."""
-    names = LegTracks.__dataclass_fields__
-    return LegTracks(
-        *(np.concatenate([getattr(each, name) for each in parts]) for name in names)
-    )
+    names = parts[0].__dataclass_fields__
+    arrays = (np.concatenate([getattr(one, name) for one in parts]) for name in names)
+    return type(parts[0])(*arrays)
 
 
 def in_blocks(motions: Iterable[Motion], size: int) -> Iterator[Motion]:
@@ -308,6 +356,7 @@ def retarget_take(
     *,
     rest: FloatArray | None = None,
     lock: bool = True,
+    hands: bool = False,
 ) -> Retargeted:
     """Return a take on another rig.
 
@@ -318,11 +367,11 @@ def retarget_take(
         rest: Local turns of the source's joints in its rest pose ``(J, 4)``; None is
             that of its rig.
         lock: Whether feet stay where they stand.
+        hands: Whether hands keep their contacts.
     """
     transfer = transfer_of(take.rig, rig, found, rest)
-    going = Retargeting(
-        transfer, found, [take.motion], float(take.clock.rate), lock=lock
-    )
+    fps = float(take.clock.rate)
+    going = Retargeting(transfer, found, [take.motion], fps, lock=lock, hands=hands)
     motion = Motion.concatenate(list(going.blocks())).map(Channel.compact)
     after = replace(take, rig=rig, motion=motion)
     return Retargeted(after, transfer, going.standing, going.report())

@@ -23,6 +23,7 @@ class RetargetOptions:
             where it rests as the target does, whatever its offsets are; None is that of
             its skeleton.
         free_feet: Whether feet may slide where they stand.
+        hold_hands: Whether hands keep their contacts with each other and the ground.
         warn_above: Warn of scores that are more than so many times what a good take
             has (MAP107), 0 or more; None warns of none.
     """
@@ -70,6 +71,14 @@ class RetargetOptions:
         "--feet",
         choices=("hold", "free"),
         help="Whether feet stay where they stand, or slide.  [default: hold]",
+    )
+    hold_hands: bool = option(
+        False,
+        "switch",
+        "--hands",
+        choices=("free", "hold"),
+        help="Whether arms turn as the source's, or hands keep their contacts with "
+        "each other and the ground.  [default: free]",
     )
     warn_above: float | None = option(
         None,

@@ -10,6 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
+from animtool.mocap.retarget.hands import HeldHand
 from animtool.mocap.retarget.legs import leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
@@ -53,6 +54,9 @@ class RetargetReport:
     penetration: float  # how far soles come below where they stand, at most [m]
     # Of the distance of hands from shoulders, over the length of the arms, at most.
     reach_error: float
+    # How far hands that hold each other, or stand, are from where they are to be, at
+    # most [m].
+    hand_error: float
     # Between bones of both, feet that stand apart [rad].
     bone_angle_mean: float
     bone_angle_max: float
@@ -73,6 +77,7 @@ class Standing:
     sides: str  # of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # of each
     placed: Placed | None  # None where feet are not held
+    hands: Sequence[HeldHand] = ()  # that keep their contacts
 
 
 class FitMeter:
@@ -92,7 +97,7 @@ class FitMeter:
         # the ankle where there is none (F, 2, 2, 3).
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
-        self._reach = 0.0
+        self._reach = self._hand = 0.0
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
@@ -122,6 +127,10 @@ class FitMeter:
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
         self._reach = max(self._reach, _reach_error(self._both(target, source)))
+        for hand in self._standing.hands:
+            wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
+            off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
+            self._hand = max(self._hand, float(off.max(initial=0.0)))
         pairs = self._found.pairs
         now = [
             target[:, [pair.target for pair in pairs]],
@@ -212,6 +221,7 @@ class FitMeter:
             max(soles),
             max(below),
             self._reach,
+            self._hand,
             total / count if count else 0.0,
             most,
             own / other if other > 0 else 0.0,

@@ -80,7 +80,8 @@ def onto_rig(
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
     motions = chain([first], blocks)
-    made = Retargeting(transfer, found, motions, fps, lock=lock, same=same)
+    hands = options.hold_hands
+    made = Retargeting(transfer, found, motions, fps, lock=lock, same=same, hands=hands)
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"

@@ -73,6 +73,11 @@ class Person:
         way = self.positions[end] - self.positions[joint]
         return np.asarray(way / np.linalg.norm(way))
 
+    def way(self, joint: int, below: int) -> FloatArray:
+        """Return where a joint below another is at rest, in its frame ``(3,)`` [m]."""
+        way = self.positions[below] - self.positions[joint]
+        return so3.rotate(so3.conjugate(self.turns[joint]), way)
+
     def apart(self, joint: int, other: int) -> bool:
         """Return whether two joints are not at one place at rest."""
         way = self.positions[other] - self.positions[joint]
