@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts, intervals, smoothed, without_short
-from animtool.mocap.retarget.feet import RISES, SUNK, between
+from animtool.mocap.retarget.feet import between
 from animtool.mocap.retarget.legs import put_end, up_index
 from animtool.mocap.retarget.transfer import Person, Transfer
 
@@ -23,6 +23,8 @@ SMOOTH = 0.03
 # A hand is at the ground below this share of an arm above it; below half of that, it is
 # as high as that of the source.
 LOW = 0.3
+# Hands slow down from this share of an arm above the ground.
+SOFT = 0.25
 # What hands hold fades in and out within about this time [s].
 FADE = 0.15
 # Arms that hold each other's hands are bent a little: they reach this share of their
@@ -140,22 +142,14 @@ def place_hands(
                 goals[k][start:end, up] = float(level[start:end].mean())
                 held[k][start:end] = True
         known = held[k].copy()
+        if level is not None:
+            above, soft = wrists[k][:, up] - level, SOFT * length * transfer.scale
+            low = ~known & (above < soft)
+            goals[k][low, up] = (level + _softened(above, soft))[low]
+            known |= low
         bends = _bends(
             transfer.target, side, tracks[k], starts[k], goals[k], known, fps
         )
-        for _ in range(RISES):
-            if level is None:
-                break
-            wrist = starts[k] + _bent(tracks[k], bends)
-            low = ~known & (wrist[:, up] < level - SUNK)
-            if not low.any():
-                break
-            goals[k][low] = wrist[low]
-            goals[k][low, up] = level[low]
-            known |= low
-            bends = _bends(
-                transfer.target, side, tracks[k], starts[k], goals[k], known, fps
-            )
         made.append(HeldHand(side, goals[k], held[k], bends))
     return made
 
@@ -193,6 +187,11 @@ def _bent(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
     """Return where turned arms bring the wrist, from the shoulder ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
+
+
+def _softened(above: FloatArray, soft: float) -> FloatArray:
+    """Return heights above the ground that is reached softly: 0 from ``-soft`` down."""
+    return np.asarray(np.clip(above + soft, 0.0, None) ** 2 / (4 * soft))
 
 
 def _within_reach(
