@@ -177,7 +177,7 @@ def presets() -> Mapping[str, Preset]:
 def _preset(name: str, entry: dict[str, Any]) -> Preset:
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
-    for role, template in _templates(entry["joints"]):
+    for role, template in _templates(_with_fingers(entry)):
         bare = _PREFIX.sub("", _NAMESPACE.sub("", template.replace("{s}", " ")))
         keys.setdefault(_key(_split(bare)), set()).add(role)
         sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
@@ -194,6 +194,18 @@ def _preset(name: str, entry: dict[str, Any]) -> Preset:
         {key: frozenset(roles) for key, roles in keys.items()},
         {role: tuple(dict.fromkeys(texts)) for role, texts in joints.items()},
     )
+
+
+def _with_fingers(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the joints of a convention, names of digits put into those of fingers."""
+    words, joints = entry.get("digits", ()), dict(entry["joints"])
+    digit, metacarpal = joints.pop("digit", ()), joints.pop("digit_0", None)
+    for role, word in zip(DIGITS[len(DIGITS) - len(words) :], words, strict=True):
+        joints[role] = [name.replace("{d}", word) for name in digit]
+        # A thumb has none: what would be its metacarpal is its first joint.
+        if metacarpal is not None and role != DIGITS[0]:
+            joints[f"{role}_0"] = metacarpal.replace("{d}", word)
+    return joints
 
 
 def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
