@@ -236,8 +236,10 @@ def _told(shown: str, fault: Any) -> str:
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return how an entry of a list is written that is only a name, such as a pass."""
+    """Return how a list is written, or an entry that is only a name, such as a pass."""
     given, wanted = fault["input"], _KINDS.get(fault["type"])
+    if wanted == _KINDS["list_type"] and isinstance(given, dict):
+        return "begin each entry with '- '"
     if wanted != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None
     if not isinstance(given, str) or not given.isidentifier():

@@ -213,6 +213,7 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
         ("{sauce: Hips, target: hips}", "DOC020", (3, 11), "'source'"),
+        ("", "DOC022", (2, 9), "begin each entry with '- '"),
     ],
 )
 def test_a_wrong_map_is_refused_with_its_place(
@@ -220,7 +221,8 @@ def test_a_wrong_map_is_refused_with_its_place(
 ) -> None:
     source, _ = person(named("mixamo"))
     target, _ = person()
-    path = written(tmp_path, f"map: animtool/1\njoints:\n- {line}\n")
+    joints = f"\n- {line}" if line else " {Hips: hips}"
+    path = written(tmp_path, f"map: animtool/1\njoints:{joints}\n")
     with pytest.raises(FormatError) as caught:
         map_joints(source, target, map_file=path)
     fault = caught.value.faults[0]
