@@ -101,6 +101,7 @@ PASSES: dict[str, str] = {
     "ragdoll": "animtool.systems.rigid.ragdoll:PASS",
     "resample": "animtool.edit.resample:PASS",
     "retarget": "animtool.mocap.retarget.take_pass:PASS",
+    "root_drift": "animtool.mocap.drift:PASS",
     "root_motion": "animtool.edit.root_motion:PASS",
     "simulate": "animtool.systems.attach.take_pass:PASS",
     "time_scale": "animtool.edit.retiming:TIME_SCALE",

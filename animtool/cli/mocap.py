@@ -37,7 +37,7 @@ def mocap() -> None:
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
   animtool mocap clean take.bvh -o clean.bvh --spikes 2 --noise keep
-  animtool mocap clean take.bvh -o clean.usdc --feet hold
+  animtool mocap clean take.bvh -o clean.usdc --drift remove --feet hold
   animtool mocap clean take.usdc -o clean.clip.yaml --cutoff 6"""
 )
 @click.argument("source", type=INPUT)
@@ -55,6 +55,13 @@ Examples:
     default="free",
     help="Whether feet slide where they stand, as captured, or are held.  "
     "[default: free]",
+)
+@click.option(
+    "--drift",
+    type=click.Choice(["keep", "remove"]),
+    default="keep",
+    help="Whether a root that drifts over the ground or in height is left alone, or "
+    "moved so that feet stand where they stand.  [default: keep]",
 )
 @source_options
 @source_option("prim_path", "take")
@@ -76,9 +83,9 @@ def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None
         return
     options = CleanOptions(**read_values(CleanOptions, given))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
-    if given["feet"] == "hold":
-        feet = find_pass("feet")
-        passes.append((feet, feet.options()))
+    wanted = {"root_drift": given["drift"] == "remove", "feet": given["feet"] == "hold"}
+    for name in (name for name, on in wanted.items() if on):
+        passes.append((find_pass(name), find_pass(name).options()))
     with all_named(), console.progress(f"clean {source.name}") as progress:
         report = convert_passed(
             source,
