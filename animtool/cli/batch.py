@@ -17,7 +17,6 @@ from animtool.cli.batch_options import (
     with_cuts,
     with_variants,
 )
-from animtool.cli.batch_progress import openjd_failure, openjd_lines, shown_progress
 from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
@@ -233,6 +232,11 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     """
     from animtool.batch.discover import find_batch
     from animtool.batch.run import RunOptions, run_batch
+    from animtool.cli.batch_progress import (
+        openjd_failure,
+        openjd_lines,
+        shown_progress,
+    )
 
     if given["fail_fast"] and given["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: give one.")

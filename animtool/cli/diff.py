@@ -20,7 +20,6 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
-from animtool.clock import frame_label
 from animtool.errors import ExitCode, counted
 from animtool.quantities import length_text, plain
 
@@ -134,6 +133,8 @@ def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
 
 def _text(found: TakeDifference) -> list[str]:
     """Return what was compared, and the largest differences."""
+    from animtool.clock import frame_label
+
     compared = [counted(found.joints, "joint"), counted(found.frames, "frame")]
     if found.shapes:
         compared.insert(1, counted(found.shapes, "shape"))
@@ -155,6 +156,8 @@ def _text(found: TakeDifference) -> list[str]:
 
 def _points_text(found: PointsDifference) -> list[str]:
     """Return what was compared of points, and the largest differences."""
+    from animtool.clock import frame_label
+
     prims, samples = counted(found.prims, "prim"), counted(found.samples, "sample")
     lines = [f"{prims}, {samples} compared"]
     sizes = {

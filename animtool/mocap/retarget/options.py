@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from animtool.mocap.retarget.pairing import MapMode
+from animtool.mocap.retarget.roles import MapMode
 from animtool.options import option
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -24,13 +23,11 @@ from animtool.mocap.retarget.roles import (
     TWIST,
     Anatomy,
     Found,
+    MapMode,
     base_role,
 )
 from animtool.rig.skeleton import Rig
 
-# By names and structure; by names alone; by structure alone; or joints of the same name
-# or role one to one, for takes that only want other names.
-MapMode: TypeAlias = Literal["auto", "names", "structure", "rename"]
 # Where the last bone of a chain leads to, the first of them that there is.
 _NEXT = {
     "spine": ("neck", "head"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal, TypeAlias
 
 from animtool.errors import Fault
 
@@ -25,6 +26,11 @@ SIDES = ("l", "r")
 ROLES: tuple[str, ...] = (*CENTER, *(f"{r}_{s}" for s in SIDES for r in SIDED))
 # Joints without a role, of which it is known why they have none.
 TWIST, END, CONTROL = "twist", "end", "control"
+
+
+# By names and structure; by names alone; by structure alone; or joints of the same name
+# or role one to one, for takes that only want other names.
+MapMode: TypeAlias = Literal["auto", "names", "structure", "rename"]
 
 
 class Found(StrEnum):
