@@ -23,13 +23,26 @@ from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
 from animtool.batch.work import Status
+from animtool.cli.scores_summary import scores_table
 from animtool.errors import AnimtoolError
 from animtool.files import FileState
+from animtool.scores import PassScores, Score, ScoreUnit
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "records of batches, owners, path rules, reports, addresses, tables of variants"
 
 COUNT = 4
+SCORES = (
+    PassScores(
+        (
+            Score("drift", 0.003, ScoreUnit.LENGTH, 0.001),
+            Score("acceleration", 1.5, ScoreUnit.RATIO, 1.25, 1.0),
+        ),
+        {"not mapped": ("jaw", "eye_l")},
+        "retarget",
+        "passes[0].retarget",
+    ),
+)
 Run = Callable[[np.random.Generator], str]
 
 
@@ -89,7 +102,10 @@ class _Recorded:
                 ]
                 key, how = planner.key(item), planner.how(item)
                 ledger.claim([key])
-                ledger.made(ItemRecord(key, how, planner.versions, *files, 2 * 10**18))
+                made = ItemRecord(
+                    key, how, planner.versions, *files, 2 * 10**18, SCORES
+                )
+                ledger.made(made)
             ledger.failed("other.usdc", "BAT020 it crashed")
 
     def run(self, rng: np.random.Generator) -> str:
@@ -106,6 +122,7 @@ class _Recorded:
         try:
             report = run_batch(self.batch, RunOptions(dry_run=True))
             # What accidents do to a record never makes an item seem up to date.
+            scores_table(report.scored)
             status = report.items[changed].status
             assert not by_bytes or status is Status.NOT_RUN
             self._settled()
@@ -211,7 +228,8 @@ BATCH = json.dumps(
         "inputs": ["batch/takes/*.bvh"],
         "exclude": ["old/*.bvh"],
         "output": "out/{parent}/{stem}_{k}.usdc",
-        "variables": {"shot": "sh010"},
+        "variables": {"shot": "sh010", "first": 2},
+        "overrides": [{"inputs": ["batch/takes/a*"], "variables": {"first": 1e-3}}],
         "variants": {"k": [1, 2], "s": "0..1/0.25", "t": {"start": 0, "stop": 1}},
         "options": {"reduce": "0.5mm", "range": [1, 4], "fps": 24},
         "limits": {"seconds": 60, "memory": "2GB"},
