@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class BallLimit:
     @property
     def axes(self) -> FloatArray:
         """Twist axis and the two that swing is about, unit ``(3, 3)``, one a row."""
-        return np.stack([np.asarray(self.twist_axis), *_across(self.twist_axis)])
+        return _axes(self.twist_axis)
 
     def excess(self, rotations: FloatArray) -> FloatArray:
         """Return the angle between rotations ``(F, 4)`` and the limits [rad]."""
@@ -114,12 +115,15 @@ def swing_twist(
     return np.where(swing[:, 3:] < 0, -swing, swing), twist
 
 
-def _across(axis: tuple[float, float, float]) -> FloatArray:
-    """Return the two unit axes at right angles to a twist axis ``(2, 3)``."""
+@cache
+def _axes(axis: tuple[float, float, float]) -> FloatArray:
+    """Return a twist axis and the two at right angles to it, one a row ``(3, 3)``."""
     direction = np.asarray(axis, np.float64)
     near = int(np.argmax(np.abs(direction)))
     basis = np.eye(3)
     first = basis[(near + 1) % 3]
     first = first - (first @ direction) * direction
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
+    made = np.stack([direction, first, np.cross(direction, first)])
+    made.setflags(write=False)
+    return made

@@ -16,9 +16,6 @@ from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
 from animtool.units import UpAxis
 
-# Angles of a knee that are tried for its reach: within a hundredth of a degree.
-ANGLES = 20_001
-
 
 @dataclass(frozen=True, slots=True)
 class LegTracks:
@@ -116,8 +113,15 @@ def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float
     low, high = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
         low, high = joint.limits.low, joint.limits.high
-    angles = np.linspace(low, high, ANGLES)
-    turns = so3.from_axis_angle(np.array(joint.axis, np.float64), angles)
+    # The square of the reach goes with the cosine of the angle: about where it is most.
+    pin = np.array(joint.axis, np.float64)
+    bone = so3.rotate(so3.conjugate(rest), upper)
+    most = np.arctan2(
+        bone @ np.cross(pin, lower), bone @ lower - (bone @ pin) * (lower @ pin)
+    )
+    turning = most + np.pi * np.arange(-4, 5)
+    angles = np.append(turning[(turning > low) & (turning < high)], [low, high])
+    turns = so3.from_axis_angle(pin, angles)
     tips = upper + so3.rotate(so3.multiply(rest, turns), lower)
     reach = np.linalg.norm(tips, axis=1)
     return float(reach.min()), float(reach.max())

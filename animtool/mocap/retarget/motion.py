@@ -6,13 +6,13 @@ stand depends on all of it, and needs little of each frame; the joints follow th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import place_feet
 from animtool.mocap.retarget.hands import (
@@ -114,7 +114,7 @@ class Retargeting:
         reaches: list[list[ArmTracks]] = []
         tracks: list[list[LegTracks]] = []
         hips = []
-        self._stopped: list[dict[int, int]] = []
+        self._stopped: list[dict[int, BoolArray]] = []
         for motion in in_blocks(motions, BLOCK):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
@@ -200,7 +200,7 @@ class Retargeting:
             turns = self._with_arms(turns, begin)
             self._frames += count
             for j, many in turns.held.items():
-                self._held[j] = self._held.get(j, 0) + many
+                self._held[j] = self._held.get(j, 0) + int(many.sum())
             local = turns.local
             twists = share_twist(self.transfer, local, twists)
             root, way = root_places(
@@ -233,39 +233,57 @@ class Retargeting:
         target, placed = self.transfer.target, self.standing.placed
         if placed is None:
             return turns
-        part = slice(begin, begin + len(hips))
         legs = [leg_of(target, side) for side in self.standing.sides]
-        goals = [ankle[part] for ankle in placed.ankles]
-        changed = {joint for leg in legs for joint in leg[:3]}
-        for tried in range(TRIES):
-            world = turns.world.copy()
-            for k, (side, leg) in enumerate(
-                zip(self.standing.sides, legs, strict=True)
-            ):
-                joints = hips[:, None] + about[:, leg[:3]]
-                both = world[:, leg[0]], world[:, leg[1]]
-                world[:, leg[0]], world[:, leg[1]] = put_ankle(
-                    target, side, joints, goals[k], both, self._swivels[k][part]
-                )
-                world[:, leg[2]] = placed.turns[k][part]
-            made = local_turns(self.transfer, world, turns, changed)
-            if tried == TRIES - 1:
-                break
+        goals = [ankle[begin : begin + len(hips)].copy() for ankle in placed.ankles]
+        rows = np.arange(len(hips))
+        made = self._solved(turns, hips, about, goals, rows + begin)
+        for _ in range(TRIES - 1):
             # Where a limit stops the foot, the ankle gives way for the toe.
-            most = 0.0
+            most = np.zeros(len(rows))
+            at = rows + begin
             for k, (_, _, foot, tip) in enumerate(legs):
                 if foot not in made.held or tip < 0:
                     continue
-                back = so3.conjugate(turns.world[:, foot])
-                bone = so3.rotate(back, about[:, tip] - about[:, foot])
-                wanted, actual = placed.turns[k][part], made.world[:, foot]
+                back = so3.conjugate(turns.world[rows, foot])
+                bone = so3.rotate(back, about[rows, tip] - about[rows, foot])
+                wanted, actual = placed.turns[k][at], made.world[rows, foot]
                 off = so3.rotate(wanted, bone) - so3.rotate(actual, bone)
-                goal = placed.ankles[k][part] + placed.rolls[k][part, None] * off
-                most = max(most, float(np.abs(goal - goals[k]).max()))
-                goals[k] = goal
-            if most < GIVEN * target.size:
+                goal = placed.ankles[k][at] + placed.rolls[k][at, None] * off
+                most = np.maximum(most, np.abs(goal - goals[k][rows]).max(axis=1))
+                goals[k][rows] = goal
+            rows = rows[most > GIVEN * target.size]
+            if not len(rows):
                 break
+            nearer = [goal[rows] for goal in goals]
+            again = self._solved(
+                turns.rows(rows), hips[rows], about[rows], nearer, rows + begin
+            )
+            made.put(rows, again)
         return made
+
+    def _solved(
+        self,
+        turns: LocalTurns,
+        hips: FloatArray,
+        about: FloatArray,
+        goals: Sequence[FloatArray],
+        frames: IntArray,
+    ) -> LocalTurns:
+        """Return turns with legs whose ankles are at goals, and feet as they stand."""
+        target, placed = self.transfer.target, self.standing.placed
+        assert placed is not None
+        world = turns.world.copy()
+        changed: set[int] = set()
+        for k, side in enumerate(self.standing.sides):
+            leg = leg_of(target, side)
+            joints = hips[:, None] + about[:, leg[:3]]
+            both = world[:, leg[0]], world[:, leg[1]]
+            world[:, leg[0]], world[:, leg[1]] = put_ankle(
+                target, side, joints, goals[k], both, self._swivels[k][frames]
+            )
+            world[:, leg[2]] = placed.turns[k][frames]
+            changed.update(leg[:3])
+        return local_turns(self.transfer, world, turns, changed)
 
     def _with_arms(self, turns: LocalTurns, begin: int) -> LocalTurns:
         """Return turns with arms that bring the hands to what they hold."""

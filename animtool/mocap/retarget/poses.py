@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.retarget.transfer import Person, Transfer, middle_of_hips
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
@@ -86,7 +86,19 @@ class LocalTurns:
 
     local: FloatArray  # (F, K, 4)
     world: FloatArray  # what these make (F, K, 4)
-    held: dict[int, int]  # joints that limits hold anywhere, and in how many frames
+    held: dict[int, BoolArray]  # joints that limits hold anywhere, and when (F,)
+
+    def rows(self, frames: IntArray) -> LocalTurns:
+        """Return those of some frames."""
+        held = {j: mask[frames] for j, mask in self.held.items()}
+        return LocalTurns(self.local[frames], self.world[frames], held)
+
+    def put(self, frames: IntArray, other: LocalTurns) -> None:
+        """Change those of some frames."""
+        self.local[frames], self.world[frames] = other.local, other.world
+        for j in {*self.held, *other.held}:
+            mask = self.held.setdefault(j, np.zeros(len(self.local), np.bool_))
+            mask[frames] = other.held.get(j, False)
 
 
 def local_turns(
@@ -110,7 +122,7 @@ def local_turns(
     rig = target.rig
     if known is None:
         local, world = np.zeros_like(turns), np.zeros_like(turns)
-        held: dict[int, int] = {}
+        held: dict[int, BoolArray] = {}
         stale = set(range(len(rig.joints)))
     else:
         local, world = known.local.copy(), known.world.copy()
@@ -133,7 +145,7 @@ def local_turns(
         own, stopped = _within(joint, rest, own)
         held.pop(j, None)
         if stopped.any():
-            held[j] = int(stopped.sum())
+            held[j] = stopped
         local[:, j] = own
         world[:, j] = own if above is None else so3.multiply(above, own)
     return LocalTurns(local, world, held)
