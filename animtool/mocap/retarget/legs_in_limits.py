@@ -24,8 +24,9 @@ from animtool.mocap.retarget.legs import (
 from animtool.mocap.retarget.transfer import Person
 from animtool.rig.limits import BallLimit
 
-# How far knees may go round, and the steps that are tried [rad].
-SWIVELS = np.radians(np.arange(-60.0, 60.1, 5.0))
+# How far knees may go round: what is tried, and then about the best of it [rad].
+SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
+NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
 # What going round costs, over what limits take from a joint.
 SPARED = 0.05
 # Knees go round, and hips rise, within about these times [s].
@@ -60,14 +61,18 @@ class _Leg:
         found = np.zeros(len(hips))
         turns, way = self.turns(hips), self.goal - hips - self.tracks.hip
         every = np.arange(len(hips))
-        off = np.flatnonzero(self._excess(turns, way, every, 0.0) > 0)
+        off = np.flatnonzero(self._excess(turns, way, every, found) > 0)
         if not len(off):
             return found
-        costs = [
-            self._excess(turns, way, off, angle) + (SPARED * angle) ** 2
-            for angle in SWIVELS.tolist()
-        ]
-        found[off] = SWIVELS[np.argmin(costs, axis=0)]
+        best = np.zeros(len(off))
+        for steps in (SWIVELS, NEARBY):
+            tried = best + steps[:, None]
+            costs = [
+                self._excess(turns, way, off, angles) + (SPARED * angles) ** 2
+                for angles in tried
+            ]
+            best = tried[np.argmin(costs, axis=0), np.arange(len(off))]
+        found[off] = best
         return smoothed(found, SWIVEL_TIME * fps)
 
     def _excess(
@@ -75,12 +80,11 @@ class _Leg:
         turns: tuple[FloatArray, FloatArray],
         way: FloatArray,
         frames: IntArray,
-        angle: float,
+        angles: FloatArray,
     ) -> FloatArray:
         """Return the squares of what limits take from hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
         both = turns[0][frames], turns[1][frames]
-        angles = np.full(len(frames), angle)
         first, second = swivelled(both, way[frames], angles)
         above = so3.conjugate(self.tracks.turns[frames, 0])
         total = np.zeros(len(frames))
@@ -137,12 +141,14 @@ def within_limits(
         )
     ]
     hips = placed.hips.copy()
-    for _ in range(RISES):
-        angles = [leg.swivel(hips, fps) for leg in legs]
+    angles = [leg.swivel(hips, fps) for leg in legs]
+    for tried in range(RISES):
         low = np.max(
             [leg.sunk(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
         )
         if low.max() < SUNK * target.size:
-            return hips, angles
+            break
         hips[:, up_index(target.rig)] += upper(low, RISE_TIME * fps)
-    return hips, [leg.swivel(hips, fps) for leg in legs]
+        if tried == RISES - 1:
+            angles = [leg.swivel(hips, fps) for leg in legs]
+    return hips, angles
