@@ -169,10 +169,10 @@ class Retargeting:
         local = motion.translations.dense(), motion.rotations.dense()
         places = forward(source.rig, *local).positions
         world = world_turns(source.rig, local[1])
-        turns = hinged(target, transfer.turns(world))
+        turns = hinged(transfer, transfer.turns(world))
         made = local_turns(transfer, turns)
         bones = transfer.bones(world, local[0], made.world)
-        about = about_hips(target, made.world, bones)
+        about = about_hips(target, made.world, bones, limbs_of(target))
         hips = transfer.hips(places)
         return _Posed(so3.rotate(transfer.upright, places), made, bones, about, hips)
 
@@ -342,6 +342,15 @@ class Retargeted:
     def world(self) -> WorldTransforms:
         """Where the joints of the target are."""
         return self.take.world()
+
+
+def limbs_of(person: Person) -> set[int]:
+    """Return the joints that say where hips, legs and arms are."""
+    found = {max(person.first("hips"), 0)}
+    for side in "lr":
+        found.update(person.leg(side) or (), arm_of(person, side) or ())
+        found.add(person.first(f"thigh_{side}"))
+    return {joint for joint in found if joint >= 0}
 
 
 def transfer_of(

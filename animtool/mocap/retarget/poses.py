@@ -21,30 +21,43 @@ ALONG = 0.9
 HELD = 1e-6
 
 
-def about_hips(target: Person, turns: FloatArray, bones: FloatArray) -> FloatArray:
-    """Return where joints are about the middle of the hips ``(F, K, 3)`` [m]."""
+def about_hips(
+    target: Person, turns: FloatArray, bones: FloatArray, joints: Collection[int]
+) -> FloatArray:
+    """Return where joints are about the middle of the hips ``(F, K, 3)`` [m].
+
+    Of some joints and what they hang on; the others are left at the root.
+    """
     rig = target.rig
     places = np.zeros((len(turns), len(rig.joints), 3))
+    needed = set(joints)
+    for j in range(len(rig.joints) - 1, -1, -1):
+        if j in needed:
+            needed.add(int(rig.parents[j]))
     for j, parent in enumerate(rig.parents.tolist()):
-        if parent >= 0:
+        if parent >= 0 and j in needed:
             bone = so3.rotate(turns[:, parent], bones[:, j])
             places[:, j] = places[:, parent] + bone
     return np.asarray(places - middle_of_hips(target, places)[:, None])
 
 
-def hinged(target: Person, turns: FloatArray) -> FloatArray:
+def hinged(transfer: Transfer, turns: FloatArray) -> FloatArray:
     """Return turns where what bends at a pin is across its axis ``(F, K, 4)``.
 
     The joint above twists about its own bone, so that the bone below the pin points
     where it did; a straight limb does not say how, and keeps its twist.
     """
-    rig, made = target.rig, turns
+    target, made = transfer.target, turns
+    rig = target.rig
     for j, joint in enumerate(rig.joints):
         parent = int(rig.parents[j])
-        bone = target.bone(j)
-        if joint.type is not JointType.PIN or parent < 0 or bone is None:
+        if joint.type is not JointType.PIN or parent < 0:
             continue
-        if rig.joints[parent].type is not JointType.BALL:
+        # Who follows nobody rests.
+        if rig.joints[parent].type is not JointType.BALL or transfer.follows[j] < 0:
+            continue
+        bone = target.bone(j)
+        if bone is None:
             continue
         upper = so3.rotate(made[:, parent], _unit(rig.rest_translations[j]))
         own = so3.rotate(so3.conjugate(target.turns[j]), bone)
@@ -135,7 +148,7 @@ def local_turns(
             continue
         above = world[:, parent] if parent >= 0 else None
         back = so3.IDENTITY if above is None else so3.conjugate(above)
-        own = np.broadcast_to(rest, local[:, j].shape)
+        own = rest[None]
         if transfer.follows[j] >= 0:
             own = so3.multiply(back, turns[:, j])
             twisted = _twisted(target, j)
@@ -145,7 +158,7 @@ def local_turns(
         own, stopped = _within(joint, rest, own)
         held.pop(j, None)
         if stopped.any():
-            held[j] = stopped
+            held[j] = np.broadcast_to(stopped, len(local)).copy()
         local[:, j] = own
         world[:, j] = own if above is None else so3.multiply(above, own)
     return LocalTurns(local, world, held)
