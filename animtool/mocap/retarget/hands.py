@@ -1,4 +1,4 @@
-"""Hands that keep the contacts they have: with each other, and with the ground."""
+"""Hands that keep the contacts they have: with each other, the ground and props."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts, intervals, smoothed, without_short
 from animtool.mocap.retarget.feet import between
 from animtool.mocap.retarget.legs import put_end, up_index
+from animtool.mocap.retarget.props import PropWay
 from animtool.mocap.retarget.transfer import Person, Transfer
 
 # Hands hold each other that are nearer than this share of an arm, from wrist to wrist.
@@ -72,6 +73,7 @@ class HeldHand:
     held: BoolArray  # frames in which it does (F,)
     # By how much upper arm and forearm are turned in the world (F, 2, 3) [rad].
     bends: FloatArray
+    props: frozenset[int]  # tracks that it holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,14 @@ class Floor:
 
     source: float
     target: float
+
+    @staticmethod
+    def lift(floor: Floor | None, scale: float, up: int) -> FloatArray:
+        """Return how far what is scaled is then lifted to the ground ``(3,)`` [m]."""
+        made = np.zeros(3)
+        if floor is not None:
+            made[up] = floor.target - scale * floor.source
+        return made
 
 
 def arm_of(person: Person, side: str) -> list[int] | None:
@@ -95,12 +105,14 @@ def place_hands(
     hips: FloatArray,
     floor: Floor | None,
     fps: float,
+    props: Sequence[PropWay] = (),
 ) -> list[HeldHand]:
     """Return where hands are to be so that they keep their contacts.
 
     Hands that hold each other are as far apart as those of the source, scaled as arms
-    are, about the middle between them; hands on the ground stay where they are. What
-    that takes fades in and out as smoothly as can be.
+    are, about the middle between them; hands on the ground stay where they are, and
+    those on props where they hold them. What that takes fades in and out as smoothly as
+    can be.
 
     Args:
         transfer: How the target follows.
@@ -109,8 +121,10 @@ def place_hands(
         hips: The middle of the target's hips ``(F, 3)`` [m].
         floor: Where the ground is; None where there are no feet to say it.
         fps: Frames a second.
+        props: What they may hold.
     """
     up = up_index(transfer.target.rig)
+    lift = Floor.lift(floor, transfer.scale, up)
     wrists = [hips + arm.joints[:, 2] for arm in tracks]
     lengths = [_length(transfer.source, side) for side in sides]
     scales = [
@@ -133,10 +147,21 @@ def place_hands(
     made = []
     for k, side in enumerate(sides):
         source, length, level = tracks[k].source, lengths[k], None
+        carrying, holds = np.zeros(count, np.bool_), set()
+        for prop in props:
+            with_it = prop.held_by(source, length, fps) & ~carrying
+            if not with_it.any():
+                continue
+            grip = so3.rotate(prop.turns, prop.seen(source))
+            place = transfer.scale * prop.places + lift
+            goals[k][with_it] = (place + grip)[with_it]
+            held[k] |= with_it
+            carrying |= with_it
+            holds.add(prop.track)
         if floor is not None:
             high = source[:, up] - floor.source
             level = floor.target + transfer.scale * np.minimum(high, LOW / 2 * length)
-            slow = find_contacts(source, None, fps, length, up).ankle
+            slow = find_contacts(source, None, fps, length, up).ankle & ~carrying
             for start, end in intervals(slow & (high < LOW * length) & ~held[k]):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(level[start:end].mean())
@@ -150,7 +175,7 @@ def place_hands(
         bends = _bends(
             transfer.target, side, tracks[k], starts[k], goals[k], known, fps
         )
-        made.append(HeldHand(side, goals[k], held[k], bends))
+        made.append(HeldHand(side, goals[k], held[k], bends, frozenset(holds)))
     return made
 
 

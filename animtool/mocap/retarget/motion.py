@@ -38,6 +38,7 @@ from animtool.mocap.retarget.poses import (
     share_twist,
     world_turns,
 )
+from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import FitMeter, RetargetReport, Standing
 from animtool.mocap.retarget.transfer import Person, Transfer
 from animtool.motion import Channel, Motion
@@ -86,6 +87,7 @@ class Retargeting:
         lock: bool = True,
         same: bool = False,
         hands: bool = False,
+        props: Props | None = None,
     ) -> None:
         """Go through a take for the first time.
 
@@ -98,6 +100,7 @@ class Retargeting:
             same: Whether they do so on legs like those of the source, too; else such
                 legs move as the source's.
             hands: Whether hands keep their contacts.
+            props: Tracks of the take that they may hold.
         """
         self.transfer, self._moves = transfer, False
         legs = [
@@ -156,7 +159,10 @@ class Retargeting:
             self._hips,
             floor,
             fps,
+            props.ways(transfer) if props is not None and arms else (),
         )
+        # How far props that hands hold are lifted (3,) [m].
+        self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
         self.standing = Standing("".join(legs), contacts, placed, held)
         self._meter = FitMeter(transfer, found, self.standing)
         self._held: dict[int, int] = {}

@@ -17,11 +17,20 @@ from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.pairing import map_joints
+from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of
 from animtool.mocap.retarget.transfer import STANDS, Person
 from animtool.motion import Motion
 from animtool.options import with_written
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    PassthroughTracks,
+    Scope,
+    TakePart,
+)
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
@@ -37,7 +46,12 @@ class RetargetPassOptions:
 
 
 def onto_rig(
-    stream: TakeStream, rig: Rig, options: RetargetOptions, *, same: bool = False
+    stream: TakeStream,
+    rig: Rig,
+    options: RetargetOptions,
+    *,
+    same: bool = False,
+    props: Props | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return a take on its way to another rig, the map of joints, and what is odd.
 
@@ -46,6 +60,7 @@ def onto_rig(
         rig: The rig that it goes onto.
         options: How.
         same: Whether feet are held on legs like those of the source, too.
+        props: Tracks of the take that hands may hold.
 
     Raises:
         FormatError: The map file cannot be read, or names joints that neither has.
@@ -81,7 +96,9 @@ def onto_rig(
     lock = not options.free_feet
     motions = chain([first], blocks)
     hands = options.hold_hands
-    made = Retargeting(transfer, found, motions, fps, lock=lock, same=same, hands=hands)
+    made = Retargeting(
+        transfer, found, motions, fps, lock=lock, same=same, hands=hands, props=props
+    )
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"
@@ -170,10 +187,23 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:
         settings = replace(settings, map=context.folder / settings.map)
-    made, _, notices = onto_rig(stream, rig, settings)
+    props = Props(stream.tracks) if stream.tracks and settings.hold_hands else None
+    if props is not None:
+        stream = replace(stream, blocks=props.noting(stream.blocks))
+    # What is beside the rig passes by; frames stay as they are.
+    beyond = PassthroughTracks(stream) if stream.tracks else None
+    own = stream if beyond is None else beyond.stream
+    made, _, notices = onto_rig(own, rig, settings, props=props)
     context.notices.extend(notices)
     blocks = checked_blocks(made, settings, stream.notices)
-    return replace(stream, rig=rig, blocks=_scored(made, blocks, context))
+    done = replace(own, rig=rig, blocks=_scored(made, blocks, context))
+    if beyond is None:
+        return done
+    done = beyond.restore(done)
+    if props is None:
+        return done
+    held = {track for hand in made.standing.hands for track in hand.props}
+    return replace(done, tracks=props.moved(held, made.transfer, made.lift))
 
 
 def _scored(
@@ -229,10 +259,8 @@ PASS = Pass(
     Scope.WINDOW,
     _run,
     _checks,
-    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
-    changes=frozenset(
-        {TakePart.RIG, TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS}
-    ),
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),
+    changes=MOTION_PARTS | {TakePart.RIG, TakePart.TRACKS},
 )
 
 

@@ -13,6 +13,10 @@ from animtool import Channel, Motion, Rig, Take, open_source
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.retarget import Retargeted, map_joints, retarget_take
+from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.rig.write import rig_text
+from animtool.take import TakeStream
+from animtool.transforms import Track, Transforms
 
 FRAMES = 90
 
@@ -131,3 +135,46 @@ def test_hands_that_stand_on_the_ground(person: Take) -> None:
     # Arms that are too short are as long as they can be, and the report says so.
     short = onto(take, longer(rig, 0.8), hands=True).report
     assert short.hand_error == pytest.approx(0.2 * 0.545, abs=0.01)
+
+
+def test_hands_that_carry_a_prop(person: Take, tmp_path: Path) -> None:
+    """A tray before the chest, in both hands, that goes up and forwards and turns."""
+    rig, up = person.rig, np.array([0.0, 1.0, 0.0])
+    places, turns = still(person)
+    t = np.arange(FRAMES) / (FRAMES - 1)
+    places[:, 0, 2] = t
+    turns[:, 0] = so3.from_axis_angle(up, 0.5 * t)
+    for name, sign in (("Left", -1.0), ("Right", 1.0)):
+        arm = so3.from_axis_angle(up, sign * np.pi / 2 * np.ones(FRAMES))
+        turns[:, rig.index(f"{name}Arm")] = arm
+        bend = so3.from_axis_angle(up, sign * 0.3 * np.ones(FRAMES))
+        turns[:, rig.index(f"{name}ForeArm")] = bend
+    take = as_take(person, places, turns)
+    left, right = wrists(take)
+    way = (left + right) / 2
+
+    def sample(times: FloatArray) -> Transforms:
+        frames = times.astype(int)
+        return Transforms(way[frames], turns[frames, 0], np.ones((len(frames), 3)))
+
+    tray = Track("Props/tray", sample)
+    shelf = Track("Props/shelf", lambda times: sample(times * 0), moves=False)
+    times = np.stack([np.arange(FRAMES)] * 2, axis=1)[..., None].astype(float)
+    motion = replace(take.motion, track_times=Channel.from_dense(times))
+    take = replace(take, motion=motion, tracks=(tray, shelf))
+    target = tmp_path / "ape.rig.yaml"
+    target.write_text(rig_text(longer(rig, 1.25)), "utf-8")
+    own = find_pass("retarget")
+    context = PassContext(open_source, Path())
+    made = apply_pass(
+        TakeStream.of(take), own, own.options(rig=target, hold_hands=True), context
+    ).collect()
+    frames = np.arange(FRAMES, dtype=np.float64)
+    carried, put = (track.at(frames) for track in made.tracks)
+    assert_allclose(put.translations, shelf.at(frames).translations)
+    for source, wrist in zip((left, right), wrists(made), strict=True):
+        before = so3.rotate(so3.conjugate(turns[:, 0]), source - way)
+        after = so3.rotate(
+            so3.conjugate(carried.rotations), wrist - carried.translations
+        )
+        assert_allclose(after, before, atol=1e-6)
