@@ -20,7 +20,7 @@ STEADY = 0.25
 # And is nearer to its origin than this many arms.
 NEAR = 1.5
 # What is held is carried: it goes further than this share of an arm.
-CARRIED = 0.1
+TAKEN_ALONG = 0.1
 # Speeds are those of ways smoothed by a Gaussian of this width [s].
 SMOOTH = 0.03
 
@@ -49,7 +49,7 @@ class PropWay:
         near = np.linalg.norm(seen, axis=1) < NEAR * arm
         held = without_short(steady & near, fps)
         for start, end in intervals(held):
-            if np.ptp(self.places[start:end], axis=0).max() < CARRIED * arm:
+            if np.ptp(self.places[start:end], axis=0).max() < TAKEN_ALONG * arm:
                 held[start:end] = False
         return held
 
