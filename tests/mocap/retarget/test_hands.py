@@ -170,11 +170,9 @@ def test_hands_that_carry_a_prop(person: Take, tmp_path: Path) -> None:
         TakeStream.of(take), own, own.options(rig=target, hold_hands=True), context
     ).collect()
     frames = np.arange(FRAMES, dtype=np.float64)
-    carried, put = (track.at(frames) for track in made.tracks)
+    moved, put = (track.at(frames) for track in made.tracks)
     assert_allclose(put.translations, shelf.at(frames).translations)
     for source, wrist in zip((left, right), wrists(made), strict=True):
         before = so3.rotate(so3.conjugate(turns[:, 0]), source - way)
-        after = so3.rotate(
-            so3.conjugate(carried.rotations), wrist - carried.translations
-        )
+        after = so3.rotate(so3.conjugate(moved.rotations), wrist - moved.translations)
         assert_allclose(after, before, atol=1e-6)
