@@ -276,6 +276,8 @@ def _above_ground(
         stands: When it does ``(F,)``.
         fps: Frames a second.
     """
+    if not stands.any():
+        return  # nothing says where the ground is
     known = stands.copy()
     for _ in range(RISES):
         low = ~stands & (toe + correction < level - SUNK)

@@ -11,7 +11,7 @@ from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts
 from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_limb
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.transfer import STANDS, Person, Transfer
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
 from animtool.units import UpAxis
@@ -81,7 +81,7 @@ class LegTracks:
             self.ankle,
             self.toe if own[3] >= 0 else None,
             self.turns[:, 3],
-            None if transfer.alike else transfer.aligned[own[2]],
+            None if transfer.alike else _level(transfer, own[2]),
             _standing(transfer, side, contacts.ground, up),
             longest,
             shortest,
@@ -125,6 +125,18 @@ def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float
     tips = upper + so3.rotate(so3.multiply(rest, turns), lower)
     reach = np.linalg.norm(tips, axis=1)
     return float(reach.min()), float(reach.max())
+
+
+def _level(transfer: Transfer, foot: int) -> FloatArray:
+    """Return how a foot is turned where it stands at rest ``(4,)``.
+
+    A source that lies at rest says nothing of it.
+    """
+    target = transfer.target
+    facing, up = target.facing, up_index(target.rig)
+    if facing is None or facing[1, up] < STANDS:
+        return np.asarray(transfer.aligned[foot])
+    return np.asarray(target.turns[foot])
 
 
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:

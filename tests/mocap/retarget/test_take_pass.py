@@ -12,6 +12,7 @@ from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.maths import so3
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.take_pass import onto_rig
+from animtool.rig.kinematics import forward
 from animtool.take import TakeStream
 from animtool.units import UpAxis, up_from_up
 
@@ -34,9 +35,10 @@ def test_a_take_that_stands_along_z_in_a_file_that_does_not_say_so(root: Path) -
         made, _, notices = onto_rig(TakeStream.of(take), biped, RetargetOptions())
         assert [n.code for n in notices if n.code == "MAP009"] == codes
         motion = Motion.concatenate(list(made.blocks()))
-        places.append(motion.translations.dense()[:, 0])
+        places.append(forward(biped, *motion.dense()).positions)
+        assert made.report().sole_error < 1e-6
     # Its rest pose lies then, and faces the target as a whole, with how it leans.
-    assert_allclose(places[1], places[0], atol=1e-3)
+    assert_allclose(places[1], places[0], atol=0.02)
 
 
 def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
