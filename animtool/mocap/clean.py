@@ -240,7 +240,7 @@ def notices(
         and options.cutoff is None
     ):
         message = (
-            f"{counted(take.clock.count, 'frame')} are too few to tell noise from "
+            f"with {counted(take.clock.count, 'frame')} noise cannot be told from "
             f"motion; nothing is filtered"
         )
         return [Fault("CAP102", message, severity=Severity.WARNING)]

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
 from animtool.maths.filters import lowpass
 from animtool.mocap.contacts import find_contacts, intervals
 from animtool.mocap.retarget.pairing import map_joints
+from animtool.mocap.retarget.take_pass import nobody
 from animtool.mocap.retarget.transfer import Person
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.quantities import angle_text, length_text
@@ -76,10 +77,14 @@ def without_drift(take: Take, options: DriftOptions, context: PassContext) -> Ta
     """Return a take whose root does not drift; its pose stays as it is.
 
     Raises:
-        OptionError: No joint is that of a person (MAP004).
+        FormatError: The map file cannot be read, or names joints that there are not.
     """
     path = None if options.map is None else context.folder / options.map
-    found = map_joints(take.rig, take.rig, map_file=path)
+    try:
+        found = map_joints(take.rig, take.rig, map_file=path)
+    except OptionError as error:
+        context.notices.append(nobody(error))
+        return take
     person = Person.of(take.rig, found.source.roles)
     stance = _stance(take, person, heading=options.heading)
     if stance is None:

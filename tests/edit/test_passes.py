@@ -147,7 +147,7 @@ def test_a_take_of_shapes_alone_is_edited_or_refused(name: str) -> None:
     empty = [Channel.from_dense(np.zeros((12, 0, width))) for width in (3, 4)]
     rig = replace(small().rig, joints=(), shapes=(Shape("smile"),))
     take = replace(small(), rig=rig, motion=Motion(*empty, weights=weights))
-    if name in {"feet", "loop", "ragdoll", "retarget", "root_drift", "root_motion"}:
+    if name in {"loop", "ragdoll", "retarget", "root_motion"}:
         with pytest.raises(OptionError, match="joint"):
             run(name, take)
     else:

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.small_takes import content, small
 
 from animtool import Channel, Motion, Take, open_source
 from animtool.maths import so3
 from animtool.mocap.drift import DriftOptions, without_drift
-from animtool.passes import PassContext
+from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.take import TakeStream
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -76,3 +78,16 @@ def test_who_never_stands(walk: Take) -> None:
     made, codes = run(short)
     assert codes == ["CAP103"]
     assert made is short
+
+
+@pytest.mark.parametrize("name", ["feet", "root_drift"])
+def test_who_is_no_person_stays_as_it_is(name: str) -> None:
+    take, context = small(), PassContext(open_source, Path())
+    rig = replace(take.rig, joints=(replace(take.rig.joints[0], name="ball"),))
+    parts = take.motion.translations, take.motion.rotations
+    motion = Motion(*(Channel.from_dense(part.dense()[:, :1]) for part in parts))
+    ball = replace(take, rig=rig, motion=motion)
+    found = find_pass(name)
+    made = apply_pass(TakeStream.of(ball), found, found.options(), context).collect()
+    assert [notice.code for notice in context.notices] == ["CAP105"]
+    assert content(made) == content(ball)

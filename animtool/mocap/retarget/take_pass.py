@@ -275,11 +275,24 @@ class FeetOptions:
     map: Path | None = None
 
 
+def nobody(error: OptionError) -> Fault:
+    """Return a warning that a take is of no person, where that is what is wrong."""
+    if error.code != "MAP004":
+        raise error
+    message = "no person is found in the take: it stays as it is"
+    hint = "name its joints in a map file, or leave out what is for persons"
+    return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
+
+
 def held_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     """Return a take whose feet stay where they stand; its legs and hips move for it."""
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
-    made, _, notices = onto_rig(TakeStream.of(take), take.rig, settings, same=True)
+    try:
+        made, _, notices = onto_rig(TakeStream.of(take), take.rig, settings, same=True)
+    except OptionError as error:
+        context.notices.append(nobody(error))
+        return take
     context.notices.extend(notices)
     if made.standing.placed is None:
         return take
