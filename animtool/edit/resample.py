@@ -14,7 +14,7 @@ from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.edit.frames import check_count
 from animtool.edit.travel import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
-from animtool.maths import filters
+from animtool.maths import filters, so3
 from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
@@ -194,18 +194,32 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
     return Fault("TAKE006", message, severity=Severity.NOTE)
 
 
-def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]]:
+def sample(
+    take: Take, times: SampleTimes, *, smooth: bool = False
+) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
     A sample on a frame of the source is that frame exactly; between frames
     rotations go along the shortest arc at constant speed (slerp), the rest in a
-    straight line.
+    straight line. With ``smooth`` joints go along curves of class C1; weights and
+    controls, which may have bounds, do not.
     """
-    motion = take.motion
+    motion, last = take.motion, None
     for begin in range(0, len(times.codes), BLOCK_FRAMES):
         part = slice(begin, begin + BLOCK_FRAMES)
         at = Places(times.frames[part], times.fractions[part])
-        yield times.codes[part], motion.map(at.blend)
+        made = motion.map(at.blend)
+        if smooth:
+            scales = None if motion.scales is None else at.curve(motion.scales)
+            turns = at.curve(motion.rotations)
+            made = replace(
+                made,
+                translations=at.curve(motion.translations),
+                rotations=replace(turns, values=so3.align_signs(turns.values, last)),
+                scales=scales,
+            )
+            last = made.rotations.values[-1]
+        yield times.codes[part], made
 
 
 # A filter before fewer frames a second leaves half at this share of them, a 400th of
@@ -225,7 +239,9 @@ def slowed(motion: Motion, cutoff: float, rate: float) -> Motion:
     return replace(motion.map(slow), track_times=motion.track_times)
 
 
-def resampled(take: Take, fps: FractionLike, *, lowpass: bool = False) -> Take:
+def resampled(
+    take: Take, fps: FractionLike, *, lowpass: bool = False, smooth: bool = False
+) -> Take:
     """Return the take with a sample on every time code at another rate.
 
     What the take lasts after its last whole frame is left out, and noted (TAKE006).
@@ -235,6 +251,8 @@ def resampled(take: Take, fps: FractionLike, *, lowpass: bool = False) -> Take:
         fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
         lowpass: Where these are fewer than the take's, first remove what is too fast
             for them, which would show as something slower; without lag.
+        smooth: Between frames joints go along curves of class C1, whose error falls
+            with the cube of the frames' distance, and not straight.
 
     Raises:
         OptionError: It is no rate (SCN022), or there would be more than 10 million
@@ -247,7 +265,9 @@ def resampled(take: Take, fps: FractionLike, *, lowpass: bool = False) -> Take:
     if lowpass and fps < rate:
         cutoff = CUTOFF_SHARE * float(fps)
         source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
-    motion = Motion.concatenate([block for _, block in sample(source, times)])
+    motion = Motion.concatenate(
+        [block for _, block in sample(source, times, smooth=smooth)]
+    )
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
     notices = take.notices
     if times.dropped:
@@ -264,16 +284,18 @@ class ResampleOptions:
             leaves the take as it is.
         lowpass: Where these are fewer than the take's, first remove what is too fast
             for them, which would show as something slower.
+        smooth: Between frames, joints go along curves, and not straight.
     """
 
     fps: str | float | None = None
     lowpass: bool = False
+    smooth: bool = False
 
 
 def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     if options.fps is None:
         return take
-    found = resampled(take, options.fps, lowpass=options.lowpass)
+    found = resampled(take, options.fps, lowpass=options.lowpass, smooth=options.smooth)
     context.notices.extend(found.notices[len(take.notices) :])
     return found
 

@@ -268,3 +268,44 @@ def test_lowpass_leaves_a_take_that_gets_more_frames() -> None:
     take = spin(31, Fraction(30))
     plain, slow = (resampled(take, 60, lowpass=on).motion for on in (False, True))
     assert_array_equal(plain.rotations.dense(), slow.rotations.dense())
+
+
+def test_smooth_samples_are_of_third_order() -> None:
+    """Of a joint that goes along a sine, and turns about a turning axis."""
+    errors = []
+    for rate in (30, 60):
+        t = np.arange(2 * rate + 1) / rate
+        take = along(t, rate)
+        fine = resampled(take, 4 * rate, smooth=True)
+        truth = along(np.arange(8 * rate + 1) / (4 * rate), 4 * rate)
+        places = fine.motion.translations.dense() - truth.motion.translations.dense()
+        turns = so3.angle_between(
+            fine.motion.rotations.dense(), truth.motion.rotations.dense()
+        )
+        errors.append((np.abs(places).max(), turns.max()))
+        assert_allclose(
+            fine.motion.rotations.dense()[::4], take.motion.rotations.dense()
+        )
+    orders = np.log2(np.divide(*errors))
+    assert orders.min() > 2.7
+    straight = resampled(along(np.arange(61) / 30, 30), 120).motion
+    off = (
+        straight.translations.dense()
+        - along(np.arange(241) / 120, 120).motion.translations.dense()
+    )
+    assert np.abs(off).max() > 10 * errors[0][0]
+
+
+def along(times: np.ndarray, rate: int) -> Take:
+    """Return a joint at some times [s]."""
+    zero = np.zeros_like(times)
+    places = np.stack([np.sin(5 * times), np.cos(4 * times), zero], axis=1)
+    axis = np.stack([np.cos(times), np.sin(times), zero], axis=1)
+    turns = so3.exp(axis * (1.5 * np.sin(3 * times))[:, None])
+    rig = Rig("joint", (Joint("joint", -1),))
+    motion = Motion(
+        Channel.from_dense(places[:, None]),
+        Channel.from_dense(so3.align_signs(turns)[:, None]),
+    )
+    clock = Clock(Fraction(rate), Fraction(1), Fraction(1), len(times))
+    return Take(rig, clock, motion)
