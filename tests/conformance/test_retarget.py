@@ -155,12 +155,22 @@ def test_feet_of_takes_of_any_source_are_held(which: tuple[Path, str]) -> None:
 
 
 @pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))
-def test_captures_go_onto_the_biped(root: Path, path: Path) -> None:
+def test_captures_go_onto_the_biped(
+    root: Path, path: Path, record_property: Callable[[str, object], None]
+) -> None:
     take = open_source(path).collect()
     if "thigh_l" not in anatomy(take.rig).roles:
         pytest.skip(f"{path.name} is no person")
     biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
     made = retarget_take(take, biped, map_joints(take.rig, biped))
+    score = made.report
+    record_property(
+        HEADER,
+        f"{path.stem[:12]:12} {'biped':8} {1e3 * score.drift_mean:7.3f} "
+        f"{1e3 * score.drift_max:8.3f} {1e3 * score.sole_error:9.3f} "
+        f"{score.reach_error:7.4f} {np.degrees(score.bone_angle_mean):9.3f} "
+        f"{score.acceleration:12.3f}",
+    )
     assert np.isfinite(made.world.positions).all()
     assert made.take.clock == take.clock
     own = map_joints(take.rig, take.rig)

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Rig, Take, open_source
+from animtool.edit import mirror
 from animtool.maths import so3
 from animtool.mocap.retarget import map_joints, motion
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
@@ -196,3 +197,13 @@ def test_soles_are_on_the_ground_from_the_first_frame(root: Path, take: str) -> 
     score = made.report
     assert score.sole_error < 1e-3
     assert score.drift_max < 1e-3
+
+
+def test_the_mirror_of_a_take_gives_the_mirror(root: Path) -> None:
+    folder = root / "samples/retarget"
+    rig = Rig.load(folder / "rigs/giant.rig.yaml")
+    take = open_source(folder / "takes/turn.bvh").collect()
+    plain, other = onto_rig(take, rig).take, onto_rig(mirror(take), rig).take
+    expected = mirror(plain).world().positions
+    assert_allclose(other.world().positions, expected, atol=1e-9)
+    assert np.abs(expected - plain.world().positions).max() > 0.1
