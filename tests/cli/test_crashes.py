@@ -43,7 +43,7 @@ def test_validate_reports_the_other_files_too(folder: Path) -> None:
 def test_info_prints_the_other_files_once(folder: Path, walk: Path) -> None:
     done = animtool_process("info", walk, "brackets.usda", cwd=folder)
     assert done.code == 3
-    assert done.stdout.count("frames") == 1
+    assert done.stdout.count("  frames  ") == 1
     assert done.stderr.startswith("brackets.usda: USD")
 
 

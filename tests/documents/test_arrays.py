@@ -316,8 +316,9 @@ def test_a_member_that_is_longer_than_it_says(tmp_path: Path) -> None:
     np.savez_compressed(path, x=np.zeros(100_000))
     data = path.read_bytes()
     real = struct.pack("<I", 800_128)
-    assert data.count(real) == 2
-    # Its size in the list, and in front of it; the array says another shape then.
+    assert data.count(real) >= 2
+    # Its size in the list, and in front of it, as some versions of Python have it;
+    # the array says another shape then.
     path.write_bytes(data.replace(real, struct.pack("<I", 1_128)))
     with pytest.raises(ValueError, match=r"cannot be read: Bad CRC"):
         load_array(path, "x")
