@@ -180,7 +180,7 @@ class Retargeting:
         bones = transfer.bones(world, local[0], made.world)
         about = about_hips(target, made.world, bones, limbs_of(target))
         hips = transfer.hips(places)
-        return _Posed(so3.rotate(transfer.upright, places), made, bones, about, hips)
+        return _Posed(transfer.turned(places), made, bones, about, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:

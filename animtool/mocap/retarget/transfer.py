@@ -229,9 +229,10 @@ class Transfer:
         Joints that follow none are as their parents carry them.
         """
         rig = self.target.rig
-        back = so3.conjugate(self.source.turns)
-        changed = so3.multiply(self.upright, so3.multiply(world, back))
-        changed = so3.multiply(changed, so3.conjugate(self.upright))
+        changed = so3.multiply(world, so3.conjugate(self.source.turns))
+        if (self.upright != so3.IDENTITY).any():
+            changed = so3.multiply(self.upright, changed)
+            changed = so3.multiply(changed, so3.conjugate(self.upright))
         made = np.zeros((len(world), len(rig.joints), 4))
         for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
             first = self.follows[j]
@@ -283,8 +284,13 @@ class Transfer:
         Args:
             positions: Of the source's joints ``(F, J, 3)`` [m].
         """
-        middle = so3.rotate(self.upright, middle_of_hips(self.source, positions))
-        return self.scale * middle
+        return self.scale * self.turned(middle_of_hips(self.source, positions))
+
+    def turned(self, points: FloatArray) -> FloatArray:
+        """Return points of the source ``(..., 3)`` in the target's axes."""
+        if (self.upright == so3.IDENTITY).all():
+            return points
+        return so3.rotate(self.upright, points)
 
 
 def middle_of_hips(person: Person, positions: FloatArray) -> FloatArray:
