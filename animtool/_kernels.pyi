@@ -191,6 +191,31 @@ def sample_colliders(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape
     ways out and velocities of the surfaces ``(C, N, 3)``.
     """
 
+def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], preferred: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], most: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gives: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], does: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sight: float, nearest: int, horizon: float, space: float, push: float, headway: float, step: float, rounds: int, enough: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float]:
+    """
+    Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
+
+    They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
+    between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
+    nearer than ``space`` [m] who are not of their group (-1 is none). No velocity is larger than
+    ``most``, none collides within ``horizon`` [s] with one of the ``nearest`` that are in
+    ``sight`` [m], or if there is none such the least. What each ``does`` is 0 for who walks, 1 for who
+    stays and 2 for who is gone. ``walls`` ``(M, 4)``
+    from ``starts`` of each agent on: a unit normal, the least velocity along it, and the least
+    place along it. Then agents are moved apart, each by its part of what both ``gives``, in ``rounds`` at most, until the largest overlap
+    is ``enough`` [m].
+
+    Returns ``(points, velocities, overlap)``.
+    """
+
+def travel_distances(free: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], cell: float, seeds: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    How far nodes of a grid are from seeds on ways over free nodes alone ``(R, C)`` [m].
+
+    Infinite where no way leads. ``seeds`` are numbers of nodes, and ``starts`` how far these are
+    from where the ways end.
+    """
+
 def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], members: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, others: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, radius: float, cosine: float, nearest: int, attraction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], alignment: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], repulsion: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], softening: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], float]:
     """
     What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].

@@ -70,6 +70,15 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "Particles that are born, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
+    "crowds": system_kind(
+        "animtool.systems.crowds",
+        "Crowds: agents that walk to goals, around obstacles and each other.",
+        {
+            "name": "visitors",
+            "goals": [{"name": "gate", "at": [10, 0, 0]}],
+            "populations": [{"name": "visitors", "count": 50, "route": ["gate"]}],
+        },
+    ),
     "flocks": system_kind(
         "animtool.systems.flocks",
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",

@@ -127,6 +127,16 @@ class Bursts:
         return [[t + view.delay, count] for t, count in self.rows]
 
 
+@dataclass(frozen=True)
+class Spans:
+    """Rows of two times [s]."""
+
+    rows: Sequence[Sequence[float]]
+
+    def seen(self, view: View) -> Any:
+        return [[t + view.delay for t in row] for row in self.rows]
+
+
 @dataclass
 class Simulator:
     """Simulates systems of scenes.

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from animtool.maths import so3
-from support.simulated import Array, Bursts, Length, Point, Rotation, Timed, Vector
+from support.simulated import (
+    Array,
+    Bursts,
+    Length,
+    Point,
+    Rotation,
+    Spans,
+    Timed,
+    Vector,
+)
 
 TILT = so3.exp(np.array([0.3, -0.2, 0.5]))
 TILTED = Rotation(TILT[[3, 0, 1, 2]].tolist())
@@ -36,11 +45,12 @@ class Example:
         keys: Its entry.
         few: Changes that leave as little as there can be, and how many points there
             are then.
-        wild: Changes with which it blows up.
+        wild: Changes with which it blows up, unless it is `bounded`.
         initial: Its points at 0 s ``(N, 3)`` [m].
         orders: Orders of methods, in step.
         more: Methods without an order, or with one only where all is smooth.
         smooth: Changes without which no order shows.
+        bounded: Its numbers stay finite whatever the keys are.
     """
 
     keys: dict[str, Any]
@@ -50,6 +60,7 @@ class Example:
     orders: dict[str, int]
     more: tuple[str, ...] = ("auto", "xpbd")
     smooth: dict[str, Any] = field(default_factory=dict)
+    bounded: bool = False
 
 
 def springs(**keys: Any) -> dict[str, Any]:
@@ -100,6 +111,15 @@ SWIMMING = np.array(
 )
 
 DOOR = np.add(OFFSET, [0.3, 0.6, 0.2])
+
+
+def on_floor(*places: tuple[float, float]) -> np.ndarray:
+    """Return places of a tilted ground by their x and z there ``(K, 3)`` [m]."""
+    return OFFSET + so3.rotate(TILT, np.array([[x, 0.0, z] for x, z in places]))
+
+
+# Five of whom two meet, two go together and one is in the way.
+WALKERS = on_floor((0, 0), (0.1, 1.2), (-0.6, 0.4), (-0.7, 1.0), (0.5, 0.6))
 
 EXAMPLES = {
     "particles": Example(
@@ -166,6 +186,96 @@ EXAMPLES = {
                 {"at": OFFSET.tolist(), "bursts": [[0, 2]], "speed": 1.5, "mass": 0.1}
             ],
         },
+    ),
+    "crowds": Example(
+        {
+            "ground": {"at": Point(OFFSET), "rotate": TILTED},
+            "goals": [
+                {
+                    "name": "far",
+                    "at": Point(on_floor((0.1, 3.0))[0]),
+                    "radius": Length(0.2),
+                },
+                {
+                    "name": "near",
+                    "at": Point(on_floor((0.0, -2.0))[0]),
+                    "radius": Length(0.2),
+                    "wait": 0.1,
+                    "queue": {
+                        "direction": Vector(so3.rotate(TILT, np.array([1.0, 0, 0]))),
+                        "spacing": Length(0.6),
+                    },
+                },
+            ],
+            "populations": [
+                {
+                    "name": "up",
+                    "points": Point(WALKERS[[0, 2, 3]]),
+                    "route": ["far", "near"],
+                    "then": "repeat",
+                    "group": 2,
+                    "speed": {"mean": Length(1.3), "spread": Length(0.2)},
+                    "radius": Length(0.15),
+                    "height": Length(1.7),
+                },
+                {
+                    "name": "down",
+                    "points": Point(WALKERS[[1, 4]]),
+                    "route": ["near"],
+                    "speed": {"mean": Length(1.2), "spread": Length(0.1)},
+                    "radius": Length(0.2),
+                    "height": Length(1.6),
+                    "delay": 0.2,
+                },
+            ],
+            "doors": [
+                {
+                    "begin": Point(on_floor((-1.0, -0.3))[0]),
+                    "end": Point(on_floor((1.0, -0.4))[0]),
+                    "opens": Spans([[0.3, 9.0]]),
+                }
+            ],
+            "avoidance": {
+                "sight": Length(3.0),
+                "space": Length(0.2),
+                "push": Length(0.3),
+            },
+            "colliders": [
+                {
+                    **FLOOR,
+                    "shape": {"sphere": {"radius": Length(0.3)}},
+                    "at": Point(on_floor((0.5, -0.1))[0]),
+                    "moves": MOVES,
+                }
+            ],
+            "step": 1 / 64,
+        },
+        few=(
+            ({"populations": [{"name": "up", "count": 0}]}, 0),
+            (
+                {
+                    "populations": [
+                        {"name": "up", "points": Point(WALKERS[:1]), "route": ["far"]}
+                    ]
+                },
+                1,
+            ),
+        ),
+        wild={
+            "populations": [
+                {
+                    "name": "up",
+                    "points": Point(WALKERS[:2]),
+                    "route": ["far"],
+                    "speed": {"mean": 1e18, "most": 1e18},
+                    "radius": 1e9,
+                }
+            ]
+        },
+        bounded=True,
+        initial=WALKERS[[0, 2, 3, 1, 4]],
+        orders={},
+        more=(),
     ),
     "flocks": Example(
         {

@@ -1,0 +1,443 @@
+// A step of agents that walk: velocities without collisions ahead, and none that overlap.
+//
+// Each agent takes half of what a pair must change (van den Berg et al., Reciprocal n-body
+// collision avoidance, 2011); what then still overlaps is moved apart (Weiss et al., Position-
+// based multi-agent dynamics, 2017).
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <vector>
+
+#include "checks.h"
+#include "kernels.h"
+#include "neighbours.h"
+
+namespace animtool {
+
+namespace {
+
+constexpr double TINY = 1e-12;
+// Of two half-planes that are as parallel nothing bounds the line of one.
+constexpr double PARALLEL = 1e-9;
+// Of the preferred directions of two who go the same way, the cosine is larger.
+constexpr double ALIKE = 0.7;
+// Who is slower than this part of what it likes is stuck, and shoves by so much of it.
+constexpr double STUCK = 0.3, SHOVE = 0.5;
+
+// What agents do: they walk, others walk around them, or nobody sees them.
+enum Does : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
+
+struct Vec2 {
+  double x = 0, y = 0;
+
+  Vec2 operator+(const Vec2& b) const { return {x + b.x, y + b.y}; }
+  Vec2 operator-(const Vec2& b) const { return {x - b.x, y - b.y}; }
+  Vec2 operator*(double s) const { return {x * s, y * s}; }
+  Vec2& operator+=(const Vec2& b) { return x += b.x, y += b.y, *this; }
+  Vec2& operator-=(const Vec2& b) { return x -= b.x, y -= b.y, *this; }
+  double dot(const Vec2& b) const { return x * b.x + y * b.y; }
+  double length() const { return std::sqrt(dot(*this)); }
+};
+
+Vec2 vec2(const double* from) { return {from[0], from[1]}; }
+
+// Velocities whose part along a unit normal is at least a limit.
+struct HalfPlane {
+  Vec2 normal;
+  double limit;
+};
+
+// Finds the velocity in a disc and in half-planes that is nearest to one, or goes farthest in
+// a direction.
+class Chooser {
+ public:
+  explicit Chooser(double most) : most_(most) {}
+
+  // Returns how many of the half-planes the velocity is in: all, or those before the first
+  // without a solution.
+  std::size_t choose(const HalfPlane* planes, std::size_t count, const Vec2& wanted, bool way,
+                     Vec2& v) const {
+    v = wanted;
+    const double size = wanted.length();
+    if (way || size > most_) v = wanted * (size > TINY ? most_ / size : 0.0);
+    for (std::size_t i = 0; i < count; ++i) {
+      if (planes[i].normal.dot(v) >= planes[i].limit) continue;
+      if (!on_line(planes, i, wanted, way, v)) return i;
+    }
+    return count;
+  }
+
+ private:
+  bool on_line(const HalfPlane* planes, std::size_t i, const Vec2& wanted, bool way,
+               Vec2& v) const {
+    const Vec2 normal = planes[i].normal, along{-normal.y, normal.x};
+    const double room = most_ * most_ - planes[i].limit * planes[i].limit;
+    if (room < 0) return false;
+    double high = std::sqrt(room), low = -high;
+    for (std::size_t j = 0; j < i; ++j) {
+      const double slope = planes[j].normal.dot(along);
+      const double lack = planes[j].limit - planes[j].normal.dot(normal) * planes[i].limit;
+      if (std::fabs(slope) < PARALLEL) {
+        if (lack > PARALLEL) return false;
+      } else if (slope > 0) {
+        low = std::max(low, lack / slope);
+      } else {
+        high = std::min(high, lack / slope);
+      }
+    }
+    if (low > high) return false;
+    const double t = wanted.dot(along);
+    v = normal * planes[i].limit + along * (way ? (t > 0 ? high : low) : std::clamp(t, low, high));
+    return true;
+  }
+
+  double most_;
+};
+
+// Where no velocity is in all half-planes: that which is least outside of those behind the
+// first `hard`, and within these.
+void least_outside(const Chooser& chooser, const std::vector<HalfPlane>& planes,
+                   std::size_t hard, std::size_t first, std::vector<HalfPlane>& between, Vec2& v) {
+  double outside = 0;
+  for (std::size_t i = std::max(first, hard); i < planes.size(); ++i) {
+    if (planes[i].limit - planes[i].normal.dot(v) <= outside) continue;
+    between.assign(planes.begin(), planes.begin() + static_cast<std::ptrdiff_t>(hard));
+    for (std::size_t j = hard; j < i; ++j) {
+      const Vec2 normal = planes[j].normal - planes[i].normal;
+      const double size = normal.length();
+      if (size < PARALLEL) continue;
+      between.push_back({normal * (1 / size), (planes[j].limit - planes[i].limit) / size});
+    }
+    Vec2 found;
+    if (chooser.choose(between.data(), between.size(), planes[i].normal, true, found) ==
+        between.size())
+      v = found;
+    outside = planes[i].limit - planes[i].normal.dot(v);
+  }
+}
+
+struct Rules {
+  double sight, horizon, space, push, headway, step;
+  std::size_t nearest;
+};
+
+struct Agents {
+  const Neighbours& grid;
+  const double *points, *velocities, *preferred, *radii, *most, *gives;
+  const std::int32_t *groups, *starts;
+  const double* walls;
+  const std::uint8_t* does;
+};
+
+class Walker {
+ public:
+  Walker(const Rules& rules, const Agents& agents) : rules_(rules), agents_(agents) {}
+
+  Vec2 velocity(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
+    look(self, hit, end);
+    planes_.clear();
+    for (std::int32_t k = agents_.starts[self]; k < agents_.starts[self + 1]; ++k) {
+      const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
+      planes_.push_back({vec2(wall), wall[2]});
+    }
+    const std::size_t hard = planes_.size();
+    const Vec2 own = vec2(agents_.velocities + 2 * self);
+    for (const Seen& one : seen_) avoid(self, own, one);
+    const Chooser chooser(agents_.most[self]);
+    Vec2 v;
+    const Vec2 wanted = wish(self);
+    const std::size_t met = chooser.choose(planes_.data(), planes_.size(), wanted, false, v);
+    if (met < planes_.size()) least_outside(chooser, planes_, hard, met, between_, v);
+    const double speed = v.length(), most = STUCK * wanted.length();
+    if (speed < most) v += (wanted - v) * (SHOVE * (1 - speed / most));
+    return v;
+  }
+
+ private:
+  struct Seen {
+    Vec2 off;
+    double squared;
+    std::size_t which;
+  };
+
+  void look(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
+    seen_.clear();
+    const Vec2 here = vec2(agents_.points + 2 * self);
+    for (; hit < end; ++hit) {
+      const std::size_t which =
+          static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
+      if (which == self || agents_.does[which] == GONE) continue;
+      const Vec2 off = vec2(agents_.points + 2 * which) - here;
+      seen_.push_back({off, off.dot(off), which});
+    }
+    const auto nearer = [](const Seen& a, const Seen& b) {
+      return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
+    };
+    if (seen_.size() > rules_.nearest) {
+      const auto last = seen_.begin() + static_cast<std::ptrdiff_t>(rules_.nearest);
+      std::nth_element(seen_.begin(), last, seen_.end(), nearer);
+      seen_.erase(last, seen_.end());
+    }
+    std::sort(seen_.begin(), seen_.end(), nearer);
+  }
+
+  // What it would like: slower behind those who go the same way, and off from who is near.
+  Vec2 wish(std::size_t self) const {
+    Vec2 wanted = vec2(agents_.preferred + 2 * self);
+    const double speed = wanted.length(), own = agents_.radii[self];
+    const Vec2 ahead = wanted * (speed > TINY ? 1 / speed : 0.0);
+    double most = speed;
+    Vec2 away;
+    for (const Seen& one : seen_) {
+      const double far = std::sqrt(one.squared), wide = own + agents_.radii[one.which];
+      const double gap = std::max(far - wide, 0.0);
+      const double along = one.off.dot(ahead);
+      if (rules_.headway > 0 && along > 0 && one.squared - along * along < wide * wide) {
+        const Vec2 other = vec2(agents_.preferred + 2 * one.which);
+        // Not if that one sees this one ahead of it, too.
+        if (other.dot(ahead) > ALIKE * other.length() && one.off.dot(other) >= 0)
+          most = std::min(most, gap / rules_.headway);
+      }
+      const bool together =
+          agents_.groups[self] >= 0 && agents_.groups[self] == agents_.groups[one.which];
+      if (gap < rules_.space && far > TINY && !together)
+        away -= one.off * (rules_.push * (1 - gap / rules_.space) / far);
+    }
+    return ahead * most + away;
+  }
+
+  // The half-plane of velocities that an agent and another, who does its share, agree on.
+  void avoid(std::size_t self, const Vec2& own, const Seen& one) {
+    const double wide = agents_.radii[self] + agents_.radii[one.which];
+    const Vec2 relative = own - vec2(agents_.velocities + 2 * one.which);
+    const bool apart = one.squared > wide * wide;
+    const double time = apart ? rules_.horizon : rules_.step;
+    // From the middle of the disc that cuts the cone of collisions off.
+    const Vec2 off = relative - one.off * (1 / time);
+    const double ahead = off.dot(one.off), size = off.length();
+    Vec2 normal, change;
+    if (!apart || (ahead < 0 && ahead * ahead > wide * wide * size * size)) {
+      if (size > TINY) {
+        normal = off * (1 / size);
+      } else {
+        // Two at one place that move alike: which way depends on their numbers alone.
+        normal = {self < one.which ? -1.0 : 1.0, 0};
+      }
+      change = normal * (wide / time - size);
+    } else {
+      const double leg = std::sqrt(one.squared - wide * wide), over = 1 / one.squared;
+      const double cross = one.off.x * off.y - one.off.y * off.x;
+      const double turn = cross > 0 ? wide : -wide;
+      const Vec2 edge{(one.off.x * leg - one.off.y * turn) * over,
+                      (one.off.x * turn + one.off.y * leg) * over};
+      normal = cross > 0 ? Vec2{-edge.y, edge.x} : Vec2{edge.y, -edge.x};
+      change = edge * relative.dot(edge) - relative;
+    }
+    const double share = agents_.does[one.which] == WALKS ? 0.5 : 1.0;
+    planes_.push_back({normal, normal.dot(own + change * share)});
+  }
+
+  const Rules& rules_;
+  const Agents& agents_;
+  std::vector<Seen> seen_;
+  std::vector<HalfPlane> planes_, between_;
+};
+
+struct Pair {
+  std::int32_t one, other;
+};
+
+// Moves agents apart, and out of walls, until none overlaps another by more than `enough`.
+// Returns the most that is left.
+double separate(const Agents& agents, Vec2* moved, const std::vector<Pair>& pairs,
+                std::size_t count, std::int64_t rounds, double enough) {
+  double worst = 0;
+  for (std::int64_t round = 0; round <= rounds; ++round) {
+    worst = 0;
+    const bool last = round == rounds;
+    for (const Pair& pair : pairs) {
+      const std::size_t i = static_cast<std::size_t>(pair.one),
+                        j = static_cast<std::size_t>(pair.other);
+      const double wide = agents.radii[i] + agents.radii[j];
+      const Vec2 off = moved[j] - moved[i];
+      const double squared = off.dot(off);
+      if (squared >= wide * wide) continue;
+      const double far = std::sqrt(squared), lack = wide - far;
+      worst = std::max(worst, lack);
+      const double a = agents.gives[i] * (agents.does[i] == WALKS);
+      const double b = agents.gives[j] * (agents.does[j] == WALKS);
+      if (last || a + b == 0) continue;
+      const Vec2 way = far > TINY ? off * (1 / far) : Vec2{1, 0};
+      moved[i] -= way * (lack * a / (a + b));
+      moved[j] += way * (lack * b / (a + b));
+    }
+    for (std::size_t i = 0; i < count; ++i)
+      for (std::int32_t k = agents.starts[i]; k < agents.starts[i + 1]; ++k) {
+        const double* wall = agents.walls + 4 * static_cast<std::size_t>(k);
+        const double lack = wall[3] - vec2(wall).dot(moved[i]);
+        if (lack <= 0 || agents.does[i] != WALKS) continue;
+        worst = std::max(worst, lack);
+        if (!last) moved[i] += vec2(wall) * lack;
+      }
+    if (worst <= enough) break;
+  }
+  return worst;
+}
+
+}  // namespace
+
+std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
+    In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
+    In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
+    In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
+    std::int64_t nearest, double horizon, double space, double push, double headway, double step,
+    std::int64_t rounds, double enough) {
+  const std::size_t count = points.shape(0);
+  check::at_most("points", count, check::MOST_ROWS);
+  check::shape("points", points, {check::ANY, 2});
+  check::shape("velocities", velocities, {count, 2});
+  check::shape("preferred", preferred, {count, 2});
+  check::shape("radii", radii, {count});
+  check::shape("most", most, {count});
+  check::shape("gives", gives, {count});
+  check::shape("groups", groups, {count});
+  check::shape("does", does, {count});
+  check::shape("starts", starts, {count + 1});
+  check::shape("walls", walls, {check::ANY, 4});
+  check::starts("starts", starts, walls.shape(0));
+  for (const auto* one : {&points, &velocities, &preferred, &walls}) check::finite("points", *one);
+  check::finite("radii", radii);
+  check::finite("most", most);
+  for (std::size_t i = 0; i < count; ++i) check::positive("gives", gives.data()[i]);
+  check::positive("sight", sight);
+  check::between("nearest", nearest, 0, 1000);
+  check::positive("horizon", horizon);
+  check::not_negative("space", space);
+  check::finite("push", push);
+  check::not_negative("headway", headway);
+  check::positive("step", step);
+  check::between("rounds", rounds, 0, 10000);
+  check::not_negative("enough", enough);
+  Buffer<double> out(2 * count), speeds(2 * count);
+  double worst = 0;
+  {
+    nb::gil_scoped_release release;
+    const double open[3] = {0, 0, 0};
+    const Block<double> flat = block<double>(3 * count);
+    double widest = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      flat[3 * i] = points.data()[2 * i];
+      flat[3 * i + 1] = 0;
+      flat[3 * i + 2] = points.data()[2 * i + 1];
+      widest = std::max(widest, radii.data()[i]);
+    }
+    const double anyone = std::numeric_limits<double>::infinity();
+    const Block<Vec2> moved = block<Vec2>(count);
+    const Rules rules{sight, horizon, space, push, headway, step,
+                      static_cast<std::size_t>(nearest)};
+    const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
+    const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),
+                        radii.data(),  most.data(), gives.data(), groups.data(),     starts.data(),
+                        walls.data(),  does.data()};
+    Walker walker(rules, agents);
+    grid.visit_places<false>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+                                         const std::int32_t* end) {
+      const std::size_t which = static_cast<std::size_t>(grid.index()[i]);
+      const Vec2 v = agents.does[which] != WALKS ? Vec2() : walker.velocity(which, hit, end);
+      moved[which] = vec2(agents.points + 2 * which) + v * step;
+    });
+    for (std::size_t i = 0; i < count; ++i)
+      flat[3 * i] = moved[i].x, flat[3 * i + 2] = moved[i].y;
+    // Who is pushed meets others that were near.
+    const double near = 2 * widest * 1.25;
+    std::vector<Pair> pairs;
+    if (near > 0) {
+      const Neighbours close(flat.get(), nullptr, count, near, open, open);
+      close.visit_places<true>(anyone, [&](std::size_t i, const double*, const std::int32_t* hit,
+                                           const std::int32_t* end) {
+        const std::int32_t* index = close.index();
+        if (does.data()[index[i]] == GONE) return;
+        for (; hit < end; ++hit)
+          if (does.data()[index[*hit]] != GONE) pairs.push_back({index[i], index[*hit]});
+      });
+    }
+    worst = separate(agents, moved.get(), pairs, count, rounds, enough);
+    for (std::size_t i = 0; i < count; ++i) {
+      const Vec2 v = (moved[i] - vec2(agents.points + 2 * i)) * (1 / step);
+      out.get()[2 * i] = moved[i].x, out.get()[2 * i + 1] = moved[i].y;
+      speeds.get()[2 * i] = v.x, speeds.get()[2 * i + 1] = v.y;
+    }
+  }
+  const std::size_t shape[2] = {count, 2};
+  return {out.release(shape), speeds.release(shape), worst};
+}
+
+namespace {
+
+// A node, and how far it is from the seeds.
+struct Reached {
+  double distance;
+  std::int64_t node;
+
+  bool operator>(const Reached& b) const {
+    return distance != b.distance ? distance > b.distance : node > b.node;
+  }
+};
+
+}  // namespace
+
+// The fast marching method (Sethian, A fast marching level set method, 1996).
+Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
+                                In<double, 1> starts) {
+  const std::size_t rows = free.shape(0), columns = free.shape(1), count = rows * columns;
+  check::at_most("free", count, check::MOST_ROWS);
+  check::positive("cell", cell);
+  check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
+  check::shape("starts", starts, {seeds.shape(0)});
+  check::finite("starts", starts);
+  Buffer<double> out(count);
+  {
+    nb::gil_scoped_release release;
+    constexpr double never = std::numeric_limits<double>::infinity();
+    double* distances = out.get();
+    std::fill_n(distances, count, never);
+    std::vector<std::uint8_t> done(count, 0);
+    std::vector<Reached> heap;
+    const auto reach = [&](std::size_t node, double distance) {
+      if (!free.data()[node] || done[node] || distance >= distances[node]) return;
+      distances[node] = distance;
+      heap.push_back({distance, static_cast<std::int64_t>(node)});
+      std::push_heap(heap.begin(), heap.end(), std::greater<>());
+    };
+    for (std::size_t k = 0; k < seeds.shape(0); ++k)
+      reach(static_cast<std::size_t>(seeds.data()[k]), starts.data()[k]);
+    const auto at = [&](std::size_t row, std::size_t column, int down, int right) {
+      const std::size_t r = row + static_cast<std::size_t>(down), c = column + static_cast<std::size_t>(right);
+      return r < rows && c < columns && done[r * columns + c] ? distances[r * columns + c] : never;
+    };
+    // From the nearer neighbour of each axis: |grad d| = 1.
+    const auto solve = [&](std::size_t row, std::size_t column) {
+      const double a = std::min(at(row, column, -1, 0), at(row, column, 1, 0));
+      const double b = std::min(at(row, column, 0, -1), at(row, column, 0, 1));
+      if (std::fabs(a - b) >= cell || a == never || b == never) return std::min(a, b) + cell;
+      return (a + b + std::sqrt(2 * cell * cell - (a - b) * (a - b))) / 2;
+    };
+    while (!heap.empty()) {
+      const std::size_t node = static_cast<std::size_t>(heap.front().node);
+      std::pop_heap(heap.begin(), heap.end(), std::greater<>());
+      heap.pop_back();
+      if (done[node]) continue;
+      done[node] = 1;
+      const std::size_t row = node / columns, column = node % columns;
+      if (row > 0) reach(node - columns, solve(row - 1, column));
+      if (row + 1 < rows) reach(node + columns, solve(row + 1, column));
+      if (column > 0) reach(node - 1, solve(row, column - 1));
+      if (column + 1 < columns) reach(node + 1, solve(row, column + 1));
+    }
+  }
+  const std::size_t shape[2] = {rows, columns};
+  return out.release(shape);
+}
+
+}  // namespace animtool

@@ -1,0 +1,266 @@
+"""Who is in a crowd: where agents begin, what they like, and where they go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.systems.crowds.ground import Frame
+from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
+from animtool.systems.particles.emitter import Emitter, uniforms
+
+# Slowest that an agent likes to walk, over the mean; and most deviations from it.
+SLOWEST = 1 / 3
+DEVIATIONS = 2.0
+# How fast agents may be over the mean speed, where nothing is said.
+FASTEST = 1.3
+# Who gives least, over who gives most: were all alike, arches before doors would hold.
+FIRMEST = 0.2
+# Room from one to the next of a group, over both radii.
+ABREAST = 1.3
+# Rounds in which those that begin in each other are moved apart, and how often others
+# that they come to are looked for.
+ROUNDS, SPREADS = 100, 100
+# An overlap that is left, over a radius: less shows nowhere.
+ENOUGH = 0.004
+
+
+@dataclass(frozen=True)
+class Agents:
+    """N agents of some populations, in the frame of the ground.
+
+    Attributes:
+        starts: x and z that they begin at ``(N, 2)`` [m].
+        speeds: That they like ``(N,)`` [m/s].
+        most: None is faster ``(N,)`` [m/s].
+        gives: How much each gives way to another that it touches ``(N,)``.
+        delays: When they set out, after the beginning ``(N,)`` [s].
+        groups: Which one they are of, -1 for none ``(N,)``.
+        sides: Where they walk in it, left of its middle ``(N,)`` [m].
+    """
+
+    populations: Sequence[PopulationModel]
+    ends: Sequence[int]  # where each population ends among all
+    starts: FloatArray
+    speeds: FloatArray
+    most: FloatArray
+    gives: FloatArray
+    delays: FloatArray
+    groups: npt.NDArray[np.int32]
+    sides: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.starts)
+
+    @cached_property
+    def kinds(self) -> IntArray:
+        """Return the number of each one's population ``(N,)``."""
+        counts = np.diff([0, *self.ends])
+        return np.repeat(np.arange(len(self.populations)), counts)
+
+    def each(self, values: Sequence[float]) -> FloatArray:
+        """Return a value of each one's population ``(N,)``."""
+        return np.asarray(values, np.float64)[self.kinds]
+
+    @cached_property
+    def radii(self) -> FloatArray:
+        """Return the radius of each ``(N,)`` [m]."""
+        return self.each([one.radius for one in self.populations])
+
+    @cached_property
+    def heights(self) -> FloatArray:
+        """Return how tall each is ``(N,)`` [m]."""
+        return self.each([one.height for one in self.populations])
+
+    def named(self, i: int) -> str:
+        """Return an agent, for messages."""
+        kind = int(self.kinds[i])
+        first = [0, *self.ends][kind]
+        return f"agent {i - first} of {self.populations[kind].name!r}"
+
+
+def agents_of(
+    spec: CrowdsModel, parts: Sequence[Mapping[str, Any]], begin: float, frame: Frame
+) -> tuple[Agents, list[Fault]]:
+    """Return the agents of a spec; who begins in another is moved (SIM147)."""
+    _check(spec)
+    drawn = [
+        _drawn(one, own, begin, frame)
+        for one, own in zip(spec.populations, parts, strict=True)
+    ]
+    counts = [len(each[0]) for each in drawn]
+    starts, speeds, gives, delays, sides = (
+        np.concatenate(each) for each in zip(*(one[:5] for one in drawn), strict=True)
+    )
+    groups, number = [], 0
+    for *_, own in drawn:
+        groups.append(np.where(own >= 0, own + number, -1))
+        number += int(own.max(initial=-1)) + 1
+    most = [
+        one.speed.most if one.speed.most is not None else FASTEST * one.speed.mean
+        for one in spec.populations
+    ]
+    agents = Agents(
+        spec.populations,
+        np.cumsum(counts).tolist(),
+        starts,
+        speeds,
+        np.maximum(np.repeat(most, counts), speeds),
+        gives,
+        delays,
+        np.concatenate(groups).astype(np.int32),
+        sides,
+    )
+    return _apart(agents, [own.get("points") is not None for own in parts])
+
+
+def _apart(agents: Agents, placed: Sequence[bool]) -> tuple[Agents, list[Fault]]:
+    """Return agents none of which begins in another.
+
+    Those whose places a file gives are named.
+    """
+    count, starts, overlap = len(agents), agents.starts, np.inf
+    radius = float(agents.radii.max(initial=1.0))
+    for _ in range(SPREADS):
+        if overlap <= ENOUGH * radius:
+            break
+        before = starts
+        nothing = np.zeros(count + 1, np.int32), np.zeros((0, 4))
+        starts, overlap = separated(agents, before, *nothing)
+        # Who was moved may be in another now.
+        overlap = overlap if (starts == before).all() else np.inf
+    moved = np.linalg.norm(starts - agents.starts, axis=1)
+    odd = (moved > ENOUGH * agents.radii) & np.asarray(placed, bool)[agents.kinds]
+    faults = []
+    if odd.any():
+        message = f"{counted(int(odd.sum()), 'agent')} would begin inside each other, "
+        message += f"{agents.named(int(np.argmax(odd)))} first: moved apart, by "
+        message += f"{moved.max():.3g} m at most"
+        faults.append(warning("SIM147", message, "begin farther apart"))
+    if overlap > ENOUGH * radius:
+        message = "agents begin inside each other: there are too many for their place"
+        faults.append(warning("SIM147", message, "a larger place, or fewer agents"))
+    return replace(agents, starts=starts), faults
+
+
+def separated(
+    agents: Agents, x: FloatArray, starts: npt.NDArray[np.int32], walls: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return agents at x and z ``(N, 2)`` moved apart, and the overlap left [m].
+
+    ``walls`` are as the kernel has them, those of each agent behind its start.
+    """
+    still, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
+    count = len(x)
+    moved, _, overlap = _kernels.crowd_step(
+        x, still, still, agents.radii, np.zeros(count), agents.gives, agents.groups,
+        np.zeros(count, np.uint8), starts, walls, radius, 0, 1.0, 0.0, 0.0, 0.0, 1.0,
+        ROUNDS, ENOUGH * radius,
+    )  # fmt: skip
+    return moved, overlap
+
+
+def _drawn(
+    population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
+    """Return starts, speeds, gives, delays, sides and groups of a population."""
+    points = parts.get("points")
+    if points is not None and (
+        points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
+    ):
+        message = f"points of {population.name!r} are of shape {points.shape} or not "
+        raise refused(f"{message}finite: they must be (N, 3)", "", "points")
+    count = population.count if points is None else len(points)
+    keys = np.arange(count)
+    chances = uniforms(population.seed, keys, 6)
+    group = population.group
+    if points is None:
+        emitter = Emitter(
+            place=parts["place"],
+            poses=parts["poses"],
+            bursts=[(begin, count)],
+            speed=0.0,
+            inherit=0.0,
+            seed=population.seed,
+        )
+        ((_, number),) = emitter.bursts
+        points, _, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+    starts = frame.to_local(points)[:, [0, 2]]
+    groups = np.full(count, -1)
+    sides = np.zeros(count)
+    if group > 1:
+        groups, rank = np.divmod(keys, group)
+        sizes = np.bincount(groups)[groups]
+        sides = (rank - (sizes - 1) / 2) * 2 * ABREAST * population.radius
+        if parts.get("points") is None:
+            # The others stand about the first, at some angle.
+            angle = 2 * np.pi * chances[groups * group, 0]
+            along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            starts = starts[groups * group] + along * sides[:, None]
+        chances = np.concatenate([chances[groups * group, :5], chances[:, 5:]], axis=1)
+    speed = population.speed
+    # Box and Muller.
+    normal = np.sqrt(-2 * np.log1p(-chances[:, 1])) * np.cos(2 * np.pi * chances[:, 2])
+    off = np.clip(normal, -DEVIATIONS, DEVIATIONS) * speed.spread
+    speeds = np.maximum(speed.mean + off, SLOWEST * speed.mean)
+    return (
+        starts,
+        speeds,
+        FIRMEST + (1 - FIRMEST) * chances[:, 5],
+        population.delay * chances[:, 3],
+        sides,
+        groups,
+    )
+
+
+def _check(spec: CrowdsModel) -> None:
+    """Refuse keys that do not fit together (SIM145)."""
+    goals = [goal.name for goal in spec.goals]
+    _check_names("goals", goals)
+    _check_names("populations", [one.name for one in spec.populations])
+    for population in spec.populations:
+        for name in population.route:
+            if name not in goals:
+                hint = f"there are {', '.join(goals)}" if goals else "name it in goals"
+                message = f"no goal is named {excerpt(name)}"
+                raise refused(message, hint, "populations")
+        if population.then == "repeat" and len(set(population.route)) == 1:
+            message = f"the route of {population.name!r} repeats one goal"
+            raise refused(message, "then: stay", "populations")
+    shown = [one.shows is not None for one in spec.populations]
+    if any(shown) and not all(shown):
+        message = "some populations show a mesh and others points"
+        hint = f"give {spec.populations[shown.index(False)].name!r} a mesh to show"
+        raise refused(message, hint, "populations")
+    for door in spec.doors:
+        for first, last in door.opens:
+            if not first < last:
+                message = f"{door.name!r} is to be open from {first:g} s to {last:g} s"
+                raise refused(message, "the earlier time first", "doors")
+        if door.begin == door.end:
+            raise refused(f"both ends of {door.name!r} are one place", "", "doors")
+
+
+def _check_names(kind: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise refused(f"two {kind} are named {excerpt(name)}", "", kind)
+
+
+def refused(message: str, hint: str, key: str) -> OptionError:
+    """Return an error of what makes no sense of a crowd (SIM145)."""
+    return OptionError(Fault("SIM145", message, hint=hint or None, where=key or None))
+
+
+def warning(code: str, message: str, hint: str) -> Fault:
+    """Return a warning."""
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)

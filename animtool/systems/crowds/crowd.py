@@ -1,0 +1,299 @@
+"""A crowd as a simulation: steps of agents, looked at as points or meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault, ToleranceError, counted
+from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
+from animtool.maths import so3
+from animtool.maths.faces import triangulated
+from animtool.sim.colliders import Mesh
+from animtool.systems.crowds.agents import (
+    ENOUGH,
+    agents_of,
+    refused,
+    separated,
+    warning,
+)
+from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.obstacles import Obstacles, grids, lost
+from animtool.systems.crowds.spec import CrowdsModel
+from animtool.systems.crowds.steering import GONE, Progress, Steering
+from animtool.systems.simulation import Diagnostics, SimContext
+
+# Rounds in which agents that overlap in a step are moved apart.
+APART = 100
+# Moves out of obstacles that agents begin in.
+MOVES = 20
+# What agents do, as the kernel knows it.
+WALKS, OUT = np.uint8(0), np.uint8(2)
+# Who is slower does not turn to where it goes, over the speed that it likes.
+SLOW = 0.15
+# How long agents take to turn to where they go [s].
+TURNING = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdState:
+    """Where N agents are, on the ground."""
+
+    points: FloatArray  # x and z (N, 2) [m]
+    velocities: FloatArray  # of these (N, 2) [m/s]
+    headings: FloatArray  # about up, 0 is along z (N,) [rad]
+    progress: Progress
+    overlap: float  # the most that two were ever in each other [m]
+
+
+class Crowd:
+    """Agents that walk, in steps.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM145).
+    """
+
+    def __init__(self, spec: CrowdsModel, context: SimContext) -> None:
+        self._begin, self._spec = context.begin, spec
+        self._frame, self._ground = _ground(context)
+        if context.colliders.sheets:
+            message = "crowds avoid shapes, rigid bodies and the capsules of characters"
+            raise refused(
+                message, "give it colliders in place of the surface", "systems"
+            )
+        frame = self._frame
+        self._agents, self._notices = agents_of(
+            spec, context.parts["populations"], context.begin, frame
+        )
+        goals = self._on_ground([goal.at for goal in spec.goals])
+        grid, edge = grids(
+            spec,
+            self._agents,
+            frame,
+            self._ground,
+            context.colliders,
+            goals,
+            context.begin,
+        )
+        lines = [
+            [0.0, 0.0]
+            if goal.queue is None
+            else _line(frame, goal.queue.direction) * goal.queue.spacing
+            for goal in spec.goals
+        ]
+        self._steering = Steering(
+            self._agents, spec.goals, goals, np.array(lines).reshape(-1, 2), grid
+        )
+        self._obstacles = Obstacles(
+            self._agents,
+            frame,
+            self._ground,
+            context.colliders,
+            spec.doors,
+            edge,
+            spec.avoidance.obstacles,
+            np.stack(
+                [self._on_ground([d.begin for d in spec.doors]),
+                 self._on_ground([d.end for d in spec.doors])], axis=1,
+            ),
+        )  # fmt: skip
+        self._settling = self._agents.each(
+            [one.acceleration for one in spec.populations]
+        )
+        self._start = self._outside()
+        self._notices += self._unreachable()
+        shows = [parts.get("shows") for parts in context.parts["populations"]]
+        cycles = {show: show() for show in shows if show is not None}
+        self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
+        order = list(cycles)
+        self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
+
+    def _on_ground(self, points: Sequence[Sequence[float]]) -> FloatArray:
+        """Return x and z of points of the world on the ground ``(K, 2)``."""
+        return self._frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
+
+    def _outside(self) -> FloatArray:
+        """Return where agents begin that nothing is in the way of (SIM148)."""
+        agents, grid, x = self._agents, self._steering.grid, self._agents.starts
+        count = len(agents)
+        if grid is not None and count and grid.free.any():
+            off = lost(grid, x)
+            x = np.where(off[:, None], grid.place(grid.free_at(x)), x)
+        radius = float(agents.radii.max(initial=1.0))
+        for _ in range(MOVES):
+            walls = self._obstacles.walls(self._begin, 0.0, x)
+            if not (walls.gaps < 0).any() and (x == agents.starts).all():
+                break
+            before = x
+            x, _ = separated(agents, x, walls.starts, walls.rows)
+            if np.abs(x - before).max(initial=0.0) <= ENOUGH * radius:
+                break
+        moved = np.linalg.norm(x - agents.starts, axis=1) > ENOUGH * agents.radii
+        if moved.any():
+            first = agents.named(int(np.argmax(moved)))
+            message = (
+                f"{counted(int(moved.sum()), 'agent')} would begin in an obstacle "
+            )
+            message += f"or off the ground, {first} first: moved out"
+            self._notices.append(warning("SIM148", message, "begin elsewhere"))
+        return x
+
+    def _unreachable(self) -> list[Fault]:
+        """Return warnings of goals that no way leads to (SIM146)."""
+        grid, steering, faults = self._steering.grid, self._steering, []
+        if grid is None or not grid.free.any():
+            return []
+        parts = grid.parts.ravel()
+        own = parts[grid.free_at(self._start)]
+        for g, goal in enumerate(self._spec.goals):
+            at = steering.points[g : g + 1]
+            if lost(grid, at)[0]:
+                message = (
+                    f"the goal {goal.name!r} is in an obstacle or off the ground: "
+                )
+                message += "agents go to the nearest place to it"
+                faults.append(warning("SIM146", message, "move the goal"))
+            part = parts[grid.free_at(at)[0]]
+            for kind, population in enumerate(self._spec.populations):
+                mine = (self._agents.kinds == kind) & (own != part)
+                if goal.name in population.route and mine.any():
+                    message = f"no way leads {counted(int(mine.sum()), 'agent')} of "
+                    message += (
+                        f"{population.name!r} to the goal {goal.name!r}: they go "
+                    )
+                    message += "to the nearest place that they can reach"
+                    hint = "leave a gap wider than agents, or move the goal"
+                    faults.append(warning("SIM146", message, hint))
+        return faults
+
+    def initial(self) -> CrowdState:
+        """Return where all begin, looking to where they go first."""
+        x, progress = self._start, self._steering.first()
+        still = np.zeros_like(x)
+        ways = self._steering.preferred(np.inf, self._begin, progress, x)
+        headings = np.arctan2(ways[:, 0], ways[:, 1])
+        return CrowdState(x, still, headings, progress, 0.0)
+
+    def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
+        """Return where agents are a step [s] later.
+
+        Raises:
+            ToleranceError: Numbers do not stay finite (SIM102).
+        """
+        agents, rules = self._agents, self._spec.avoidance
+        if not len(agents):
+            return state
+        x, v = state.points, state.velocities
+        wanted = self._steering.preferred(t, self._begin, state.progress, x)
+        relaxed = v + (wanted - v) * -np.expm1(-dt / self._settling)[:, None]
+        walls = self._obstacles.walls(t, dt, x)
+        if not all(np.isfinite(each).all() for each in (x, v, relaxed, walls.rows)):
+            message = f"agents blew up at {t:g} s"
+            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
+        points, velocities, overlap = _kernels.crowd_step(
+            x, v, relaxed, agents.radii, agents.most, agents.gives, agents.groups,
+            np.where(state.progress.stages == GONE, OUT, WALKS), walls.starts,
+            walls.rows, rules.sight, rules.nearest, rules.horizon, rules.space,
+            rules.push, rules.headway, dt, APART, ENOUGH * float(agents.radii.min()),
+        )  # fmt: skip
+        progress = self._steering.advanced(state.progress, points, dt)
+        headings = self._turned(state.headings, wanted, velocities, dt)
+        return CrowdState(
+            points, velocities, headings, progress, max(state.overlap, overlap)
+        )
+
+    def _turned(
+        self, headings: FloatArray, wanted: FloatArray, v: FloatArray, dt: float
+    ) -> FloatArray:
+        """Return headings ``(N,)`` of agents that turn to where they go, if they do."""
+        fast = np.linalg.norm(v, axis=1) > SLOW * self._agents.speeds
+        ways = np.where(fast[:, None], v, wanted)
+        turn = np.arctan2(ways[:, 0], ways[:, 1]) - headings
+        turn = (turn + np.pi) % (2 * np.pi) - np.pi
+        return headings + np.where(
+            ways.any(axis=1), turn * -np.expm1(-dt / TURNING), 0.0
+        )
+
+    def frame(
+        self,
+        state: CrowdState,
+        t: float,  # noqa: ARG002
+    ) -> PointsFrame | TransformsFrame:
+        """Return what agents show."""
+        agents = self._agents
+        ids = np.flatnonzero(state.progress.stages != GONE)
+        x, v = state.points[ids], state.velocities[ids]
+        heights, normals = self._ground(x)
+        heights = np.where(np.isfinite(heights), heights, 0.0)
+        # They go along the ground.
+        rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
+        points = self._frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
+        velocities = self._frame.turned(np.column_stack([v[:, 0], rise, v[:, 1]]))
+        kinds = agents.kinds[ids]
+        primvars = {"population": kinds} if len(agents.populations) > 1 else {}
+        if not self._meshes:
+            return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
+        half = state.headings[ids] / 2
+        turned = np.zeros((len(ids), 4))
+        turned[:, 1], turned[:, 3] = np.sin(half), np.cos(half)
+        return TransformsFrame(
+            ids,
+            points,
+            velocities,
+            so3.multiply(np.broadcast_to(self._frame.rotation, turned.shape), turned),
+            np.zeros((len(ids), 3)),
+            np.ones((len(ids), 3)),
+            self._shown[kinds],
+            self._meshes,
+            primvars,
+        )
+
+    def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
+        """Return how fast agents are, how far on their routes, and how close."""
+        gone = state.progress.stages == GONE
+        speeds = np.linalg.norm(state.velocities[~gone], axis=1)
+        values = {"agents": float(len(speeds)), "overlap": state.overlap}
+        if len(speeds):
+            values["speed"] = float(speeds.mean())
+        values["goals reached"] = float(np.where(gone, 0, state.progress.stages).sum())
+        return Diagnostics(values=values, notices=self._notices)
+
+
+def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:
+    """Return a direction of the world along the ground ``(2,)``, of length 1."""
+    way = frame.turned_back(np.array(direction, float))[[0, 2]]
+    size = float(np.linalg.norm(way))
+    if not size > 0:
+        raise refused(
+            "the direction of a queue is straight up", "along the ground", "goals"
+        )
+    return np.asarray(way / size)
+
+
+def _ground(context: SimContext) -> tuple[Frame, Ground]:
+    """Return where the ground is, and what it is."""
+    parts = context.parts["ground"]
+    poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
+    if len(poses.moments) > 1:
+        raise refused("the ground does not move", "leave moves and turns out", "ground")
+    pose = poses.at(context.begin)
+    frame = Frame(pose[:3], pose[3:])
+    if shape is not None and mesh is not None:
+        raise refused(
+            "the ground is a shape or a mesh of a file", "leave one out", "ground"
+        )
+    if mesh is not None:
+        found = mesh()[0]
+        corners = triangulated(found.counts, found.indices)
+        return frame, Ground(found.points[corners])
+    if shape is None:
+        return frame, Ground()
+    if not isinstance(shape, Mesh):
+        message = "the ground is a mesh, a height_field or, with no shape, a plane"
+        raise refused(message, "shape: {height_field: {...}}", "ground")
+    points, faces = shape.welded()
+    return frame, Ground(points[faces])

@@ -1,0 +1,172 @@
+"""What agents walk on: a plane, or the highest faces of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
+
+# Cells of the grid of triangles are so many at most along an axis.
+MAX_CELLS = 2048
+# Corners that are outside of a triangle by less are on its edge [1].
+EDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the ground is: agents know its x and z, and its y is up.
+
+    Attributes:
+        origin: In the world ``(3,)`` [m].
+        rotation: To the world: a unit quaternion x, y, z, w ``(4,)``.
+    """
+
+    origin: FloatArray
+    rotation: FloatArray
+
+    def to_local(self, points: FloatArray) -> FloatArray:
+        """Return points of the world ``(…, 3)`` as the ground sees them."""
+        return self.turned_back(points - self.origin)
+
+    def to_world(self, points: FloatArray) -> FloatArray:
+        """Return points of the ground ``(…, 3)`` in the world."""
+        return self.turned(points) + self.origin
+
+    def turned(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors of the ground ``(…, 3)`` in the world."""
+        return so3.rotate(self.rotation, vectors)
+
+    def turned_back(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors of the world ``(…, 3)`` as the ground sees them."""
+        return so3.rotate(so3.conjugate(self.rotation), vectors)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Triangles seen from above, or none for a plane at height 0.
+
+    Attributes:
+        triangles: Corners of each, in the frame of the ground ``(T, 3, 3)`` [m].
+    """
+
+    triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is a plane."""
+        return not len(self.triangles)
+
+    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``.
+
+        Where there is no ground heights are NaN, and normals point up.
+        """
+        count = len(points)
+        normals = np.tile([0.0, 1.0, 0.0], (count, 1))
+        if self.flat:
+            return np.zeros(count), normals
+        heights = np.full(count, -np.inf)
+        rows, which = self._candidates(points)
+        (a, to_b, to_c), over, ways = self._planes
+        off = points[rows] - a[which][:, [0, 2]]
+        b, c = to_b[which], to_c[which]
+        share_b = (off[:, 0] * c[:, 2] - off[:, 1] * c[:, 0]) * over[which]
+        share_c = (b[:, 0] * off[:, 1] - b[:, 2] * off[:, 0]) * over[which]
+        least = np.minimum(np.minimum(share_b, share_c), 1 - share_b - share_c)
+        inside = least >= -EDGE
+        rows, which = rows[inside], which[inside]
+        at = (
+            a[which, 1]
+            + share_b[inside] * b[inside, 1]
+            + share_c[inside] * c[inside, 1]
+        )
+        np.maximum.at(heights, rows, at)
+        highest = at == heights[rows]
+        # Of two that share an edge, the last in their order.
+        normals[rows[highest]] = ways[which[highest]]
+        return np.where(np.isfinite(heights), heights, np.nan), normals
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """Return least and largest x and z ``(2, 2)`` [m]."""
+        flat = self.triangles[..., [0, 2]].reshape(-1, 2)
+        return np.stack([flat.min(axis=0), flat.max(axis=0)])
+
+    @cached_property
+    def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
+        """Return first corners and both edges from them, 1 / area, and normals."""
+        a, b, c = self._seen.swapaxes(0, 1)
+        to_b, to_c = b - a, c - a
+        area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
+        ways = np.cross(to_c, to_b)
+        ways = ways / np.linalg.norm(ways, axis=1)[:, None]
+        return (a, to_b, to_c), 1 / area, ways * np.sign(ways[:, 1:2])
+
+    @cached_property
+    def _seen(self) -> FloatArray:
+        """Return triangles that are not seen from the side alone ``(S, 3, 3)``."""
+        a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
+        to_b, to_c = b - a, c - a
+        area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
+        size = np.abs(to_b).sum(axis=1) * np.abs(to_c).sum(axis=1)
+        return np.asarray(self.triangles[area > EDGE * size])
+
+    @cached_property
+    def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
+        """Return low corner, cell sizes and counts, and triangles cell by cell."""
+        flat = self._seen[..., [0, 2]]
+        low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
+        side = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
+        counts = np.array([side, side])
+        size = np.maximum((high - low) / counts, np.finfo(float).tiny)
+        first = np.clip(
+            ((flat.min(axis=1) - low) / size - EDGE).astype(np.int64), 0, side - 1
+        )
+        last = np.clip(
+            ((flat.max(axis=1) - low) / size + EDGE).astype(np.int64), 0, side - 1
+        )
+        spans = last - first + 1
+        number = spans.prod(axis=1)
+        which = np.repeat(np.arange(len(flat)), number)
+        k = np.arange(len(which)) - np.repeat(np.cumsum(number) - number, number)
+        wide = spans[which, 1]
+        cells = (first[which, 0] + k // wide) * side + first[which, 1] + k % wide
+        order = np.argsort(cells, kind="stable")
+        starts = np.searchsorted(cells[order], np.arange(side * side + 1))
+        return low, size, counts, which[order], starts
+
+    def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pairs of points and triangles that may be over each other."""
+        low, size, counts, which, starts = self._grid
+        at = (points - low) / size
+        within = np.all((at >= -EDGE) & (at <= counts + EDGE), axis=1)
+        cells = np.clip(
+            np.where(within.reshape(-1, 1), at, 0).astype(np.int64), 0, counts - 1
+        )
+        number = cells[:, 0] * counts[1] + cells[:, 1]
+        many = np.where(within, starts[number + 1] - starts[number], 0)
+        rows = np.repeat(np.arange(len(points)), many)
+        k = np.arange(len(rows)) - np.repeat(np.cumsum(many) - many, many)
+        return rows, which[starts[number[rows]] + k]
+
+
+def walkable(
+    ground: Ground, nodes: FloatArray, shape: tuple[int, int], cell: float, slope: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return heights of nodes of a grid, and where agents may walk ``(R, C)``.
+
+    Not where there is no ground, or it rises more than a slope [rad] to a neighbour.
+    """
+    heights, _ = ground(nodes)
+    heights = heights.reshape(shape)
+    free = np.array(np.isfinite(heights))
+    most = np.tan(slope) * cell
+    for seen, rows in ((free, heights), (free.T, heights.T)):
+        steep = np.abs(np.diff(rows, axis=0)) > most
+        seen[:-1] &= ~steep
+        seen[1:] &= ~steep
+    return heights, free

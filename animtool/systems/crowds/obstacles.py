@@ -1,0 +1,232 @@
+"""What agents may not walk into: colliders, shut doors and the edge of the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.sim.colliders import Colliders
+from animtool.systems.crowds.agents import Agents
+from animtool.systems.crowds.ground import Frame, Ground, walkable
+from animtool.systems.crowds.routes import MAX_NODES, Grid
+from animtool.systems.crowds.spec import CrowdsModel, DoorModel
+
+# What faces up or down more than this is a floor or a ceiling: the least part of its
+# normal along the ground.
+UPRIGHT = 0.3
+# The grid of routes reaches beyond all starts and goals: by a share of their extent,
+# and by some of the largest radius.
+BEYOND, RADII_BEYOND = 0.5, 40.0
+# Share of the fastest at which who is inside an obstacle leaves it.
+LEAVING = 0.8
+
+
+@dataclass(frozen=True)
+class Walls:
+    """What is near N agents, agent by agent.
+
+    Attributes:
+        starts: Where those of each agent begin ``(N + 1,)``.
+        rows: Unit normal (x, z), least velocity along it [m/s], least place along it
+            [m] ``(M, 4)``.
+        whose: The agent of each ``(M,)``.
+        gaps: From its surface to the agent's ``(M,)`` [m].
+        closing: How fast it comes towards the agent ``(M,)`` [m/s].
+    """
+
+    starts: npt.NDArray[np.int32]
+    rows: FloatArray
+    whose: IntArray
+    gaps: FloatArray
+    closing: FloatArray
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """All that is in the way of agents.
+
+    Attributes:
+        edge: The grid whose nodes are on the ground; None where that has no end.
+    """
+
+    agents: Agents
+    frame: Frame
+    ground: Ground
+    colliders: Colliders
+    doors: Sequence[DoorModel] = ()
+    edge: Grid | None = None
+    horizon: float = 0.5  # how far ahead agents avoid them [s]
+    ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
+
+    def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
+        """Return what is near agents at x and z ``(N, 2)`` from a time on [s]."""
+        found = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
+        count = len(x)
+        if not found:
+            nothing = np.zeros(0)
+            starts = np.zeros(count + 1, np.int32)
+            return Walls(
+                starts, np.zeros((0, 4)), nothing.astype(int), nothing, nothing
+            )
+        agents, most = self.agents, self.agents.most
+        parts = []
+        for gaps, ways, closing in found:
+            reach = (most + np.abs(closing)) * self.horizon
+            near = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
+            parts.append((near, gaps[near], ways[near], closing[near]))
+        whose, gaps, ways, closing = (
+            np.concatenate(each) for each in zip(*parts, strict=True)
+        )
+        order = np.argsort(whose, kind="stable")
+        whose, gaps, ways, closing = (
+            whose[order],
+            gaps[order],
+            ways[order],
+            closing[order],
+        )
+        least = np.minimum(closing - gaps / self.horizon, LEAVING * most[whose])
+        place = (ways * x[whose]).sum(axis=1) - gaps + closing * dt
+        rows = np.column_stack([ways, least, place])
+        starts = np.searchsorted(whose, np.arange(count + 1)).astype(np.int32)
+        return Walls(starts, rows, whose, gaps, closing)
+
+    def _colliders(
+        self, t: float, dt: float, x: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return gaps, ways off and how fast each collider comes, of all agents."""
+        if not self.colliders.rigid:
+            return []
+        radii, tall = self.agents.radii, self.agents.heights
+        heights, _ = self.ground(x)
+        base = np.where(np.isfinite(heights), heights, 0.0)
+        return [
+            (distances - radii, ways, speeds)
+            for distances, ways, speeds in upright(
+                self.colliders, self.frame, x, base, radii, tall, t, dt
+            )
+        ]
+
+    def _doors(
+        self, t: float, x: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return the same of doors that are shut at a time [s]."""
+        found = []
+        for door, (a, b) in zip(self.doors, self.ends, strict=True):
+            if any(first <= t < last for first, last in door.opens):
+                continue
+            along = b - a
+            share = np.clip(((x - a) @ along) / (along @ along), 0.0, 1.0)
+            off = x - a - share[:, None] * along
+            far = np.linalg.norm(off, axis=1)
+            ways = off / np.where(far > 0, far, 1.0)[:, None]
+            found.append((far - self.agents.radii, ways, np.zeros(len(x))))
+        return found
+
+    def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return the same of where the ground ends."""
+        if self.edge is None:
+            return []
+        gaps, ways = self.edge.edges(x)
+        return [(gaps - self.agents.radii, ways, np.zeros(len(x)))]
+
+
+def upright(
+    colliders: Colliders,
+    frame: Frame,
+    x: FloatArray,
+    base: FloatArray,
+    radii: FloatArray,
+    tall: FloatArray,
+    t: float,
+    dt: float,
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return how far colliders are from upright capsules, along the ground.
+
+    Of each collider distances ``(K,)`` from the axes [m], infinite where it is a floor,
+    unit vectors off ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. Capsules of some
+    radii ``(K,)`` stand at x and z ``(K, 2)`` on heights ``(K,)`` and are so tall
+    ``(K,)`` [m].
+    """
+    count = len(x)
+    lows, highs = base + radii, base + np.maximum(tall - radii, radii)
+    levels = [lows, (lows + highs) / 2, highs]
+    points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
+    found = colliders.sample(frame.to_world(points), t, t + dt)
+    made = []
+    for distances, outwards, velocities in zip(
+        found.distances, found.normals, found.velocities, strict=True
+    ):
+        normals = frame.turned_back(outwards)[:, [0, 2]]
+        speeds = frame.turned_back(velocities)[:, [0, 2]]
+        size = np.linalg.norm(normals, axis=1)
+        side = size > UPRIGHT
+        far = np.where(side, distances / np.where(side, size, 1.0), np.inf)
+        far = far.reshape(len(levels), count)
+        nearest = np.argmin(far, axis=0) * count + np.arange(count)
+        ways = normals[nearest] / np.where(side, size, 1.0)[nearest, None]
+        closing = (speeds[nearest] * ways).sum(axis=1)
+        made.append((far.ravel()[nearest], ways, closing))
+    return made
+
+
+def grids(
+    spec: CrowdsModel,
+    agents: Agents,
+    frame: Frame,
+    ground: Ground,
+    colliders: Colliders,
+    goals: FloatArray,
+    t: float,
+) -> tuple[Grid | None, Grid | None]:
+    """Return grids of where agents may walk and of where ground is.
+
+    None where nothing is in the way, and where the ground has no end.
+    """
+    still = [one for one in colliders if len(one.poses.moments) == 1]
+    if ground.flat and not still:
+        return None, None
+    radius = float(agents.radii.max(initial=0.0)) or 1.0
+    corners = np.concatenate([agents.starts, goals])
+    low, high = (
+        (corners.min(axis=0), corners.max(axis=0)) if len(corners) else np.zeros((2, 2))
+    )
+    margin = BEYOND * (high - low).max() + RADII_BEYOND * radius
+    low, high = low - margin, high + margin
+    if not ground.flat:
+        low, high = (
+            np.maximum(low, ground.bounds[0]),
+            np.minimum(high, ground.bounds[1]),
+        )
+        high = np.maximum(high, low)
+    cell = max(spec.cell or radius, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
+    rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
+    shape = rows, columns
+    nodes = Grid.nodes(low, cell, shape)
+    base, on_ground = walkable(
+        ground, nodes, shape, cell, np.radians(spec.ground.slope)
+    )
+    free = on_ground.ravel().copy()
+    if still:
+        within = np.flatnonzero(free)
+        ones = np.ones(len(within))
+        tall = float(agents.heights.max(initial=radius))
+        clear = np.ones(len(within), bool)
+        for far, _, _ in upright(
+            Colliders(still), frame, nodes[within], base.ravel()[within],
+            radius * ones, tall * ones, t, 0.0,
+        ):  # fmt: skip
+            # Whoever is wider than a gap looks is kept out of it by walls.
+            clear &= far >= radius - cell / 2
+        free[within] = clear
+    edge = None if on_ground.all() and ground.flat else Grid(low, cell, on_ground)
+    return Grid(low, cell, free.reshape(shape)), edge
+
+
+def lost(grid: Grid, x: FloatArray) -> BoolArray:
+    """Return which of x and z ``(K, 2)`` are not where agents may walk."""
+    row, column = grid.at(x).T
+    return np.asarray(~grid.free[row, column])

@@ -1,0 +1,196 @@
+"""Ways around obstacles: fields of the distance to each goal, on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray, FloatArray, IntArray
+
+# Nodes of a grid at most: what is larger gets wider cells.
+MAX_NODES = 4_000_000
+# A way that is by so many cells longer than straight ahead is straight: the distances
+# are of first order, and agents avoid what they touch.
+STRAIGHT = 1.5
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes on the ground, and which of them agents may stand on.
+
+    Attributes:
+        low: x and z of the first ``(2,)`` [m].
+        cell: From one to the next [m].
+        free: ``(R, C)``, rows along x.
+    """
+
+    low: FloatArray
+    cell: float
+    free: BoolArray
+
+    @staticmethod
+    def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
+        """Return x and z of nodes ``(R·C, 2)`` [m]."""
+        rows, columns = np.indices(shape).reshape(2, -1)
+        return np.asarray(low + cell * np.stack([rows, columns], axis=1))
+
+    @cached_property
+    def parts(self) -> IntArray:
+        """Return which connected part each node is of ``(R, C)``, 0 for none."""
+        from scipy.ndimage import label
+
+        return np.asarray(label(self.free)[0], np.int64)
+
+    @cached_property
+    def nearest(self) -> tuple[FloatArray, IntArray]:
+        """Return how far the nearest free node is ``(R, C)`` [m], and which."""
+        from scipy.ndimage import distance_transform_edt
+
+        far, which = distance_transform_edt(~self.free, self.cell, return_indices=True)
+        return far, which[0] * self.free.shape[1] + which[1]
+
+    def at(self, points: FloatArray) -> IntArray:
+        """Return rows and columns of the nodes nearest to x and z ``(K, 2)``."""
+        most = np.array(self.free.shape) - 1
+        near = np.floor((points - self.low) / self.cell + 0.5)
+        return np.clip(near, 0, most).astype(np.int64)
+
+    def free_at(self, points: FloatArray) -> IntArray:
+        """Return numbers of the free nodes nearest to x and z ``(K, 2)``."""
+        row, column = self.at(points).T
+        return np.asarray(self.nearest[1][row, column])
+
+    def place(self, numbers: IntArray) -> FloatArray:
+        """Return x and z of nodes by their numbers ``(K, 2)`` [m]."""
+        index = np.stack(np.divmod(numbers, self.free.shape[1]), axis=-1)
+        return np.asarray(self.low + self.cell * index)
+
+    @cached_property
+    def _blocked(self) -> tuple[FloatArray, IntArray]:
+        """Return how far the nearest node that is not free is, and which."""
+        from scipy.ndimage import distance_transform_edt
+
+        padded = np.pad(self.free, 1)
+        far, which = distance_transform_edt(padded, self.cell, return_indices=True)
+        inner = (slice(1, -1), slice(1, -1))
+        return far[inner], which[:, *inner] - 1
+
+    def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far from x and z ``(K, 2)`` agents may not stand, and the way off.
+
+        That is half a cell from the nearest such node: ``(K,)`` [m] and ``(K, 2)``.
+        """
+        row, column = self.at(points).T
+        which = self._blocked[1][:, row, column].T
+        off = points - (self.low + self.cell * which)
+        far = np.linalg.norm(off, axis=1)
+        ways = off / np.maximum(far, np.finfo(float).tiny)[:, None]
+        return far - self.cell / 2, ways
+
+
+@dataclass(frozen=True)
+class Route:
+    """The way to one goal from everywhere.
+
+    Attributes:
+        distances: Of each node, infinite where no way leads ``(R, C)`` [m].
+    """
+
+    grid: Grid
+    goals: FloatArray  # x and z of where the ways end, by part ``(P, 2)`` [m]
+    distances: FloatArray
+
+    @cached_property
+    def ways(self) -> FloatArray:
+        """Return unit vectors along the shortest way from each node ``(R, C, 2)``."""
+        padded = np.pad(self.distances, 1, constant_values=np.inf)
+        here = self.distances
+        made = np.zeros((*here.shape, 2))
+        inner = slice(1, -1)
+        for axis in (0, 1):
+            before = padded[
+                (slice(None, -2), inner) if axis == 0 else (inner, slice(None, -2))
+            ]
+            after = padded[
+                (slice(2, None), inner) if axis == 0 else (inner, slice(2, None))
+            ]
+            least = np.minimum(before, after)
+            falls = np.isfinite(here) & (least < here)
+            drop = np.where(falls, here, 0) - np.where(falls, least, 0)
+            made[..., axis] = np.where(before < after, -drop, drop)
+        size = np.linalg.norm(made, axis=2)[..., None]
+        return made / np.where(size > 0, size, 1.0)
+
+    def directions(self, points: FloatArray) -> FloatArray:
+        """Return unit vectors ``(K, 2)`` along the way from x and z ``(K, 2)``.
+
+        Who stands where nobody may goes back first.
+        """
+        grid = self.grid
+        most = np.array(grid.free.shape) - 1
+        at = np.clip((points - grid.low) / grid.cell, 0, most)
+        low = np.minimum(at.astype(np.int64), np.maximum(most - 1, 0))
+        share = at - low
+        made = np.zeros((len(points), 2))
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            row, column = np.minimum(low + np.array([i, j]), most).T
+            weight = (share[:, 0] if i else 1 - share[:, 0]) * (
+                share[:, 1] if j else 1 - share[:, 1]
+            )
+            made += weight[:, None] * self.ways[row, column]
+        lost = ~made.any(axis=1)
+        if lost.any():
+            made[lost] = grid.place(grid.free_at(points[lost])) - points[lost]
+        goal = self.goal(points)
+        off = goal - points
+        far = np.linalg.norm(off, axis=1)
+        row, column = grid.at(points).T
+        near = self.distances[row, column] <= far + STRAIGHT * grid.cell
+        made[near] = off[near]
+        size = np.linalg.norm(made, axis=1)[:, None]
+        return made / np.where(size > 0, size, 1.0)
+
+    def goal(self, points: FloatArray) -> FloatArray:
+        """Return where the ways from x and z ``(K, 2)`` end ``(K, 2)`` [m]."""
+        part = self.grid.parts.ravel()[self.grid.free_at(points)]
+        return self.goals[part]
+
+
+def route_to(grid: Grid, goal: FloatArray) -> Route:
+    """Return the ways to a goal at x and z ``(2,)``.
+
+    From a part of the grid that it is not in they lead to the node there that is
+    nearest to it.
+    """
+    number = int(grid.free_at(goal[None])[0])
+    own = int(grid.parts.ravel()[number])
+    nodes = np.flatnonzero(grid.free.ravel())
+    parts = grid.parts.ravel()[nodes]
+    off = np.linalg.norm(grid.place(nodes) - goal, axis=1)
+    order = np.lexsort([off, parts])
+    first = order[np.flatnonzero(np.diff(parts[order], prepend=0))]
+    row, column = grid.at(goal[None])[0]
+    goals = np.concatenate([np.zeros((1, 2)), grid.place(nodes[first])])
+    if grid.free[row, column]:
+        goals[own] = goal
+    # From the nodes about the goal itself, so that ways end there and not at a node.
+    near = (
+        nodes[(parts == own) & (off < 1.5 * grid.cell)]
+        if grid.free[row, column]
+        else []
+    )
+    seeds = np.concatenate([nodes[first], near]).astype(np.int64)
+    starts = np.linalg.norm(
+        grid.place(seeds) - goals[grid.parts.ravel()[seeds]], axis=1
+    )
+    distances = _kernels.travel_distances(grid.free, grid.cell, seeds, starts)
+    return Route(grid, goals, distances)
+
+
+def routes_to(grid: Grid, goals: Iterable[FloatArray]) -> list[Route]:
+    """Return the ways to each of some goals."""
+    return [route_to(grid, goal) for goal in goals]

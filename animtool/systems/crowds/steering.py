@@ -1,0 +1,222 @@
+"""How fast and which way agents would like to go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.systems.crowds.agents import Agents
+from animtool.systems.crowds.routes import Grid, Route, routes_to
+from animtool.systems.crowds.spec import CrowdGoalModel
+
+# Time that agents take to stop at a goal, and to come back to their place in a group or
+# a queue [s].
+STOPPING = 0.5
+# How fast they go back to their place in a group, over the speed that they like.
+CATCHING_UP = 0.5
+# Who is as near to the end of a queue joins it, over the room from one to the next.
+JOINING = 2.0
+# Share of the ground that those who stay at a goal cover: it grows with them.
+PACKED = 0.5
+# Part of the radius of a goal that those who stay there come into.
+INNER = 0.5
+NO_TICKET = -1
+GONE = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far N agents are on their routes.
+
+    Attributes:
+        stages: How many goals each has left behind; `GONE` for who left ``(N,)``.
+        waited: How long each has waited at its goal ``(N,)`` [s].
+        tickets: Order in the queue at its goal, `NO_TICKET` in none ``(N,)``.
+    """
+
+    stages: IntArray
+    waited: FloatArray
+    tickets: IntArray
+
+
+@dataclass(frozen=True)
+class Steering:
+    """Goals of agents, and the ways there.
+
+    Attributes:
+        points: x and z of each goal ``(G, 2)`` [m].
+        lines: Of each, from one to the next of its queue ``(G, 2)``, 0 of none [m].
+    """
+
+    agents: Agents
+    goals: Sequence[CrowdGoalModel]
+    points: FloatArray
+    lines: FloatArray
+    grid: Grid | None  # None where nothing is in the way
+
+    @cached_property
+    def routes(self) -> list[Route]:
+        """Return the ways to each goal; none where nothing is in the way."""
+        return [] if self.grid is None else routes_to(self.grid, self.points)
+
+    @cached_property
+    def _plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
+        """Return of each its route, its length, and if it repeats or leaves."""
+        populations = self.agents.populations
+        names = [goal.name for goal in self.goals]
+        longest = max((len(one.route) for one in populations), default=0)
+        table = np.full((len(populations), longest + 1), -1)
+        for i, one in enumerate(populations):
+            table[i, : len(one.route)] = [names.index(name) for name in one.route]
+        counts = np.array([len(one.route) for one in populations])
+        again = np.array([one.then == "repeat" for one in populations])
+        leaves = np.array([one.then == "leave" for one in populations])
+        kinds = self.agents.kinds
+        return table[kinds], counts[kinds], again[kinds], leaves[kinds]
+
+    def first(self) -> Progress:
+        """Return how far agents are at the beginning."""
+        count = len(self.agents)
+        return Progress(
+            np.zeros(count, np.int64), np.zeros(count), np.full(count, NO_TICKET)
+        )
+
+    def heading_for(self, progress: Progress) -> IntArray:
+        """Return the goal of each agent ``(N,)``, -1 for who has none."""
+        table, counts, again, _ = self._plans
+        stages = progress.stages
+        stage = np.where(
+            again, stages % np.maximum(counts, 1), np.minimum(stages, counts)
+        )
+        goal = table[np.arange(len(stages)), np.maximum(stage, 0)]
+        return np.where(stages == GONE, -1, goal)
+
+    def targets(
+        self, progress: Progress, goal: IntArray, x: FloatArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return where agents are to be in the end ``(N, 2)`` [m], and who queues."""
+        if not len(self.points):
+            return x, np.zeros(len(x), np.bool_)
+        at = np.where((goal >= 0)[:, None], self.points[goal], x)
+        for g, route in enumerate(self.routes):
+            own = goal == g
+            at[own] = route.goal(x[own])
+        queued = progress.tickets != NO_TICKET
+        for g in np.unique(goal[queued]).tolist():
+            line = np.flatnonzero(queued & (goal == g))
+            line = line[np.argsort(progress.tickets[line], kind="stable")]
+            at[line] = self.points[g] + np.arange(len(line))[:, None] * self.lines[g]
+        return at, queued
+
+    def preferred(
+        self, t: float, begin: float, progress: Progress, x: FloatArray
+    ) -> FloatArray:
+        """Return velocities that agents would like at a time [s] ``(N, 2)`` [m/s]."""
+        agents = self.agents
+        goal = self.heading_for(progress)
+        target, queued = self.targets(progress, goal, x)
+        off = target - x
+        far = np.linalg.norm(off, axis=1)
+        ways = off / np.maximum(far, np.finfo(float).tiny)[:, None]
+        for g, route in enumerate(self.routes):
+            own = (goal == g) & ~queued
+            if own.any():
+                ways[own] = route.directions(x[own])
+        speeds = np.minimum(agents.speeds, far / STOPPING)
+        speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
+        # Who waits where all are at once makes room for those behind, and stays.
+        waits = (progress.waited > 0) & ~queued
+        if waits.any():
+            radius = self._radius(goal, progress.waited > 0)
+            inside = np.maximum(far - INNER * radius, 0.0) / STOPPING
+            speeds = np.where(waits, np.minimum(speeds, inside), speeds)
+        wanted = ways * speeds[:, None]
+        return self._in_groups(wanted, queued | waits, x)
+
+    def _in_groups(
+        self, wanted: FloatArray, apart: BoolArray, x: FloatArray
+    ) -> FloatArray:
+        """Return velocities with which those of a group walk side by side."""
+        groups = self.agents.groups
+        own = np.flatnonzero((groups >= 0) & ~apart & wanted.any(axis=1))
+        if not len(own):
+            return wanted
+        number = groups[own]
+        count = np.bincount(number)[number][:, None]
+
+        def mean(values: FloatArray) -> FloatArray:
+            sums = [np.bincount(number, column)[number] for column in values.T]
+            return np.asarray(np.stack(sums, axis=1) / count)
+
+        ahead = mean(wanted[own])
+        size = np.linalg.norm(ahead, axis=1)[:, None]
+        ahead = ahead / np.where(size > 0, size, 1.0)
+        side = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+        slot = mean(x[own]) + side * self.agents.sides[own, None]
+        back = (slot - x[own]) / STOPPING
+        sizes = np.linalg.norm(back, axis=1)[:, None]
+        most = CATCHING_UP * self.agents.speeds[own, None]
+        back = back * np.minimum(1.0, most / np.where(sizes > 0, sizes, 1.0))
+        made = wanted.copy()
+        made[own] = wanted[own] + back
+        return made
+
+    def advanced(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
+        """Return how far agents are a step [s] later, where they are at x and z."""
+        if not len(self.points):
+            return progress
+        _, counts, again, leaves = self._plans
+        goal = self.heading_for(progress)
+        has = goal >= 0
+        wait, queues = (
+            np.array(each)[goal]
+            for each in (
+                [one.wait for one in self.goals],
+                [one.queue is not None for one in self.goals],
+            )
+        )
+        radius = self._radius(goal, progress.waited > 0)
+        tickets = self._joined(progress.tickets, goal, has & queues, x)
+        target, queued = self.targets(replace(progress, tickets=tickets), goal, x)
+        far = np.linalg.norm(target - x, axis=1)
+        first = queued & (far <= radius) & (target == self.points[goal]).all(axis=1)
+        there = has & np.where(queues, first, far <= radius)
+        waited = np.where(there | ((progress.waited > 0) & has & ~queues),
+                          progress.waited + dt, 0.0)  # fmt: skip
+        last = ~again & ~leaves & (progress.stages + 1 >= counts)
+        # Who stays at its last goal never leaves it behind.
+        done = there & (waited >= wait) & ~(last & ~queues)
+        stages = progress.stages + done
+        stages = np.where(done & leaves & (stages >= counts), GONE, stages)
+        return Progress(
+            stages, np.where(done, 0.0, waited), np.where(done, NO_TICKET, tickets)
+        )
+
+    def _radius(self, goal: IntArray, there: BoolArray) -> FloatArray:
+        """Return how near its goal each must come ``(N,)`` [m], as others are there."""
+        own = np.array([one.radius for one in self.goals])[goal]
+        count = np.bincount(goal[there & (goal >= 0)], minlength=len(self.goals))[goal]
+        return np.asarray(np.maximum(own, self.agents.radii * np.sqrt(count / PACKED)))
+
+    def _joined(
+        self, tickets: IntArray, goal: IntArray, queues: BoolArray, x: FloatArray
+    ) -> IntArray:
+        """Return tickets with those of who comes to the end of a queue."""
+        made = tickets
+        for g in np.unique(goal[queues]).tolist():
+            own = queues & (goal == g)
+            waiting = own & (made != NO_TICKET)
+            end = self.points[g] + int(waiting.sum()) * self.lines[g]
+            spacing = float(np.linalg.norm(self.lines[g]))
+            far = np.linalg.norm(x - end, axis=1)
+            near = np.flatnonzero(own & ~waiting & (far < JOINING * spacing))
+            if len(near):
+                made = made.copy()
+                # Who is nearer is first; of two as near, the first of them.
+                order = near[np.argsort(far[near], kind="stable")]
+                made[order] = made.max() + 1 + np.arange(len(order))
+        return made
