@@ -79,7 +79,7 @@ class DoorModel(FileModel):
 class WalkingSpeedModel(FileModel):
     """How fast agents like to walk: normally distributed."""
 
-    mean: Positive = key("[m/s]", 1.2, default=1.34)
+    mean: Positive = key("On average [m/s].", 1.2, default=1.34)
     spread: NotNegative = key(
         "Standard deviation [m/s]; none is more than two of them off, or slower than "
         "a third of the mean.",
