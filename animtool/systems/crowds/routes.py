@@ -70,26 +70,43 @@ class Grid:
         return np.asarray(self.low + self.cell * index)
 
     @cached_property
-    def _blocked(self) -> tuple[FloatArray, IntArray]:
-        """Return how far the nearest node that is not free is, and which."""
+    def _clearances(self) -> FloatArray:
+        """Return how far each node is from those that are not free ``(R, C)`` [m]."""
         from scipy.ndimage import distance_transform_edt
 
-        padded = np.pad(self.free, 1)
-        far, which = distance_transform_edt(padded, self.cell, return_indices=True)
-        inner = (slice(1, -1), slice(1, -1))
-        return far[inner], which[:, *inner] - 1
+        far = distance_transform_edt(np.pad(self.free, 1), self.cell)
+        return np.asarray(far)[1:-1, 1:-1]
+
+    def corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return rows and columns of the nodes about x and z, and shares ``(K, 2, 2)``.
+
+        They are those of a bilinear interpolation: rows ``(K, 2, 1)``, columns
+        ``(K, 1, 2)``.
+        """
+        most = np.array(self.free.shape) - 1
+        at = np.clip((points - self.low) / self.cell, 0, most)
+        first = np.minimum(at.astype(np.int64), np.maximum(most - 1, 0))
+        ends = np.minimum(first[:, None] + np.array([[0], [1]]), most)
+        share = at - first
+        sides = np.stack([1 - share, share], axis=1)
+        shares = sides[:, :, None, 0] * sides[:, None, :, 1]
+        return ends[:, :, None, 0], ends[:, None, :, 1], shares
 
     def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far from x and z ``(K, 2)`` agents may not stand, and the way off.
 
-        That is half a cell from the nearest such node: ``(K,)`` [m] and ``(K, 2)``.
+        That is half a cell from the nodes that are not free: ``(K,)`` [m], ``(K, 2)``.
         """
-        row, column = self.at(points).T
-        which = self._blocked[1][:, row, column].T
-        off = points - (self.low + self.cell * which)
-        far = np.linalg.norm(off, axis=1)
-        ways = off / np.maximum(far, np.finfo(float).tiny)[:, None]
-        return far - self.cell / 2, ways
+        rows, columns, shares = self.corners(points)
+        far = self._clearances[rows, columns]
+        rises = far[:, 1] - far[:, 0], far[:, :, 1] - far[:, :, 0]
+        ways = np.stack(
+            [(rises[0] * shares.sum(axis=1)).sum(axis=1),
+             (rises[1] * shares.sum(axis=2)).sum(axis=1)], axis=1,
+        )  # fmt: skip
+        size = np.linalg.norm(ways, axis=1)[:, None]
+        ways = ways / np.where(size > 0, size, 1.0)
+        return (far * shares).sum(axis=(1, 2)) - self.cell / 2, ways
 
 
 @dataclass(frozen=True)
@@ -131,17 +148,8 @@ class Route:
         Who stands where nobody may goes back first.
         """
         grid = self.grid
-        most = np.array(grid.free.shape) - 1
-        at = np.clip((points - grid.low) / grid.cell, 0, most)
-        low = np.minimum(at.astype(np.int64), np.maximum(most - 1, 0))
-        share = at - low
-        made = np.zeros((len(points), 2))
-        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            row, column = np.minimum(low + np.array([i, j]), most).T
-            weight = (share[:, 0] if i else 1 - share[:, 0]) * (
-                share[:, 1] if j else 1 - share[:, 1]
-            )
-            made += weight[:, None] * self.ways[row, column]
+        rows, columns, shares = grid.corners(points)
+        made = (self.ways[rows, columns] * shares[..., None]).sum(axis=(1, 2))
         lost = ~made.any(axis=1)
         if lost.any():
             made[lost] = grid.place(grid.free_at(points[lost])) - points[lost]
