@@ -160,7 +160,7 @@ class Route:
         near = self.distances[row, column] <= far + STRAIGHT * grid.cell
         made[near] = off[near]
         size = np.linalg.norm(made, axis=1)[:, None]
-        return made / np.where(size > 0, size, 1.0)
+        return np.asarray(made / np.where(size > 0, size, 1.0))
 
     def goal(self, points: FloatArray) -> FloatArray:
         """Return where the ways from x and z ``(K, 2)`` end ``(K, 2)`` [m]."""
