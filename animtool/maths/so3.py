@@ -72,11 +72,11 @@ def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
     """
     q, v = np.asarray(q, np.float64), np.asarray(v, np.float64)
     axis, w = q[..., :3], q[..., 3:]
-    across = 2.0 * _cross(axis, v)
-    return np.asarray(v + w * across + _cross(axis, across))
+    across = 2.0 * cross(axis, v)
+    return np.asarray(v + w * across + cross(axis, across))
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return cross products ``(..., 3)``; `numpy.cross` takes longer to begin."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
@@ -110,7 +110,7 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
     if share < OPPOSITE:
         side = np.eye(3)[int(np.argmin(np.abs(a)))]
         return normalize(np.append(side - (side @ a) * a, 0.0))
-    return normalize(np.append(_cross(a, b), share))
+    return normalize(np.append(cross(a, b), share))
 
 
 def exp(vector: ArrayLike) -> FloatArray:

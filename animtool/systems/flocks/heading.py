@@ -70,14 +70,14 @@ def _along(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
     """
     speeds = np.linalg.norm(v, axis=1)[:, None]
     ahead = v / np.maximum(speeds, _TINY)
-    side = np.cross(np.broadcast_to(up, v.shape), ahead)
+    side = so3.cross(np.broadcast_to(up, v.shape), ahead)
     # Straight up or down, it keeps its side.
     size = np.linalg.norm(side, axis=1)[:, None]
     held = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
     held = held - (held * ahead).sum(axis=1)[:, None] * ahead
     side = np.where(size > 1e-6, side / np.maximum(size, _TINY), held)
     side = side / np.maximum(np.linalg.norm(side, axis=1)[:, None], _TINY)
-    axes = np.stack([side, np.cross(ahead, side), ahead], axis=-1)
+    axes = np.stack([side, so3.cross(ahead, side), ahead], axis=-1)
     return np.where(speeds > _TINY, so3.from_matrix(axes), before)
 
 

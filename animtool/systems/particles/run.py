@@ -160,6 +160,8 @@ class ParticleSimulation:
         for emitter in self.setup.emitters:
             births = emitter.births(self.begin, after, until, room)
             beyond += births.missed
+            if not len(births.times):
+                continue
             x, v, lifetimes, radii = emitter.drawn(births)
             count = len(x)
             particle_sets.append(
@@ -174,6 +176,8 @@ class ParticleSimulation:
                 )
             )
             states.append(np.stack([x, v]))
+        if not states:
+            return ParticleState.none(), np.zeros((2, 0, 3)), beyond
         particles, state = particle_sets[0], np.concatenate(states, axis=1)
         for other in particle_sets[1:]:
             particles = particles.joined(other)

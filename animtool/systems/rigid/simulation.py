@@ -320,7 +320,7 @@ class RigidSimulation:
         points[moved], rotations[moved] = bodies.placed(motion)
         spins[moved] = bodies.spins(motion)
         arms = points[moved] - motion[:, :3]
-        velocities[moved] = motion[:, 7:10] + np.cross(spins[moved], arms)
+        velocities[moved] = motion[:, 7:10] + so3.cross(spins[moved], arms)
         for i in np.flatnonzero(~bodies.moved).tolist():
             row, step = bodies.poses[i].at(t), self._spec.step
             before, after = (
