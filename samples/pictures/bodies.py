@@ -56,25 +56,24 @@ def draw_faces(
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgb
 
-    light = LIGHT / np.linalg.norm(LIGHT)
-    shapes, shades, depths = [], [], []
-    for mesh, face in faces:
-        flat, near = view.seen(face)
-        a, b = flat[1] - flat[0], flat[2] - flat[0]
-        if a[0] * b[1] - a[1] * b[0] < 0:
-            continue
-        normal = np.cross(face[1] - face[0], face[2] - face[0])
-        normal /= max(float(np.linalg.norm(normal)), 1e-12)
-        shade = 0.62 + 0.38 * max(float(normal @ light), 0.0)
-        shapes.append(flat)
-        shades.append([shade * c for c in to_rgb(colours[mesh])])
-        depths.append(near.mean())
-    order = np.argsort(depths)
+    corners = np.concatenate([face for _, face in faces])
+    ends = np.cumsum([len(face) for _, face in faces])
+    begins = np.append(0, ends[:-1])
+    flat, near = view.seen(corners)
+    a, b = (flat[begins + k] - flat[begins] for k in (1, 2))
+    normals = np.cross(*(corners[begins + k] - corners[begins] for k in (1, 2)))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    lit = np.maximum(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0)
+    paint = np.array([to_rgb(colours[mesh]) for mesh, _ in faces])
+    shades = (0.62 + 0.38 * lit)[:, None] * paint
+    depths = np.add.reduceat(near, begins) / (ends - begins)
+    order = np.argsort(depths, kind="stable")
+    order = order[(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] >= 0)[order]]
     axis.add_collection(
         PolyCollection(
-            [shapes[i] for i in order],
-            facecolors=[shades[i] for i in order],
-            edgecolors=[[0.7 * c for c in shades[i]] for i in order],
+            [flat[begins[i] : ends[i]] for i in order],
+            facecolors=shades[order],
+            edgecolors=0.7 * shades[order],
             lw=0.25,
         )
     )

@@ -106,14 +106,26 @@ def needed(document: str, title: str) -> list[str]:
     return sorted(commands, key=earlier.index)
 
 
+def is_shared(command: str, workplace: Path) -> bool:
+    """Return whether other tests too look at what a command makes."""
+    several = DOCUMENTS_WITH[command] > 1 or command.startswith("animtool bake ")
+    return several and is_apart(command, workplace)
+
+
 @pytest.mark.parametrize(("document", "title"), section_parameters())
 def test_printed_commands(
-    workplace: Path, printed: Printed, document: str, title: str
+    workplace: Path,
+    printed: Printed,
+    monkeypatch: pytest.MonkeyPatch,
+    document: str,
+    title: str,
 ) -> None:
+    # How long the methods of a table take is of no interest here.
+    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
     for command in needed(document, title) + SECTIONS[document][title]:
         if "--plot" in command and find_spec("matplotlib") is None:
             continue
-        if DOCUMENTS_WITH[command] > 1 and is_apart(command, workplace):
+        if is_shared(command, workplace):
             printed.copy(command, workplace)
         else:
             run_printed(command, workplace)

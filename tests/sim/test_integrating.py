@@ -73,7 +73,7 @@ def test_statistics(name: str) -> None:
     assert found.notices == () or name in {"euler", "modified_euler"}
 
 
-@settings(max_examples=examples(15))
+@settings(max_examples=examples(6))
 @given(parts=st.lists(st.integers(1, 12), min_size=2, max_size=5))
 def test_a_motion_in_parts_is_the_whole_bit_for_bit(parts: list[int]) -> None:
     system = ForceSystem(

@@ -6,10 +6,13 @@ import gc
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from _pytest.doctest import DoctestModule
 from hypothesis import settings
+
+T = TypeVar("T")
 
 # Examples of a law in the default profile.
 FAST = 30
@@ -49,6 +52,25 @@ def examples(count: int) -> int:
     Profiles with more examples than the default have as many times as many.
     """
     return count * settings().max_examples // FAST
+
+
+def is_full() -> bool:
+    """Return whether the profile takes more examples than the default, as at night."""
+    return settings().max_examples > FAST
+
+
+def at_night(whole: T, else_: T) -> T:
+    """Return the whole of something in the full profile, else what is quicker."""
+    return whole if is_full() else else_
+
+
+def every_other(values: Sequence[T], turn: int) -> Sequence[T]:
+    """Return all values in the full profile, else half of them.
+
+    Of pairs in a table, such as problems and methods, each row that takes another turn
+    has the half that the row before has not.
+    """
+    return values if is_full() or len(values) < 2 else values[turn % 2 :: 2]
 
 
 def seconds_of(item: pytest.Item) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adapters.hard.subsystem import Subsystem
+from adapters.hard.subsystem import Subsystem, resting_seconds
 
 from animtool.errors import OptionError
 from animtool.sim import IntegrateOptions
@@ -106,7 +106,7 @@ def _rest_contact(method: str) -> None:
     still = Emitter(poses=Poses.fixed((0, 0.005, 0)), bursts=[(0, 1)])
     options = IntegrateOptions(method, step=1 / 12)
     run = ParticleRun(Particles([still], [GRAVITY], colliders=[floor], options=options))
-    for t in range(0, 61, 4):
+    for t in range(0, resting_seconds(method, METHODS) + 1, 4):
         frame = run.at(t)
         assert np.abs(frame.velocities).max() < 1e-6
         assert abs(frame.points[0, 1] - 0.005) < 1e-8

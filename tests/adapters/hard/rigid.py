@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapters.hard.subsystem import Subsystem
+from adapters.hard.subsystem import Subsystem, resting_seconds
 from numpy.testing import assert_array_equal
 from support.rigid import FLOOR, Rigid, ball, box
 
@@ -16,6 +16,8 @@ from animtool.errors import AnimtoolError, FormatError, OptionError
 from animtool.systems.rigid.spec import RigidModel
 
 __all__ = ["RIGID"]
+
+METHODS = list(RigidModel.methods)
 
 
 def _bodies(*bodies: dict[str, Any], **keys: Any) -> Rigid:
@@ -80,7 +82,7 @@ def _rests(method: str) -> None:
         box((1, 1, 1), at=[0, 0.5, 0]), colliders=[FLOOR], method=method,
         sleep={"speed": 0}, residual=1e-9,
     )  # fmt: skip
-    for t in range(1, 61):
+    for t in range(1, resting_seconds(method, METHODS) + 1):
         assert abs(found.to(float(t))[0, 1] - 0.5) < 2e-5
         assert np.abs(found.velocities()).max() < 1e-6
 
@@ -125,7 +127,7 @@ def _inertia(method: str) -> None:
 
 RIGID = Subsystem(
     "rigid",
-    list(RigidModel.methods),
+    METHODS,
     {
         "coincident_particles": _coincident,
         "zero_mass_unpinned": _zero_mass,

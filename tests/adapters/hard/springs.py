@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapters.hard.subsystem import Subsystem
+from adapters.hard.subsystem import Subsystem, resting_seconds
 
 from animtool.errors import OptionError
 from animtool.sim import (
@@ -43,6 +43,7 @@ STILL = (0.0, 0.0, 0.0, 1.0)
 CONTROLS = {name: find_integrator(name).control for name in INTEGRATORS}
 # scipy's solvers leave no room for contacts and pins that move.
 METHODS = [name for name, control in CONTROLS.items() if control is not Control.SCIPY]
+WAYS = [f"integrate {name}" for name in METHODS]
 SOFT = Family(100.0, 0.1)
 # Steps of implicit methods, which cost more and are stable with any [s].
 LONG = 1 / 96
@@ -223,7 +224,8 @@ def _stiff(way: str) -> None:
 
 def _rests(way: str) -> None:
     floor = Collider(Plane(UP), friction=0.5, restitution=0.3)
-    motion = taken(alone((0, 0, 0), floor), way, np.arange(0, 61, 5), 1 / 4)
+    times = np.arange(0, resting_seconds(way, WAYS) + 1, 4)
+    motion = taken(alone((0, 0, 0), floor), way, times, 1 / 4)
     assert np.abs(motion.velocities[1:]).max() < 1e-6
     assert np.abs(motion.positions[1:]).max() < 1e-6
 
@@ -302,7 +304,7 @@ def _not_for_stiff(way: str) -> bool:
 
 BY_INTEGRATORS = Subsystem(
     "springs, integrated",
-    [f"integrate {name}" for name in METHODS],
+    WAYS,
     CASES,
     {},
     {"stiff_and_heavy": _not_for_stiff, "rest_contact": _lags},

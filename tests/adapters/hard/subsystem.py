@@ -6,12 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-__all__ = ["Case", "Subsystem", "Unfit"]
+from support.suite import is_full
+
+__all__ = ["Case", "Subsystem", "Unfit", "resting_seconds"]
 
 # It raises where a way of simulating does not behave as a case asks.
 Case: TypeAlias = Callable[[str], None]
 # Whether a way of simulating has no such case.
 Unfit: TypeAlias = Callable[[str], bool]
+
+
+def resting_seconds(way: str, ways: Sequence[str]) -> int:
+    """Return how long a way rests [s].
+
+    The minute that the case asks for by the first of the ways; the others differ in
+    how they move, and rest as long in the full profile alone.
+    """
+    return 60 if way == ways[0] or is_full() else 12
 
 
 @dataclass(frozen=True)

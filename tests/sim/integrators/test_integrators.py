@@ -22,7 +22,7 @@ from support.motions import (
     stepped,
     turning,
 )
-from support.suite import examples
+from support.suite import at_night, examples
 
 from animtool.errors import OptionError
 from animtool.sim import (
@@ -254,20 +254,19 @@ def test_what_is_no_base_of_doubling(name: str) -> None:
     assert error.value.code == "SIM006"
 
 
-@pytest.mark.slow
 @named([each for each in STEPPED if each.symplectic])
-def test_energy_stays_in_bounds_over_ten_thousand_periods(
+def test_energy_stays_in_bounds_over_thousands_of_periods(
     integrator: Integrator,
 ) -> None:
     swing = 2.0
     system, period = pendulum(swing).system, pendulum_period(swing)
     options = IntegrateOptions(integrator.name, step=period / 12)
-    times = np.arange(10_001) * period
-    found = integrate(system, times, options)
-    assert found.stats.steps == 120_000
+    count = at_night(10_000, 2_500)
+    found = integrate(system, np.arange(count + 1) * period, options)
+    assert found.stats.steps == 12 * count
     assert found.energies is not None
     off = np.abs(found.energies - found.energies[0])
-    early, late = off[:2000].max(), off[-2000:].max()
+    early, late = off[: count // 5].max(), off[-count // 5 :].max()
     assert late <= 1.5 * early
     assert off.max() < 0.5
 

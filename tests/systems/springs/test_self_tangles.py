@@ -30,7 +30,8 @@ FEW = SpringOptions("xpbd", STEP, stretch=1.0)
 
 
 def crossings(motion: SpringMotion, system: SpringSystem) -> int:
-    return max(pierced(x, system.body.triangles) for x in motion.positions)
+    triangles = system.body.triangles
+    return max(_kernels.pierced_edges(x, triangles) for x in motion.positions)
 
 
 @pytest.mark.slow
