@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from animtool._types import FloatArray
@@ -18,8 +20,10 @@ class Equations:
 
     def __init__(self, system: FirstOrder | SecondOrder) -> None:
         self.system = system
-        self.second = system if isinstance(system, SecondOrder) else None
-        self.first = system if isinstance(system, FirstOrder) else None
+        # By what each alone has: a look at all of a protocol takes as long as a step.
+        second, first = (hasattr(system, name) for name in ("acceleration", "rate"))
+        self.second = cast("SecondOrder", system) if second else None
+        self.first = cast("FirstOrder", system) if first else None
         self.evaluations = 0
         held = None if self.second is None else self.second.fixed
         self._held = None if held is None else np.asarray(held, bool)[:, None]

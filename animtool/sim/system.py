@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -107,7 +107,6 @@ class System(Protocol):
         return ""
 
 
-@runtime_checkable
 class FirstOrder(System, Protocol):
     """A system whose state has a rate, ``y' = rate(t, y)``; the state has any shape."""
 
@@ -123,7 +122,6 @@ class FirstOrder(System, Protocol):
         return None
 
 
-@runtime_checkable
 class SecondOrder(System, Protocol):
     """N particles in d dimensions with ``x'' = acceleration(t, x, v)``.
 
