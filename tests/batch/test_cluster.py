@@ -47,7 +47,7 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     trouble_files(tmp_path / "takes", ["crash", "hang"])
     outcomes = sorted(
-        dask(work(tmp_path, cluster, Limits(3.0))), key=lambda o: o.number
+        dask(work(tmp_path, cluster, Limits(1.5))), key=lambda o: o.number
     )
     codes = [o.faults[0].code for o in outcomes if o.status is Status.FAILED]
     assert codes == ["BAT020", "BAT021"]

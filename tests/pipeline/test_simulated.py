@@ -185,7 +185,7 @@ def test_points_that_are_not_written_are_named(walker: Path) -> None:
 
 
 def test_workers_write_the_same_bytes(root: Path, beast: Path, tmp_path: Path) -> None:
-    scenes = [str(root / f"samples/{n}/{n}.scene.yaml") for n in ("rope", "embers")]
+    scenes = [str(root / f"samples/{n}/{n}.scene.yaml") for n in ("rope", "wingnut")]
     written = []
     for jobs in ("1", "2"):
         pattern = str(tmp_path / jobs / "{stem}.usdc")
@@ -193,5 +193,5 @@ def test_workers_write_the_same_bytes(root: Path, beast: Path, tmp_path: Path) -
         assert done.code == 0, done.stderr
         files = (tmp_path / jobs).glob("*.usdc")
         written.append({path.name: path.read_bytes() for path in files})
-    assert sorted(written[0]) == ["embers.usdc", "rope.usdc", "swing.usdc"]
+    assert sorted(written[0]) == ["rope.usdc", "swing.usdc", "wingnut.usdc"]
     assert written[0] == written[1]
