@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.made_arrays import check_made
 from support.manifold import boundary_edges, check_manifold, euler_characteristic
+from support.suite import nightly
 
 from animtool.documents.arrays import load_array
 from animtool.rig.file import load_rig
@@ -75,6 +76,7 @@ def test_a_point_follows_joints_near_it() -> None:
     assert (away * (array("weights") > 0.2)).max() < 0.6
 
 
+@nightly
 def test_the_script_makes_the_arrays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

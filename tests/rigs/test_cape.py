@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.made_arrays import check_made
 from support.manifold import boundary_edges, check_manifold, euler_characteristic
+from support.suite import nightly
 
 from animtool.rig.file import load_rig
 from animtool.rig.parts import Attachment, Mesh
@@ -102,6 +103,7 @@ def test_hair_grows_on_the_head_and_hangs_clear_of_it() -> None:
     assert len(np.unique(points[:, 0], axis=0)) == len(points)
 
 
+@nightly
 @pytest.mark.parametrize("name", ["cape", "hair"])
 def test_the_scripts_make_the_arrays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

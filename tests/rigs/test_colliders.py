@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from support.bodies import out_of_capsules, skin_of
+from support.suite import nightly
 
 from animtool import open_source
 from animtool.clip.sample import sample_channels
@@ -31,6 +32,7 @@ def of_fingers() -> np.ndarray:
     ]
 
 
+@nightly
 def test_the_script_makes_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, made = BIPED / "biped.rig.yaml", tmp_path / "biped.rig.yaml"
     text = kept.read_text("utf-8")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from support.made_arrays import check_made
+from support.suite import nightly
 
 from animtool.rig.file import load_rig
 from animtool.rig.parts import Shape
@@ -184,6 +185,7 @@ def test_lips_meet_over_an_open_jaw() -> None:
     assert np.abs(upper[:, 1] - lower[:, 1]).max() < 0.002
 
 
+@nightly
 def test_the_script_makes_the_arrays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

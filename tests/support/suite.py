@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ from _pytest.doctest import DoctestModule
 from hypothesis import settings
 
 T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., None])
 
 # Examples of a law in the default profile.
 FAST = 30
@@ -62,6 +63,12 @@ def is_full() -> bool:
 def at_night(whole: T, else_: T) -> T:
     """Return the whole of something in the full profile, else what is quicker."""
     return whole if is_full() else else_
+
+
+def nightly(test: F) -> F:
+    """Leave a test to the full profile: it is slow, and its files seldom change."""
+    reason = "for --hypothesis-profile=full"
+    return pytest.mark.skipif(not is_full(), reason=reason)(test)
 
 
 def every_other(values: Sequence[T], turn: int) -> Sequence[T]:
