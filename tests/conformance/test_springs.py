@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adapters.springs import Case, read_springs
-from hypothesis import settings
 from support.data import data_files
+from support.suite import nightly
 
 from animtool._types import FloatArray
 from animtool.sim import IntegrateOptions, Status, integrate
@@ -27,10 +27,8 @@ RELEASES = data_files("sim", "cloth_transient*")
 ROUNDED = 1e-8
 # Of the reference's accuracy: the data's own.
 NEAR = 10.0
-# Sheets of more particles a side are left to a test that is slow, and of more than
-# that to the profile that leaves nothing out.
+# Sheets of more particles a side are left to the profile that leaves nothing out.
 SMALL = 30
-LARGE = 100 if settings.get_current_profile_name() == "full" else 50
 
 
 def rms(found: FloatArray, true: FloatArray) -> float:
@@ -153,13 +151,13 @@ def test_sheets_come_to_rest(
             check_rest(case, record_property)
 
 
-@pytest.mark.slow
+@nightly
 @pytest.mark.parametrize("path", SHEETS)
 def test_large_sheets_come_to_rest(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     for case in read_springs(path):
-        if SMALL < case.entry["params"]["N"] <= LARGE:
+        if case.entry["params"]["N"] > SMALL:
             check_rest(case, record_property)
 
 

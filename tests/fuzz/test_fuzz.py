@@ -11,7 +11,7 @@ from support.suite import examples
 
 from fuzz.engine import fuzz, targets
 
-CASES = 50
+CASES = 30
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a case is contained by a fork")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -16,6 +17,7 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from support.cli import animtool
 
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES, SUFFIXES
 
@@ -73,6 +75,13 @@ class Repository:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, "utf-8")
         self.run("git", "add", "-A")
+
+    def record(self) -> Path:
+        """Let animtool but note its arguments, then its stdin, in a file."""
+        said = self.folder.parent / "said"
+        script = f"#!/bin/sh\n{{ printf '%s\\0' \"$@\"; cat; }} > '{said}'\n"
+        (self.folder.parent / "tools/animtool").write_text(script, "utf-8")
+        return said
 
 
 @pytest.fixture
@@ -236,11 +245,19 @@ def test_the_action_checks(root: Path, repository: Repository) -> None:
     ],
 )
 def test_inputs_of_the_action(
-    root: Path, repository: Repository, inputs: dict[str, str], code: int
+    root: Path,
+    repository: Repository,
+    monkeypatch: pytest.MonkeyPatch,
+    inputs: dict[str, str],
+    code: int,
 ) -> None:
     repository.write({"rigs/a.rig.yaml": WARNED, "wrong dir/a.rig.yaml": WRONG})
-    ended = run_action(root, repository, version="1.2.3", **inputs)
-    assert ended["Validate"].code == code, ended["Validate"].said
+    said = repository.record()
+    run_action(root, repository, version="1.2.3", **inputs)
+    *arguments, paths = said.read_text("utf-8").split("\0")
+    monkeypatch.setattr("sys.stdin", io.StringIO(paths))
+    done = animtool(*arguments, cwd=repository.folder)
+    assert done.code == code, done.stderr
     assert "animtool==1.2.3" in repository.installed.read_text("utf-8")
     assert not (repository.folder / "x").exists()
 
@@ -272,8 +289,9 @@ def commands(root: Path, name: str) -> list[str]:
     return [*job["before_script"], *job["script"]]
 
 
-@pytest.mark.parametrize("name", ["gitlab-ci.yml", "Jenkinsfile"])
-@pytest.mark.parametrize(("text", "code"), [(RIGHT, 0), (WARNED, 1)])
+@pytest.mark.parametrize(
+    ("name", "text", "code"), [("gitlab-ci.yml", RIGHT, 0), ("Jenkinsfile", WARNED, 1)]
+)
 def test_recipes_with_junit(
     root: Path, repository: Repository, name: str, text: str, code: int
 ) -> None:
