@@ -1,13 +1,16 @@
-"""What a moving prim is at one time: points, curves, a mesh or copies of meshes."""
+"""What a moving prim is at one time: points, curves, a mesh, copies or characters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.physics import Physics
+
+if TYPE_CHECKING:
+    from animtool.rig.skeleton import Rig
 
 # Named arrays of points: ``(N,)`` whole or real numbers, or vectors ``(N, 3)``.
 Primvars: TypeAlias = Mapping[str, FloatArray | IntArray]
@@ -67,4 +70,65 @@ class TransformsFrame:
     physics: Physics | None = None  # of such, if it is to be written
 
 
-Frame: TypeAlias = PointsFrame | CurvesFrame | MeshFrame | TransformsFrame
+@dataclass(frozen=True, slots=True)
+class Cast:
+    """A rig that characters have, and what those do alike who stand.
+
+    Attributes:
+        rig: With y up.
+        moves: Joints that turn, ascending ``(M,)``.
+        feet: A joint of the left and of the right foot that stays where that stands.
+        turns: Local rotations of `moves` of who stands, at even times ``(K, M, 4)``.
+        roots: Of the first joint then ``(K, 3)`` [m].
+        period: After which these begin again [s].
+    """
+
+    rig: Rig
+    moves: IntArray
+    feet: tuple[int, int]
+    turns: FloatArray
+    roots: FloatArray
+    period: float
+
+
+@dataclass(frozen=True, slots=True)
+class CharactersFrame:
+    """Characters of some rigs, each placed as a whole and in a pose of its own.
+
+    They are the same in every frame, in order of their rigs; some may not be visible.
+
+    Attributes:
+        ids: ``(N,)``.
+        points: Where the origin of each one's rig is ``(N, 3)`` [m].
+        velocities: Of these ``(N, 3)`` [m/s].
+        upright: How all are turned, the same in every frame ``(4,)``.
+        headings: How each is turned about y before that, continuous ``(N,)`` [rad].
+        scales: Of each over its rig, the same in every frame ``(N,)``.
+        casts: The rigs, the same in every frame.
+        counts: How many have each rig ``(C,)``.
+        turns: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
+        roots: Of the first joint of each ``(N, 3)`` [m].
+        stands: Which feet of each stand ``(N, 2)``.
+        clocks: For how long who does but stand has done so, else NaN ``(N,)`` [s].
+        visible: ``(N,)``.
+    """
+
+    ids: IntArray
+    points: FloatArray
+    velocities: FloatArray
+    upright: FloatArray
+    headings: FloatArray
+    scales: FloatArray
+    casts: tuple[Cast, ...]
+    counts: IntArray
+    turns: tuple[FloatArray, ...]
+    roots: FloatArray
+    stands: BoolArray
+    clocks: FloatArray
+    visible: BoolArray
+    primvars: Primvars = field(default_factory=dict)
+
+
+Frame: TypeAlias = (
+    PointsFrame | CurvesFrame | MeshFrame | TransformsFrame | CharactersFrame
+)

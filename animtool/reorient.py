@@ -28,7 +28,7 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if turn is None:
         return stream
     rotation = np.array(turn)
-    rig = _turned_rig(stream.rig, rotation, up)
+    rig = turned_rig(stream.rig, rotation, up)
     source, curve = stream.rig, stream.curve
     turned = replace(
         stream,
@@ -43,7 +43,8 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     return turned
 
 
-def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
+def turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
+    """Return a rig with its roots at rest turned by ``turn`` ``(4,)`` to an up axis."""
     joints = []
     for joint in rig.joints:
         if joint.parent < 0:

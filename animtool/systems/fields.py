@@ -205,6 +205,21 @@ class PrototypeModel(FileModel):
     )
 
 
+class GaitsModel(FileModel):
+    """A rig, and clips of who walks, runs and stands on it.
+
+    A part is a function without arguments to `Gaits` of crowds.
+    """
+
+    rig: Name = key("A rig file, or a USD file with a rig.", "biped.rig.yaml")
+    clips: Annotated[list[Name], Len(1, 100)] = key(
+        "Clips, BVH or USD files with takes; those of other skeletons are "
+        "retargeted. What they are is found: gaits of one speed each, who stands, and "
+        "reactions.",
+        ["idle.bvh", "walk.bvh", "run.bvh"],
+    )
+
+
 class PhysicsStageModel(FollowedPrimModel):
     """Bodies, joints and colliders of a USD stage; a part is `physics.Physics`."""
 

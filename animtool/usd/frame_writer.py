@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool._types import Float32Array, FloatArray, IntArray
-from animtool.frames import Frame, TransformsFrame
+from animtool.frames import CharactersFrame, Frame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.usd.finite import (
@@ -24,17 +24,26 @@ from animtool.usd.frame_forms import form_of, part_names, place_of
 from animtool.usd.layers import attribute, prim
 from animtool.usd.point_based import ATTRIBUTES, CachedMesh, Kind
 
+if TYPE_CHECKING:
+    from animtool.usd.characters import Characters
+
 
 class FrameWriter:
     """Writes the frames of one prim: its attributes once, then all of every frame."""
 
     def __init__(
-        self, path: str, meters_per_unit: float, turn: FloatArray | None = None
+        self,
+        path: str,
+        meters_per_unit: float,
+        turn: FloatArray | None = None,
+        fps: float = 24.0,
     ) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit  # of the layer [m]
         # How the prim stands in the layer (4,).
         self.turn = so3.IDENTITY if turn is None else turn
+        self.fps = fps  # time codes a second
+        self._characters: Characters | None = None
         self._first: Any = None
         self._kinds: dict[str, Kind] = {}  # of what every frame has, in order
         self._letters: dict[str, str] = {}  # of what has a default
@@ -51,7 +60,14 @@ class FrameWriter:
 
     def begin(self, layer: Any, frame: Frame) -> None:
         """Write the prim of a first frame: attributes, and what no frame changes."""
-        self._first, form = frame, form_of(frame)
+        self._first = frame
+        if isinstance(frame, CharactersFrame):
+            from animtool.usd.characters import Characters
+
+            self._characters = Characters(self.report.path, self.unit, self.fps)
+            self._characters.begin(layer, frame)
+            return
+        form = form_of(frame)
         if isinstance(frame, TransformsFrame):
             self.report.names = frame.names
             if frame.xforms:
@@ -74,7 +90,12 @@ class FrameWriter:
 
     def values(self, code: float, frame: Frame) -> tuple[dict[str, Any], int]:
         """Return attributes of a frame, counted in the report, and their bytes."""
-        report, form = self.report, form_of(frame)
+        report = self.report
+        if isinstance(frame, CharactersFrame):
+            assert self._characters is not None
+            self._characters.add(code, frame)
+            return {}, 0
+        form = form_of(frame)
         if not form.points:
             held = dict(form.values(self, frame, np.zeros((0, 3), np.float32), code))
             size = 28 * len(held)  # half of them three doubles, half of them four
@@ -106,6 +127,16 @@ class FrameWriter:
         """Write attributes of a frame to a layer that has the prim."""
         for name, value in values.items():
             self.put(layer, code, name, value)
+
+    def finish(self, layer: Any) -> None:
+        """Write what shows only behind the last frame."""
+        if self._characters is not None:
+            self._characters.finish(layer)
+            made = self._characters.report
+            self.report.characters = made
+            self.report.vertices = made.own + made.shared
+            self.report.samples = len(self._characters.codes)
+            self.report.error = made.error
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
         """Write the value of an attribute at a time code; the first is its default."""

@@ -49,6 +49,18 @@ ATTRIBUTES = {
 
 
 @dataclass(slots=True)
+class CharactersReport:
+    """What was written of characters."""
+
+    own: int = 0  # with an animation of their own
+    shared: int = 0  # with a part in one that others have, too
+    samples: int = 0  # poses of those with their own
+    frames: int = 0  # of these
+    error: float = 0.0  # a joint between samples, from where it should be [m]
+    slide: float = 0.0  # likewise of a foot that stands [m]
+
+
+@dataclass(slots=True)
 class CachedMesh:
     """What was written of a PointBased prim."""
 
@@ -62,6 +74,7 @@ class CachedMesh:
     error_vertex: int = 0  # the point that moved
     names: Sequence[str] = ()  # of points that are bodies
     notices: list[Fault] = field(default_factory=list)
+    characters: CharactersReport | None = None  # where it has these
 
     def moved(self, error: float, code: float, vertex: int) -> None:
         """Keep the larger error [m], its time code and point."""

@@ -12,7 +12,8 @@ import numpy as np
 from pxr import Sdf
 
 from animtool._types import FloatArray
-from animtool.frames import Frame
+from animtool.errors import Fault, OptionError
+from animtool.frames import CharactersFrame, Frame
 from animtool.output import replacing
 from animtool.usd.chunks import (
     Chunks,
@@ -57,7 +58,8 @@ class SimulatedJob:
     def writers(self) -> list[FrameWriter]:
         """Return the writers at their beginning."""
         unit, turn = self.meters_per_unit, self.turn
-        return [FrameWriter(path, unit, turn) for path in self.paths]
+        fps = float(self.metadata.fps)
+        return [FrameWriter(path, unit, turn, fps) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
@@ -81,6 +83,8 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
             writer.write(growing.layer, code, values)
             size += own_size
         growing.added(size)
+    for writer in writers:
+        writer.finish(growing.layer)
     return [writer.report for writer in writers]
 
 
@@ -105,6 +109,7 @@ def chunk_simulated(
 
     with Chunks(files, size, len(writers), chunk) as chunks:
         for code, frames in _begun(job, writers, rows, layer):
+            _refuse_characters(frames)
             for i, (writer, frame) in enumerate(zip(writers, frames, strict=True)):
                 chunks.add(i, np.array([code]), _put(writer, code, frame))
     chunks.join(layer, job.model)
@@ -113,6 +118,13 @@ def chunk_simulated(
     _declare(manifest, writers, layer)
     author_metadata(manifest, job.metadata)
     return chunks.save_manifest(manifest), [writer.report for writer in writers]
+
+
+def _refuse_characters(frames: Sequence[Frame]) -> None:
+    """Refuse what is not written frame by frame (SIM151)."""
+    if any(isinstance(frame, CharactersFrame) for frame in frames):
+        message = "characters with rigs are written as a whole, not in chunks"
+        raise OptionError(Fault("SIM151", message, hint="leave --chunk out"))
 
 
 def _begun(

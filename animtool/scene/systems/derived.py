@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast, get_args, get_origin
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Colliders
 from animtool.systems.fields import (
+    GaitsModel,
     Part,
     PhysicsStageModel,
     PlacedModel,
@@ -34,6 +35,9 @@ from animtool.systems.fields import (
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.simulation import Simulation, SimulationRun
 from animtool.units import UpAxis
+
+if TYPE_CHECKING:
+    from animtool.scene.systems.gaits import GaitsSource
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
 
@@ -158,12 +162,16 @@ class PartReader(EntryReader):
             marks = annotation.__metadata__
             return self._reader(annotation.__origin__, marks, check=check)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            if issubclass(annotation, PrototypeModel):
-                return self.prototype
-            if issubclass(annotation, PhysicsStageModel):
-                return self.physics
-            collides = issubclass(annotation, SystemColliderModel)
-            return self.collider if collides else self._entry
+            models: dict[type[FileModel], Reader] = {
+                PrototypeModel: self.prototype,
+                GaitsModel: self.gaits,
+                PhysicsStageModel: self.physics,
+                SystemColliderModel: self.collider,
+            }
+            own = (
+                read for kind, read in models.items() if issubclass(annotation, kind)
+            )
+            return next(own, self._entry)
         inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
@@ -184,6 +192,27 @@ class PartReader(EntryReader):
                 made()
             except AnimtoolError as error:
                 self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
+        return made
+
+    def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
+        """Return clips of a rig; they are looked at now."""
+        from animtool.scene.systems.gaits import GaitsSource
+
+        rig = self.input((*at, "rig"), model.rig)
+        clips = [
+            self.input((*at, "clips", i), clip) for i, clip in enumerate(model.clips)
+        ]
+        found = [path for path in (rig, *clips) if path is not None]
+        self.files += found
+        if rig is None or len(found) < 1 + len(clips):
+            return None
+        made = GaitsSource(rig, tuple(found[1:]))
+        try:
+            made()
+        except AnimtoolError as error:
+            for fault in error.faults:
+                self.note(at, fault)
+            return None
         return made
 
     def physics(self, at: Location, model: PhysicsStageModel) -> Physics | None:

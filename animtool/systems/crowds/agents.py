@@ -45,6 +45,8 @@ class Agents:
         delays: When they set out, after the beginning ``(N,)`` [s].
         groups: Which one they are of, -1 for none ``(N,)``.
         sides: Where they walk in it, left of its middle ``(N,)`` [m].
+        sizes: Of the body of each, over its rig ``(N,)``.
+        chances: Where in its clips each begins, from 0 to 1 ``(N,)``.
     """
 
     populations: Sequence[PopulationModel]
@@ -56,6 +58,8 @@ class Agents:
     delays: FloatArray
     groups: npt.NDArray[np.int32]
     sides: FloatArray
+    sizes: FloatArray
+    chances: FloatArray
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -88,6 +92,15 @@ class Agents:
         return f"agent {i - first} of {self.populations[kind].name!r}"
 
 
+@dataclass(frozen=True, slots=True)
+class Going:
+    """How N agents go at a time."""
+
+    points: FloatArray  # x and z (N, 2) [m]
+    velocities: FloatArray  # (N, 2) [m/s]
+    headings: FloatArray  # about y, 0 is along z (N,) [rad]
+
+
 def agents_of(
     spec: CrowdsModel, parts: Sequence[Mapping[str, Any]], begin: float, frame: Frame
 ) -> tuple[Agents, list[Fault]]:
@@ -98,8 +111,8 @@ def agents_of(
         for one, own in zip(spec.populations, parts, strict=True)
     ]
     counts = [len(each[0]) for each in drawn]
-    starts, speeds, gives, delays, sides = (
-        np.concatenate(each) for each in zip(*(one[:5] for one in drawn), strict=True)
+    starts, speeds, gives, delays, sides, sizes, chances = (
+        np.concatenate(each) for each in zip(*(one[:7] for one in drawn), strict=True)
     )
     groups, number = [], 0
     for *_, own in drawn:
@@ -119,6 +132,8 @@ def agents_of(
         delays,
         np.concatenate(groups).astype(np.int32),
         sides,
+        sizes,
+        chances,
     )
     return _apart(agents, [own.get("points") is not None for own in parts])
 
@@ -171,8 +186,8 @@ def separated(
 
 def _drawn(
     population: PopulationModel, parts: Mapping[str, Any], begin: float, frame: Frame
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
-    """Return starts, speeds, gives, delays, sides and groups of a population."""
+) -> tuple[Any, ...]:
+    """Return starts and what else `Agents` has of a population, its groups last."""
     points = parts.get("points")
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
@@ -181,7 +196,7 @@ def _drawn(
         raise refused(f"{message}finite: they must be (N, 3)", "", "points")
     count = population.count if points is None else len(points)
     keys = np.arange(count)
-    chances = uniforms(population.seed, keys, 6)
+    chances, more = np.split(uniforms(population.seed, keys, 8), [6], axis=1)
     group = population.group
     if points is None:
         emitter = Emitter(
@@ -218,6 +233,8 @@ def _drawn(
         FIRMEST + (1 - FIRMEST) * chances[:, 5],
         population.delay * chances[:, 3],
         sides,
+        1 + population.size * (2 * more[:, 0] - 1),
+        more[:, 1],
         groups,
     )
 
@@ -236,11 +253,12 @@ def _check(spec: CrowdsModel) -> None:
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
             raise refused(message, "then: stay", "populations")
-    shown = [one.shows is not None for one in spec.populations]
-    if any(shown) and not all(shown):
-        message = "some populations show a mesh and others points"
-        hint = f"give {spec.populations[shown.index(False)].name!r} a mesh to show"
-        raise refused(message, hint, "populations")
+    for what in ("shows", "gaits"):
+        shown = [getattr(one, what) is not None for one in spec.populations]
+        if any(shown) and not all(shown):
+            name = spec.populations[shown.index(False)].name
+            message = f"some populations have {what}, and {name!r} has not"
+            raise refused(message, "give it to all, or make two systems", "populations")
     for door in spec.doors:
         for first, last in door.opens:
             if not first < last:

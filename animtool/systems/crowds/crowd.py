@@ -4,28 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError, counted
-from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
+from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Mesh
 from animtool.systems.crowds.agents import (
     ENOUGH,
+    Going,
     agents_of,
     refused,
     separated,
     warning,
 )
-from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.crowds.ground import Frame, Ground, about_up
 from animtool.systems.crowds.obstacles import Obstacles, grids, lost
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
 from animtool.systems.simulation import Diagnostics, SimContext
+
+if TYPE_CHECKING:
+    from animtool.systems.crowds.bodies import BodyState
+    from animtool.systems.crowds.cast import Casting
 
 # Rounds in which agents that overlap in a step are moved apart.
 APART = 100
@@ -48,14 +54,20 @@ class CrowdState:
     headings: FloatArray  # about up, 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # the most that two were ever in each other [m]
+    bodies: BodyState | None  # None where they have none
 
 
 class Crowd:
     """Agents that walk, in steps.
 
+    Attributes:
+        checked: Its steps see to it that numbers stay finite.
+
     Raises:
         OptionError: Something of the spec makes no sense (SIM145).
     """
+
+    checked = True
 
     def __init__(self, spec: CrowdsModel, context: SimContext) -> None:
         self._begin, self._spec = context.begin, spec
@@ -110,6 +122,15 @@ class Crowd:
         cycles = {show: show() for show in shows if show is not None}
         self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
         order = list(cycles)
+        sources = [parts.get("gaits") for parts in context.parts["populations"]]
+        gaits = [source for source in sources if source is not None]
+        self._casting: Casting | None = None
+        if gaits:
+            from animtool.systems.crowds.cast import Casting
+
+            self._casting = Casting.of(self._agents, gaits, self._ground)
+            for group in self._casting.groups:
+                self._notices += group.bodies.gaits.notices
         self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
 
     def _on_ground(self, points: Sequence[Sequence[float]]) -> FloatArray:
@@ -176,7 +197,11 @@ class Crowd:
         still = np.zeros_like(x)
         ways = self._steering.preferred(np.inf, self._begin, progress, x)
         headings = np.arctan2(ways[:, 0], ways[:, 1])
-        return CrowdState(x, still, headings, progress, 0.0)
+        bodies = None
+        if self._casting is not None:
+            going = Going(x, still, headings)
+            bodies = self._casting.first(going, self._agents.chances)
+        return CrowdState(x, still, headings, progress, 0.0, bodies)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return where agents are a step [s] later.
@@ -202,9 +227,15 @@ class Crowd:
         )  # fmt: skip
         progress = self._steering.advanced(state.progress, points, dt)
         headings = self._turned(state.headings, wanted, velocities, dt)
-        return CrowdState(
-            points, velocities, headings, progress, max(state.overlap, overlap)
-        )
+        bodies = state.bodies
+        if self._casting is not None and bodies is not None:
+            before, after = _going(state), Going(points, velocities, headings)
+            bodies = self._casting.next(bodies, before, after, dt)
+        if not (np.isfinite(points).all() and np.isfinite(headings).all()):
+            message = f"agents blew up at {t + dt:g} s"
+            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
+        overlap = max(state.overlap, overlap)
+        return CrowdState(points, velocities, headings, progress, overlap, bodies)
 
     def _turned(
         self, headings: FloatArray, wanted: FloatArray, v: FloatArray, dt: float
@@ -222,10 +253,11 @@ class Crowd:
         self,
         state: CrowdState,
         t: float,  # noqa: ARG002
-    ) -> PointsFrame | TransformsFrame:
+    ) -> PointsFrame | TransformsFrame | CharactersFrame:
         """Return what agents show."""
         agents = self._agents
-        ids = np.flatnonzero(state.progress.stages != GONE)
+        here = state.progress.stages != GONE
+        ids = np.flatnonzero(here) if state.bodies is None else np.arange(len(here))
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self._ground(x)
         heights = np.where(np.isfinite(heights), heights, 0.0)
@@ -235,11 +267,14 @@ class Crowd:
         velocities = self._frame.turned(np.column_stack([v[:, 0], rise, v[:, 1]]))
         kinds = agents.kinds[ids]
         primvars = {"population": kinds} if len(agents.populations) > 1 else {}
+        if self._casting is not None and state.bodies is not None:
+            placed = self._frame, velocities
+            return self._casting.frame(
+                state.bodies, _going(state), heights, placed, here, primvars
+            )
         if not self._meshes:
             return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
-        half = state.headings[ids] / 2
-        turned = np.zeros((len(ids), 4))
-        turned[:, 1], turned[:, 3] = np.sin(half), np.cos(half)
+        turned = about_up(state.headings[ids])
         return TransformsFrame(
             ids,
             points,
@@ -261,6 +296,11 @@ class Crowd:
             values["speed"] = float(speeds.mean())
         values["goals reached"] = float(np.where(gone, 0, state.progress.stages).sum())
         return Diagnostics(values=values, notices=self._notices)
+
+
+def _going(state: CrowdState) -> Going:
+    """Return how agents go."""
+    return Going(state.points, state.velocities, state.headings)
 
 
 def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:

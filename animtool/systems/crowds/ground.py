@@ -16,6 +16,25 @@ MAX_CELLS = 2048
 EDGE = 1e-9
 
 
+def about_up(angles: FloatArray) -> FloatArray:
+    """Return turns about y ``(…, 4)`` by angles [rad]."""
+    made = np.zeros((*angles.shape, 4))
+    made[..., 1], made[..., 3] = np.sin(angles / 2), np.cos(angles / 2)
+    return made
+
+
+def turned(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
+    """Return x and z ``(…, 2)`` turned about y by an angle [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, z = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
+
+
+def wrapped(angles: FloatArray) -> FloatArray:
+    """Return angles from -π to π [rad]."""
+    return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
+
+
 @dataclass(frozen=True)
 class Frame:
     """Where the ground is: agents know its x and z, and its y is up.

@@ -11,6 +11,7 @@ from animtool.documents.fields import Name, Real, Vector, Whole, key
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
+    GaitsModel,
     PlacedModel,
     PlaceEntry,
     PrototypeModel,
@@ -133,6 +134,16 @@ class PopulationModel(PlacedModel):
     )
     acceleration: Positive = key(
         "How long they take to walk as they like [s].", 0.5, default=0.4
+    )
+    gaits: GaitsModel | None = key(
+        "A rig that walks. Not given: a mesh or a point.",
+        {"rig": "biped.rig.yaml", "clips": ["idle.bvh", "walk.bvh", "run.bvh"]},
+        default=None,
+    )
+    size: Annotated[Real, Ge(0), Le(0.5)] = key(
+        "How much larger or smaller than its rig a body may be, at random.",
+        0.05,
+        default=0.0,
     )
     shows: PrototypeModel | None = key(
         "A mesh that each is a copy of, headed along its way. Not given: a point.",

@@ -1,0 +1,68 @@
+"""Clips of a rig as gaits: read, and retargeted where they are of another skeleton."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from animtool.mocap.retarget.motion import retarget_take
+from animtool.mocap.retarget.pairing import map_joints
+from animtool.reorient import reorient, turned_rig
+from animtool.rig.skeleton import Rig
+from animtool.scene.ik import naming
+from animtool.scene.onto_rig import NameMap, map_names, open_rig
+from animtool.scene.systems.character_motion import open_take
+from animtool.systems.crowds.gaits import Gaits, gaits_of
+from animtool.take import Take
+from animtool.units import UpAxis, up_from_up
+
+
+@dataclass(frozen=True)
+class GaitsSource:
+    """Files of a rig and of clips for it."""
+
+    rig: Path
+    clips: tuple[Path, ...]
+
+    def __call__(self) -> Gaits:
+        """Return the clips as gaits, y up; files are read once."""
+        return self._gaits
+
+    @cached_property
+    def _gaits(self) -> Gaits:
+        """Return the clips as gaits, y up.
+
+        Raises:
+            AnimtoolError: A file cannot be read, a clip cannot go onto the rig, or
+                none of the clips walks (SIM149).
+        """
+        rig, _ = open_rig(self.rig)
+        turn = up_from_up(UpAxis.Y, rig.up)
+        if turn is not None:
+            rig = turned_rig(rig, np.array(turn), UpAxis.Y)
+        return gaits_of(rig, [(path.stem, _on_rig(path, rig)) for path in self.clips])
+
+
+def _on_rig(path: Path, rig: Rig) -> Take:
+    """Return the take of a file on a rig."""
+    take = reorient(open_take(path), UpAxis.Y).collect()
+    names = map_names(rig, take.rig)
+    if _is_same(rig, take.rig, names):
+        return replace(take, rig=rig, motion=names.apply(take.motion), tracks=())
+    with naming(path):
+        return retarget_take(take, rig, map_joints(take.rig, rig)).take
+
+
+def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:
+    """Return whether another rig has all joints of a rig at the same places."""
+    if (names.joints < 0).any():
+        return False
+    off = other.rest_translations[names.joints] - rig.rest_translations
+    return bool((abs(off) < SAME).all())
+
+
+# Places of joints that differ by less are those of one rig [m].
+SAME = 1e-4

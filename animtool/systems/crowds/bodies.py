@@ -1,0 +1,558 @@
+"""Bodies of agents: gaits by speed and turning, feet that stay where they stand.
+
+All is in the frame of the ground; a body has x to its left and z ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
+from animtool.mocap.retarget.legs import put_ankle
+from animtool.rig.kinematics import forward
+from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.gaits import (
+    PHASES,
+    SIDES,
+    UP,
+    Gait,
+    Gaits,
+    about_side,
+    eased,
+    standing_ankle,
+)
+from animtool.systems.crowds.ground import about_up, turned, wrapped
+
+# Slower than this part of the slowest gait agents stand, but for a foot off its place.
+STANDS = 0.1
+# A standing foot is off its place if it is farther than this, over the length of a leg,
+# or turned by more [rad].
+OFF, OFF_TURN = 0.15, 0.45
+# Cadence goes with this power of speed, strides take the rest (Grieve and Gear, 1966).
+CADENCE = 0.42
+# Least and most cadence over that of the blend.
+SLOWEST, FASTEST = 0.7, 1.6
+# How long what they play takes to follow how fast they go [s].
+PACING = 0.2
+# How long agents take to go from walking to standing [s].
+SETTLING = 0.3
+# A foot lands no nearer to the other than this part of how far apart gaits put them.
+APART = 0.6
+# Feet pass each other with a gap of so much of a leg, where they are nearer than so
+# much along z.
+PASSING, LONG = 0.09, 0.35
+# Feet follow ground that is steeper no farther [rad].
+TILT = 0.45
+# A leg that is straighter than this part of its length is not reached for.
+STRAIGHT = 0.998
+# How far a landing is looked ahead [rad] where a body turns.
+MOST_TURN = 1.0
+
+
+class Heights(Protocol):
+    """The ground, as bodies see it."""
+
+    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyState:
+    """Which phase N bodies are in, and where their feet are."""
+
+    phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
+    places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
+    swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
+    still: FloatArray  # 1 for who stands, 0 for who walks (N,)
+    clocks: FloatArray  # of what they do as they stand (N,) [s]
+    paces: FloatArray  # how fast they go [m/s] and turn [rad/s], smoothed (N, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """N bodies, each in the frame of its own."""
+
+    turns: FloatArray  # local rotations of joints (N, J, 4)
+    roots: FloatArray  # of the first joint (N, 3) [m]
+    lowered: FloatArray  # hips, so that legs reach (N,) [m]
+    missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
+
+
+@dataclass(frozen=True)
+class Blend:
+    """What N agents play: parts of each gait, and how its steps are made."""
+
+    weights: FloatArray  # (N, G)
+    rate: FloatArray  # cycles a second (N,)
+    stride: FloatArray  # steps over those of the gaits (N,)
+    stands: FloatArray  # (N, 2)
+    steps: FloatArray  # where feet land in the frame of the body (N, 2, 3)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """What moves the bodies of N agents.
+
+    Attributes:
+        scales: Of each, over its rig ``(N,)``.
+    """
+
+    gaits: Gaits
+    scales: FloatArray
+    ground: Heights
+
+    @cached_property
+    def moves(self) -> IntArray:
+        """Return the joints that clips and legs turn, ascending ``(M,)``."""
+        gaits = self.gaits
+        rest = gaits.walker.rig.rest_rotations
+        tables = [one.turns for one in (*gaits.moving, gaits.idle, *gaits.reactions)]
+        moved = [(np.abs(one - rest) > 1e-9).any(axis=(0, 2)) for one in tables]
+        legs = [joint for leg in gaits.walker.legs for joint in leg[:3]]
+        return np.union1d(np.flatnonzero(np.any(moved, axis=0)), legs)
+
+    @cached_property
+    def _tables(self) -> tuple[list[FloatArray], FloatArray]:
+        """Return the turns of `moves` of who walks, by gait, and of who stands."""
+        gaits = self.gaits
+        return [one.turns[:, self.moves] for one in gaits.moving], gaits.idle.turns[
+            :, self.moves
+        ]
+
+    def first(self, going: Going, chances: FloatArray) -> BodyState:
+        """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
+        count = len(chances)
+        paces = np.zeros((count, 2))
+        return BodyState(
+            chances,
+            self._stands(going, self.blend(paces)),
+            -np.ones((count, 2)),
+            np.ones(count),
+            chances * self.gaits.idle.period,
+            paces,
+        )
+
+    def blend(self, paces: FloatArray) -> Blend:
+        """Return what agents play that go [m/s] and turn [rad/s] as fast ``(N, 2)``."""
+        moving, leg = self.gaits.moving, self.gaits.walker.leg
+        speeds, around = paces[:, 0] / self.scales, paces[:, 1]
+        weights = _weights(
+            np.stack([speeds, leg * around], axis=1),
+            np.array([[one.speed, leg * one.turning] for one in moving]),
+        )
+        speed = weights @ np.array([one.speed for one in moving])
+        period = weights @ np.array([one.period for one in moving])
+        share = np.maximum(speeds, 0.0) / speed
+        cadence = np.clip(share**CADENCE, SLOWEST, FASTEST)
+        steps = np.einsum(
+            "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
+        )
+        stride = share / cadence
+        steps[..., 1] *= stride[:, None]
+        stands = weights @ np.stack([one.stands for one in moving])
+        return Blend(weights, cadence / period, stride, stands, steps)
+
+    def next(
+        self, state: BodyState, before: Going, after: Going, dt: float
+    ) -> BodyState:
+        """Return bodies a step [s] later; feet land and lift at their moments in it."""
+        turning = wrapped(after.headings - before.headings) / dt
+        paces = np.stack([_ahead(after), turning], axis=1)
+        paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
+        blend = self.blend(paces)
+        off = self._off(state, after, blend)
+        standing = (state.swings < 0).all(axis=1)
+        fast = _ahead(after) > STANDS * self.gaits.moving[0].speed * self.scales
+        moves = fast | off.any(axis=1)
+        phases = self._begun(state, blend, moves & (state.still >= 1), off, after)
+        goes = moves | ~standing
+        change = np.where(goes, blend.rate * dt, 0.0)
+        places, swings = state.places.copy(), state.swings.copy()
+        for k in range(2):
+            self._advance(k, phases, change, blend, (before, after), places, swings)
+        target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
+        return BodyState(
+            (phases + change) % 1.0,
+            places,
+            swings,
+            np.clip(state.still + target, 0.0, 1.0),
+            state.clocks + dt,
+            paces,
+        )
+
+    def _begun(
+        self,
+        state: BodyState,
+        blend: Blend,
+        begins: BoolArray,
+        off: BoolArray,
+        going: Going,
+    ) -> FloatArray:
+        """Return phases ``(N,)``: who begins lifts the foot that is farther behind."""
+        back = self._stands(going, blend) - state.places
+        along = turned(back[..., :2], -going.headings[:, None])[..., 1]
+        score = along + np.where(off, 10.0, 0.0)
+        right = score[:, 1] > score[:, 0]
+        own = np.where(right, 0.5 + blend.stands[:, 1], blend.stands[:, 0])
+        return np.where(begins, own % 1.0, state.phases)
+
+    def _advance(
+        self,
+        k: int,
+        phases: FloatArray,
+        change: FloatArray,
+        blend: Blend,
+        goings: tuple[Going, Going],
+        places: FloatArray,
+        swings: FloatArray,
+    ) -> None:
+        """Let a foot of each body lift, swing and land in a step, in place."""
+        begin = (phases - 0.5 * k) % 1.0
+        end = begin + change
+        stands = blend.stands[:, k]
+        # Who stands longer than the gait has it, as that changed, lifts at once.
+        lifts = (swings[:, k] < 0) & (change > 0) & (end >= stands) & (begin < 1)
+        late = (begin > stands) & ~(begin < LAST)
+        lifts &= ~late
+        swings[lifts, k] = 0.0
+        at = np.where(lifts, np.maximum(begin, stands), begin)
+        up = swings[:, k] >= 0
+        done = np.clip((end - at) / np.maximum(1 - at, 1e-9), 0.0, 1.0)
+        lands = up & (end >= 1)
+        share = (1 - begin) / np.where(change > 0, change, 1.0)
+        places[lands, k] = self._landing(k, blend, goings, share, places)[lands]
+        swings[up, k] += (1 - swings[up, k]) * done[up]
+        swings[lands, k] = -1.0
+
+    def _landing(
+        self,
+        k: int,
+        blend: Blend,
+        goings: tuple[Going, Going],
+        share: FloatArray,
+        places: FloatArray,
+    ) -> FloatArray:
+        """Return where feet land ``(N, 3)``, shares of the step from now."""
+        before, after = goings
+        points = before.points + share[:, None] * (after.points - before.points)
+        change = wrapped(after.headings - before.headings)
+        headings = before.headings + share * change
+        return self._placed(k, blend, points, headings, places)
+
+    def _placed(
+        self,
+        k: int,
+        blend: Blend,
+        points: FloatArray,
+        headings: FloatArray,
+        places: FloatArray,
+    ) -> FloatArray:
+        """Return where a foot of each lands whose body is there ``(N, 3)``.
+
+        On its own side of the other foot.
+        """
+        side = 1 - 2 * k
+        step = blend.steps[:, k] * np.stack(
+            [self.scales, self.scales, 0 * self.scales + 1], 1
+        )
+        other = turned(places[:, 1 - k, :2] - points, -headings)
+        wide = APART * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
+        near = side * (step[:, 0] - other[:, 0]) < wide
+        # Where the other foot is out of reach of a step nothing is between them.
+        near &= np.abs(other[:, 0]) < 2 * wide
+        x = np.where(near, other[:, 0] + side * wide, step[:, 0])
+        flat = turned(np.stack([x, step[:, 1]], axis=1), headings)
+        return np.column_stack([points + flat, headings + step[:, 2]])
+
+    def _stands(self, going: Going, blend: Blend) -> FloatArray:
+        """Return where feet of bodies that stand are to be ``(N, 2, 3)``."""
+        steps = (
+            blend.steps
+            * np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)[:, None]
+        )
+        flat = turned(steps[..., :2], going.headings[:, None])
+        yaws = going.headings[:, None] + steps[..., 2:][..., 0]
+        return np.concatenate([going.points[:, None] + flat, yaws[..., None]], axis=2)
+
+    def _off(self, state: BodyState, going: Going, blend: Blend) -> BoolArray:
+        """Return which feet are not where they are to stand ``(N, 2)``."""
+        away = state.places - self._stands(going, blend)
+        far = np.linalg.norm(away[..., :2], axis=2)
+        leg = self.gaits.walker.leg * self.scales[:, None]
+        turns = np.abs(wrapped(away[..., 2]))
+        return np.asarray((far > OFF * leg) | (turns > OFF_TURN))
+
+    def feet(
+        self, state: BodyState, going: Going, blend: Blend
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ground below feet in the frame of bodies ``(N, 2, 4)``, and normals.
+
+        x, y, z and how far each is turned; in lengths of the rig.
+        """
+        made = np.zeros((len(state.phases), 2, 4))
+        normals = np.zeros((len(state.phases), 2, 3))
+        base, _ = self._heights(going.points)
+        places = state.places.copy()
+        for k in range(2):
+            up = state.swings[:, k] >= 0
+            share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
+            left = (1 - (state.phases - 0.5 * k) % 1.0) / blend.rate
+            turn = _turning(going, left)
+            then = going.points + going.velocities * left[:, None]
+            next_ = self._placed(k, blend, then, going.headings + turn, state.places)
+            from_ = state.places[:, k]
+            way = next_ - from_
+            way[:, 2] = wrapped(way[:, 2])
+            places[:, k] = np.where(up[:, None], from_ + share * way, from_)
+            low, first = self._heights(from_[:, :2])
+            high, last = self._heights(next_[:, :2])
+            here, _ = self._heights(places[:, k, :2])
+            height = np.where(
+                up, np.maximum(low + share[:, 0] * (high - low), here), low
+            )
+            normals[:, k] = np.where(up[:, None], first + share * (last - first), first)
+            made[:, k, 1] = (height - base) / self.scales
+        self._pass(state, going, places)
+        off = turned(places[..., :2] - going.points[:, None], -going.headings[:, None])
+        made[..., [0, 2]] = off / self.scales[:, None, None]
+        made[..., 3] = wrapped(places[..., 2] - going.headings[:, None])
+        normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
+        return made, normals
+
+    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> None:
+        """Let feet that swing go around those that stand, in place."""
+        local = turned(places[..., :2], -going.headings[:, None])
+        wide, long = (
+            part * self.gaits.walker.leg * self.scales for part in (PASSING, LONG)
+        )
+        for k in range(2):
+            side = 1 - 2 * k
+            off = local[:, k] - local[:, 1 - k]
+            share = np.maximum(state.swings[:, k], 0.0)
+            near = np.clip(1 - np.abs(off[:, 1]) / long, 0.0, 1.0)
+            lack = np.maximum(wide - side * off[:, 0], 0.0) * near
+            out = np.zeros_like(off)
+            out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
+            places[:, k, :2] += turned(out, going.headings)
+
+    def _heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return heights and normals of the ground; where there is none it is at 0."""
+        heights, normals = self.ground(points)
+        return np.where(np.isfinite(heights), heights, 0.0), normals
+
+    def poses(self, state: BodyState, going: Going) -> Poses:
+        """Return the poses of bodies."""
+        walker = self.gaits.walker
+        blend = self.blend(state.paces)
+        played, roots = self._played(state, blend)
+        turns = np.repeat(walker.rig.rest_rotations[None], len(played), axis=0)
+        turns[:, self.moves] = played
+        feet, normals = self.feet(state, going, blend)
+        goals, soles = self._ankles(state, blend, feet, normals)
+        rig = walker.rig
+        # Hips are over the middle of both feet's ground.
+        roots[:, 1] += feet[:, :, 1].mean(axis=1)
+        translations = np.repeat(rig.rest_translations[None], len(turns), axis=0)
+        translations[:, 0] = roots
+        world = forward(rig, translations, turns)
+        joints = world.positions
+        spins = {
+            joint: so3.from_matrix(world.linear[:, joint])
+            for thigh, shin, _, _ in walker.legs
+            for joint in (thigh, shin, int(rig.parents[thigh]))
+            if joint >= 0
+        }
+        lowered = np.zeros(len(turns))
+        for k, (thigh, shin, foot, _) in enumerate(walker.legs):
+            bones = joints[:, [thigh, shin, foot]]
+            length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
+            way = joints[:, thigh] - goals[:, k]
+            across = (way[:, [0, 2]] ** 2).sum(axis=1)
+            high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
+            lowered = np.maximum(lowered, way[:, 1] - high)
+        roots[:, 1] -= lowered
+        joints = joints - lowered[:, None, None] * UP
+        missed = np.zeros((len(turns), 2))
+        for k, (thigh, shin, foot, _) in enumerate(walker.legs):
+            above = int(rig.parents[thigh])
+            upper, lower = put_ankle(
+                walker.person,
+                SIDES[k],
+                joints[:, [thigh, shin, foot]],
+                goals[:, k],
+                (spins[thigh], spins[shin]),
+            )
+            sole = so3.multiply(
+                soles[:, k], np.broadcast_to(walker.level[k], upper.shape)
+            )
+            over = (
+                spins[above]
+                if above >= 0
+                else np.broadcast_to(so3.IDENTITY, upper.shape)
+            )
+            for joint, parent, own in (
+                (thigh, over, upper),
+                (shin, upper, lower),
+                (foot, lower, sole),
+            ):
+                turns[:, joint] = so3.multiply(so3.conjugate(parent), own)
+            knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
+            ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
+            missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
+        return Poses(turns, roots, lowered, missed)
+
+    def _ankles(
+        self, state: BodyState, blend: Blend, feet: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
+        gaits, moving = self.gaits, self.gaits.moving
+        goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
+        for k in range(2):
+            begin = (state.phases - 0.5 * k) % 1.0
+            stood = np.clip(begin / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
+            tables = [one.pitches[k] for one in moving]
+            pitch = sum(
+                weight * np.interp(stood, np.arange(PHASES), table)
+                for weight, table in zip(blend.weights.T, tables, strict=True)
+            )
+            pitched = about_side(np.asarray(pitch) * (1 - state.still))
+            lifts = standing_ankle(gaits.walker, k, pitched)
+            up = state.swings[:, k] >= 0
+            if up.any():
+                at = np.clip(state.swings[up, k], 0.0, 1.0) * (PHASES - 1)
+                weights = blend.weights[up]
+                swung = _mixed([_rows(one.swings[k], at) for one in moving], weights)
+                raised = sum(
+                    weight[:, None] * _rows(one.lifts[k], at)
+                    for weight, one in zip(weights.T, moving, strict=True)
+                )
+                lifts[up] = np.asarray(raised)
+                # Before and behind its place it goes as far as its step is long.
+                ends = [
+                    sum(
+                        weight * one.lifts[k, end, 2]
+                        for weight, one in zip(weights.T, moving, strict=True)
+                    )
+                    for end in (0, -1)
+                ]
+                share = at / (PHASES - 1)
+                even = ends[0] + share * (ends[1] - ends[0])
+                long = np.minimum(blend.stride[up], 1.0)
+                lifts[up, 2] = even + long * (lifts[up, 2] - even)
+                # Who just stood lifts a flat foot.
+                still = state.still[up, None]
+                flat = np.broadcast_to(so3.IDENTITY, swung.shape)
+                pitched[up] = _mixed([swung, flat], np.hstack([1 - still, still]))
+                low = standing_ankle(gaits.walker, k, flat)
+                high = (
+                    np.maximum(lifts[up, 1:2] - low[:, 1:2], 0.0)
+                    * eased(np.minimum(4 * state.swings[up, k], 1.0))[:, None]
+                )
+                lifts[up] += still * (low + high * UP - lifts[up])
+            tilt = _tilts(normals[:, k])
+            yaw = about_up(feet[:, k, 3])
+            goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, lifts))
+            soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, pitched))
+        return goals, soles
+
+    def _played(self, state: BodyState, blend: Blend) -> tuple[FloatArray, FloatArray]:
+        """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
+        at = state.phases * PHASES
+        moving, idle = self.gaits.moving, self.gaits.idle
+        tables, standing = self._tables
+        walked = _mixed([_rows(one, at, again=True) for one in tables], blend.weights)
+        hips = np.asarray(
+            sum(
+                weight[:, None] * _rows(one.hips, at, again=True)
+                for weight, one in zip(blend.weights.T, moving, strict=True)
+            )
+        )
+        rows = idle_rows(idle, state.clocks)
+        still = state.still[:, None]
+        stood = _rows(standing, rows)
+        turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
+        return turns, hips + still * (_rows(idle.hips, rows) - hips)
+
+
+# A foot that lands within this last part of its cycle does not lift any more.
+LAST = 0.95
+
+
+def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
+    """Return where in what agents do as they stand they are: there and back again."""
+    last = len(idle.turns) - 1
+    if not last:
+        return np.zeros(len(clocks))
+    share = (clocks / idle.period) % 2.0
+    return np.asarray(np.minimum(share, 2 - share) * last)
+
+
+def _ahead(going: Going) -> FloatArray:
+    """Return how fast agents go where they look ``(N,)`` [m/s]."""
+    looks = np.stack([np.sin(going.headings), np.cos(going.headings)], axis=1)
+    along = (going.velocities * looks).sum(axis=1)
+    return np.asarray(np.maximum(along, 0.0))
+
+
+def _turning(going: Going, seconds: FloatArray) -> FloatArray:
+    """Return how far bodies will turn to where they go in a time ``(N,)`` [s]."""
+    ways = np.arctan2(going.velocities[:, 0], going.velocities[:, 1])
+    fast = np.linalg.norm(going.velocities, axis=1) > 1e-9
+    off = np.where(fast, wrapped(ways - going.headings), 0.0)
+    turn = off * np.minimum(seconds, 1.0)
+    return np.asarray(np.clip(turn, -MOST_TURN, MOST_TURN))
+
+
+def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
+    """Return parts of gaits ``(N, G)`` by gradient bands (Johansen, 2009).
+
+    ``points`` ``(N, 2)`` are among those of the gaits ``(G, 2)``.
+    """
+    if len(known) == 1:
+        return np.ones((len(points), 1))
+    off = known[None] - known[:, None]  # (i, j, 2)
+    squares = (off * off).sum(axis=2)
+    squares[squares == 0] = np.inf
+    along = np.einsum("nik,ijk->nij", points[:, None] - known[None], off) / squares
+    bands = np.clip(1 - along, 0.0, 1.0).min(axis=2)
+    total = bands.sum(axis=1, keepdims=True)
+    nearest = np.argmin(((points[:, None] - known) ** 2).sum(axis=2), axis=1)
+    bands = np.where(total > 1e-9, bands, np.eye(len(known))[nearest])
+    return np.asarray(bands / bands.sum(axis=1, keepdims=True))
+
+
+def _rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArray:
+    """Return rows of a table ``(P, …)``; `again`: its first is behind its last."""
+    count = len(table)
+    low = np.clip(at.astype(np.int64), 0, count - 1)
+    high = (low + 1) % count if again else np.minimum(low + 1, count - 1)
+    share = (at - low).reshape(-1, *[1] * (table.ndim - 1))
+    first, last = table[low], table[high]
+    if table.shape[-1] == 4:
+        flipped = (first * last).sum(axis=-1, keepdims=True) < 0
+        last = np.where(flipped, -last, last)
+    return np.asarray(first + share * (last - first))
+
+
+def _mixed(turns: list[FloatArray], weights: FloatArray) -> FloatArray:
+    """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
+    first = turns[0]
+    wide = (-1, *[1] * (first.ndim - 1))
+    made = first * weights[:, 0].reshape(wide)
+    for k, one in enumerate(turns[1:], start=1):
+        flipped = (first * one).sum(axis=-1, keepdims=True) < 0
+        made = made + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
+    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+
+
+def _tilts(normals: FloatArray) -> FloatArray:
+    """Return turns from upright to normals ``(N, 3)``, no farther than `TILT`."""
+    axis = np.cross(UP, normals)
+    size = np.linalg.norm(axis, axis=1)
+    angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)
+    return so3.exp(axis * (angle / np.where(size > 1e-12, size, 1.0))[:, None])
