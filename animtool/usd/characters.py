@@ -38,6 +38,8 @@ _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
 # A place that neighbours have too is left out [m], and so is a heading [rad].
 SAME_PLACE, SAME_HEADING = 1e-6, 1e-6
+# Skin goes beyond joints by a part of how far these reach.
+BEYOND = 1.2
 
 
 @dataclass
@@ -103,6 +105,7 @@ class Characters:
                 **parts,
             )
             group = _Group(self, layer, paths, frame.upright, track)
+            group.bound()
             group.write([f"agent_{i + 1:04d}" for i in frame.ids[rows].tolist()])
 
 
@@ -141,12 +144,12 @@ class _Track:
     @cached_property
     def size(self) -> float:
         """Return how far the joints of the rig reach [m]."""
-        return float(np.ptp(self._rest, axis=0).max())
+        return float(np.ptp(self.rest, axis=0).max())
 
     @cached_property
-    def _rest(self) -> FloatArray:
+    def rest(self) -> FloatArray:
         """Return where joints are at rest ``(J, 3)`` [m]."""
-        return rest_world(self.cast.rig).positions[0]
+        return np.asarray(rest_world(self.cast.rig).positions[0])
 
     @cached_property
     def arms(self) -> FloatArray:
@@ -156,7 +159,7 @@ class _Track:
         for j in range(len(parents)):
             above = parents[j]
             while above >= 0:
-                way = np.linalg.norm(self._rest[j] - self._rest[above])
+                way = np.linalg.norm(self.rest[j] - self.rest[above])
                 far[above] = max(far[above], float(way))
                 above = parents[above]
         return np.asarray(far[self.cast.moves])
@@ -240,6 +243,21 @@ class _Group:
             self._place(path, i, kept.put_right)
             self._animate(path, turns, moves, kept.rows)
 
+    def bound(self) -> None:
+        """Write bounds of the rig that hold whatever a character does.
+
+        What is on a joint is no farther from the hips than when the rig lies stretched.
+        """
+        rest = self.track.rest
+        far = float(np.linalg.norm(rest - rest[0], axis=1).max()) * BEYOND
+        middle = rest[0] / self.owner.unit
+        ends = np.stack(
+            [middle - far / self.owner.unit, middle + far / self.owner.unit]
+        )
+        root = self.layer.GetPrimAtPath(self.paths.root)
+        box = Vt.Vec3fArray.FromNumpy(ends.astype(np.float32))
+        attribute(root, "extent", _TYPES.Float3Array, box)
+
     def _sharing(self) -> BoolArray:
         """Return who does but stand all the time, as others do ``(n,)``."""
         track = self.track
@@ -249,7 +267,7 @@ class _Group:
         # On uneven ground legs differ.
         cast = track.cast
         for i in np.flatnonzero(still).tolist():
-            at = _cycled(cast, float(track.clocks[0, i]))
+            (at,) = _standing(cast, cast.turns, track.clocks[:1, i])
             near = np.abs((at * track.turns[0, i]).sum(axis=-1)) > 1 - 1e-6
             still[i] = bool(near.all())
         return np.asarray(still & (still.sum() > 1))
@@ -330,6 +348,7 @@ class _Group:
         cast, unit = self.track.cast, self.owner.unit
         joints = cast.moves[which]
         spec = prim(self.layer, path, "SkelAnimation")
+        spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
         moving = Vt.TokenArray([tokens[j] for j in joints.tolist()])
         attribute(spec, "joints", _TYPES.TokenArray, moving, uniform=True)
@@ -358,51 +377,39 @@ class _Group:
         """Write what those do who stand, from 0 s on, for as long as any could."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
         spec = self._animation(path, np.arange(len(cast.moves)))
-        count = len(cast.turns)
-        step = cast.period / count * fps if count > 1 else 1.0
-        last = (codes[-1] - codes[0]) + cast.period * fps
-        rows = np.arange(int(np.ceil(last / step)) + 1 if count > 1 else 1)
-        turns = _continuous(cast.turns[rows % count, None].astype(np.float32))[:, 0]
+        spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
+        # Whoever stands is at most a period ahead of the first frame.
+        last = codes[-1] - codes[0] + cast.period * fps if len(cast.turns) > 1 else 0.0
+        rows = np.arange(int(np.ceil(last)) + 1)
+        clocks = rows / fps
+        turns = _continuous(_standing(cast, cast.turns, clocks).astype(np.float32))
         arrays = [Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in turns]
-        _put(
-            self.layer,
-            spec.attributes["rotations"],
-            rows * step,
-            np.arange(len(rows)),
-            arrays,
-        )
-        rest = cast.rig.rest_translations[cast.moves] / self.owner.unit
-        first = np.flatnonzero(cast.moves == 0)
-        if not len(first):
-            return
-        moved = np.repeat(rest[None], len(rows), axis=0)
-        moved[:, first[0]] = cast.roots[rows % count] / self.owner.unit
+        codes = rows.astype(np.float64)
+        _put(self.layer, spec.attributes["rotations"], codes, rows, arrays)
+        moved = np.repeat(cast.rig.rest_translations[None, cast.moves], len(rows), 0)
+        moved[:, cast.moves == 0] = _standing(cast, cast.roots, clocks)[:, None]
         arrays = [
-            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one.astype(np.float32)))
-            for one in moved
+            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
+            for one in (moved / self.owner.unit).astype(np.float32)
         ]
-        _put(
-            self.layer,
-            spec.attributes["translations"],
-            rows * step,
-            np.arange(len(rows)),
-            arrays,
-        )
+        _put(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
-def _cycled(cast: Cast, clock: float) -> FloatArray:
-    """Return turns of who has stood for a time [s] ``(M, 4)``."""
-    count = len(cast.turns)
-    if count == 1:
-        return np.asarray(cast.turns[0])
-    at = (clock % cast.period) / cast.period * count
-    low = int(at) % count
-    share = np.array(at - int(at))
-    return slerped(cast.turns[low], cast.turns[(low + 1) % count], share)
+def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
+    """Return turns or places of who has stood for times ``(K,)`` [s]."""
+    count = len(table)
+    at = clocks / (cast.period or 1.0) * count
+    low = np.floor(at).astype(np.int64)
+    share = at - low
+    first, last = table[low % count], table[(low + 1) % count]
+    if table.ndim == 2:
+        return np.asarray(first + share[:, None] * (last - first))
+    last = np.where((first * last).sum(axis=-1, keepdims=True) < 0, -last, last)
+    return slerped(first, last, share[:, None])
 
 
 def _continuous(turns: Float32Array) -> Float32Array:
-    """Return turns ``(F, n, M, 4)`` whose signs go on from frame to frame."""
+    """Return turns ``(F, …, 4)`` whose signs go on from frame to frame."""
     products = (turns[1:] * turns[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
     made = turns.copy()

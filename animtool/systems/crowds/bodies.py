@@ -302,12 +302,11 @@ class Bodies:
             up = state.swings[:, k] >= 0
             share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
             left = (1 - (state.phases - 0.5 * k) % 1.0) / blend.rate
-            turn = _turning(going, left)
+            turn = np.clip(state.paces[:, 1] * left, -MOST_TURN, MOST_TURN)
             then = going.points + going.velocities * left[:, None]
             next_ = self._placed(k, blend, then, going.headings + turn, state.places)
             from_ = state.places[:, k]
             way = next_ - from_
-            way[:, 2] = wrapped(way[:, 2])
             places[:, k] = np.where(up[:, None], from_ + share * way, from_)
             low, first = self._heights(from_[:, :2])
             high, last = self._heights(next_[:, :2])
@@ -497,15 +496,6 @@ def _ahead(going: Going) -> FloatArray:
     looks = np.stack([np.sin(going.headings), np.cos(going.headings)], axis=1)
     along = (going.velocities * looks).sum(axis=1)
     return np.asarray(np.maximum(along, 0.0))
-
-
-def _turning(going: Going, seconds: FloatArray) -> FloatArray:
-    """Return how far bodies will turn to where they go in a time ``(N,)`` [s]."""
-    ways = np.arctan2(going.velocities[:, 0], going.velocities[:, 1])
-    fast = np.linalg.norm(going.velocities, axis=1) > 1e-9
-    off = np.where(fast, wrapped(ways - going.headings), 0.0)
-    turn = off * np.minimum(seconds, 1.0)
-    return np.asarray(np.clip(turn, -MOST_TURN, MOST_TURN))
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:

@@ -39,8 +39,10 @@ APART = 100
 MOVES = 20
 # What agents do, as the kernel knows it.
 WALKS, OUT = np.uint8(0), np.uint8(2)
-# Who is slower does not turn to where it goes, over the speed that it likes.
-SLOW = 0.15
+# Agents look where they go, and by this part where they would like to.
+FACING = 0.5
+# Who is slower than this part of the speed that it likes turns as much slower.
+SLOW = 0.6
 # How long agents take to turn to where they go [s].
 TURNING = 0.25
 
@@ -241,13 +243,12 @@ class Crowd:
         self, headings: FloatArray, wanted: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
         """Return headings ``(N,)`` of agents that turn to where they go, if they do."""
-        fast = np.linalg.norm(v, axis=1) > SLOW * self._agents.speeds
-        ways = np.where(fast[:, None], v, wanted)
+        ways = v + FACING * wanted
+        fast = np.linalg.norm(ways, axis=1) / (SLOW * self._agents.speeds)
         turn = np.arctan2(ways[:, 0], ways[:, 1]) - headings
         turn = (turn + np.pi) % (2 * np.pi) - np.pi
-        return headings + np.where(
-            ways.any(axis=1), turn * -np.expm1(-dt / TURNING), 0.0
-        )
+        share = -np.expm1(-dt / TURNING * np.minimum(fast, 1.0))
+        return np.asarray(headings + turn * share)
 
     def frame(
         self,

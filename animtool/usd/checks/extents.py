@@ -49,6 +49,10 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
         # A rig that does not move may have its extent in the layer that moves it.
         if source is None or not (source or attr.HasAuthoredValue()):
             continue
+        # That of an instance holds whatever its rig is ever seen to do.
+        held = prim.IsInstance() or prim.IsAbstract()
+        if held and attr.HasAuthoredValue():
+            continue
         if not attr.HasAuthoredValue():
             yield finding(
                 "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"

@@ -15,6 +15,7 @@ from animtool.errors import Fault, excerpt
 from animtool.rules import finding
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import units_and_axis
+from animtool.usd.rig_prims import stored_data
 
 
 def check_composition(subject: Subject) -> Iterator[Fault]:
@@ -164,7 +165,7 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     spans = {
         str(attr.GetPath()): (times[0], times[-1])
         for attr in subject.attributes
-        if (times := subject.times(attr))
+        if (times := subject.times(attr)) and not _is_shared(attr.GetPrim())
     }
     if not spans:
         return
@@ -188,6 +189,11 @@ def check_range(subject: Subject) -> Iterator[Fault]:
         message = f"samples are at {span_label(begin, finish)}, the stage's range is "
         message += f"{span_label(start, end)}{more}"
         yield finding("USD256", out[0], message)
+
+
+def _is_shared(prim: Any) -> bool:
+    """Return whether each who has a part in an animation begins elsewhere in it."""
+    return bool(stored_data(prim).get("shared"))
 
 
 def check_units(subject: Subject) -> Iterator[Fault]:

@@ -33,6 +33,7 @@ from animtool.usd.rig_prims import (
     SkeletonRig,
     rig_from_tokens,
     skeleton_rig,
+    stored_data,
     up_axis,
 )
 
@@ -97,6 +98,9 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     shared = _Shared.of(subject)
     found = []
     for animation in subject.of_type(UsdSkel.Animation):
+        # What was made to be small is no capture.
+        if stored_data(animation.GetPrim()).get("thinned"):
+            continue
         skeleton = bound.get(animation.GetPath()) or _nearest(animation, skeletons)
         try:
             take = _take(subject, path, animation, skeleton, shared)
