@@ -37,6 +37,8 @@ OFF, OFF_TURN = 0.15, 0.45
 CADENCE = 0.42
 # Least and most cadence over that of the blend.
 SLOWEST, FASTEST = 0.7, 1.6
+# How long bodies take to begin and to end a reaction [s].
+RAMP = 0.2
 # How long what they play takes to follow how fast they go [s].
 PACING = 0.2
 # How long agents take to go from walking to standing [s].
@@ -71,6 +73,7 @@ class BodyState:
     still: FloatArray  # 1 for who stands, 0 for who walks (N,)
     clocks: FloatArray  # of what they do as they stand (N,) [s]
     paces: FloatArray  # how fast they go [m/s] and turn [rad/s], smoothed (N, 2)
+    reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,7 @@ class Bodies:
             np.ones(count),
             chances * self.gaits.idle.period,
             paces,
+            -np.ones(count),
         )
 
     def blend(self, paces: FloatArray) -> Blend:
@@ -158,9 +162,17 @@ class Bodies:
         return Blend(weights, cadence / period, stride, stands, steps)
 
     def next(
-        self, state: BodyState, before: Going, after: Going, dt: float
+        self,
+        state: BodyState,
+        before: Going,
+        after: Going,
+        dt: float,
+        hit: BoolArray | None = None,
     ) -> BodyState:
-        """Return bodies a step [s] later; feet land and lift at their moments in it."""
+        """Return bodies a step [s] later; feet land and lift at their moments in it.
+
+        ``hit``: whom something hit ``(N,)``.
+        """
         turning = wrapped(after.headings - before.headings) / dt
         paces = np.stack([_ahead(after), turning], axis=1)
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
@@ -183,7 +195,19 @@ class Bodies:
             np.clip(state.still + target, 0.0, 1.0),
             state.clocks + dt,
             paces,
+            self._reacting(state.reacts, dt, hit),
         )
+
+    def _reacting(
+        self, reacts: FloatArray, dt: float, hit: BoolArray | None
+    ) -> FloatArray:
+        """Return since when bodies react a step later ``(N,)`` [s]."""
+        if not self.gaits.reactions:
+            return reacts
+        period = self.gaits.reactions[0].period
+        made = np.where(reacts >= 0, reacts + dt, reacts)
+        made = np.where(made > period, -1.0, made)
+        return made if hit is None else np.where(hit & (made < 0), 0.0, made)
 
     def _begun(
         self,
@@ -475,7 +499,20 @@ class Bodies:
         still = state.still[:, None]
         stood = _rows(standing, rows)
         turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
-        return turns, hips + still * (_rows(idle.hips, rows) - hips)
+        hips = hips + still * (_rows(idle.hips, rows) - hips)
+        if self.gaits.reactions and (state.reacts >= 0).any():
+            reaction = self.gaits.reactions[0]
+            since = np.maximum(state.reacts, 0.0)
+            share = np.minimum(since, reaction.period - since) / RAMP
+            weight = eased(np.clip(share, 0.0, 1.0)) * (state.reacts >= 0)
+            rows = since / reaction.period * (len(reaction.turns) - 1)
+            played = _rows(reaction.turns[:, self.moves], rows)
+            both = np.stack([1 - weight, weight], axis=1)
+            turns = _mixed([turns, played], both)
+            # How high the hips are then; where, is where the agent is.
+            high = _rows(reaction.hips, rows)[:, 1] - hips[:, 1]
+            hips[:, 1] += weight * high
+        return turns, hips
 
 
 # A foot that lands within this last part of its cycle does not lift any more.

@@ -10,10 +10,14 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.frames import Cast, CharactersFrame
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.crowds.agents import Agents, Going
 from animtool.systems.crowds.bodies import Bodies, BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
-from animtool.systems.crowds.ground import Frame
+from animtool.systems.crowds.ground import Frame, about_up
 
 # Samples a second of what those do who stand: it is slow.
 STANDING_RATE = 24.0
@@ -37,16 +41,20 @@ class Casting:
 
     @staticmethod
     def of(
-        agents: Agents, sources: Sequence[Callable[[], Gaits]], ground: Heights
+        agents: Agents,
+        sources: Sequence[Callable[[], Gaits]],
+        ground: Heights,
+        *,
+        falls: bool,
     ) -> Casting:
-        """Return bodies of agents, of the gaits of each population."""
+        """Return bodies of agents, of the gaits of each population; some may fall."""
         distinct = list(dict.fromkeys(sources))
         which = np.array([distinct.index(one) for one in sources])[agents.kinds]
         groups = []
         for k, source in enumerate(distinct):
             own = np.flatnonzero(which == k)
             bodies = Bodies(source(), agents.sizes[own], ground)
-            groups.append(CastGroup(own, bodies, _cast(bodies)))
+            groups.append(CastGroup(own, bodies, _cast(bodies, falls=falls)))
         order = np.concatenate([group.own for group in groups])
         return Casting(groups, order)
 
@@ -57,13 +65,17 @@ class Casting:
         )
 
     def next(
-        self, state: BodyState, before: Going, after: Going, dt: float
+        self, state: BodyState, before: Going, after: Going, dt: float, hit: BoolArray
     ) -> BodyState:
-        """Return the bodies of agents a step [s] later."""
+        """Return the bodies of agents a step [s] later; some were hit ``(N,)``."""
         return self._joined(
             [
                 g.bodies.next(
-                    part(state, g.own), part(before, g.own), part(after, g.own), dt
+                    part(state, g.own),
+                    part(before, g.own),
+                    part(after, g.own),
+                    dt,
+                    hit[g.own],
                 )
                 for g in self.groups
             ]
@@ -79,6 +91,38 @@ class Casting:
             )
         )
 
+    @property
+    def rigs(self) -> list[Rig]:
+        """Return the rig of each agent."""
+        made = [self.groups[0].cast.rig] * len(self.order)
+        for group in self.groups:
+            for i in group.own.tolist():
+                made[i] = group.cast.rig
+        return made
+
+    def world(
+        self, state: BodyState, going: Going, frame: Frame, ground: Heights, i: int
+    ) -> WorldTransforms:
+        """Return where the joints of an agent are in the world, one frame."""
+        group = next(one for one in self.groups if i in one.own)
+        row, rig = np.array([i]), group.cast.rig
+        bodies = replace(
+            group.bodies, scales=group.bodies.scales[np.searchsorted(group.own, row)]
+        )
+        made = bodies.poses(part(state, row), part(going, row))
+        places = np.repeat(rig.rest_translations[None], 1, axis=0)
+        places[:, 0] = made.roots
+        world = forward(rig, places, made.turns)
+        heading = about_up(going.headings[row])
+        turn = so3.multiply(frame.rotation, heading)
+        heights = np.nan_to_num(ground(going.points[row])[0])
+        origin = np.insert(going.points[row], 1, heights, axis=1)
+        matrix = so3.to_matrix(turn)
+        return WorldTransforms(
+            so3.rotate(turn, world.positions) + frame.to_world(origin)[:, None],
+            matrix[:, None] @ world.linear,
+        )
+
     def frame(
         self,
         state: BodyState,
@@ -87,6 +131,7 @@ class Casting:
         placed: tuple[Frame, FloatArray],
         visible: BoolArray,
         primvars: Mapping[str, Any],
+        fallen: Mapping[int, tuple[FloatArray, FloatArray]],
     ) -> CharactersFrame:
         """Return what agents show.
 
@@ -98,16 +143,29 @@ class Casting:
                 ``(N, 3)`` [m/s].
             visible: Who is to be seen ``(N,)``.
             primvars: Of each.
+            fallen: Of who fell, by number, local places and turns of joints, those of
+                the first in the world.
         """
         frame, velocities = placed
         turns, roots = [], []
+        points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
         for group in self.groups:
             made = group.bodies.poses(part(state, group.own), part(going, group.own))
+            for i, (places, own) in fallen.items():
+                for row in np.flatnonzero(group.own == i).tolist():
+                    turn = so3.multiply(frame.rotation, about_up(going.headings[i]))
+                    back = so3.conjugate(turn)
+                    made.turns[row] = own
+                    made.turns[row, 0] = so3.multiply(back, own[0])
+                    off = places[0] - frame.to_world(points[i])
+                    made.roots[row] = so3.rotate(back, off) / group.bodies.scales[row]
             turns.append(made.turns[:, group.cast.moves])
             roots.append(made.roots)
         order = self.order
-        points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
-        only = (state.still >= 1) & ~going.velocities.any(axis=1)
+        only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
+        only[list(fallen)] = False
+        stands = state.swings < 0
+        stands[list(fallen)] = False
         return CharactersFrame(
             order,
             frame.to_world(points)[order],
@@ -119,7 +177,7 @@ class Casting:
             np.array([len(group.own) for group in self.groups]),
             tuple(turns),
             np.concatenate(roots),
-            (state.swings < 0)[order],
+            stands[order],
             np.where(only, state.clocks, np.nan)[order],
             visible[order],
             {name: values[order] for name, values in primvars.items()},
@@ -132,7 +190,7 @@ def part(record: Any, rows: IntArray) -> Any:
     return replace(record, **changes)
 
 
-def _cast(bodies: Bodies) -> Cast:
+def _cast(bodies: Bodies, *, falls: bool) -> Cast:
     """Return the rig of bodies, and what those do alike who stand on level ground."""
     gaits = bodies.gaits
     period = 2 * gaits.idle.period if len(gaits.idle.turns) > 1 else 0.0
@@ -143,6 +201,8 @@ def _cast(bodies: Bodies) -> Cast:
     first = level.first(here, np.zeros(count))
     made = level.poses(replace(first, clocks=clocks), here)
     moves = bodies.moves
+    if falls:
+        moves = np.union1d(moves, Capsules.of(gaits.walker.rig).joints)
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(
         gaits.walker.rig,

@@ -14,7 +14,7 @@ from animtool.errors import Fault, ToleranceError, counted
 from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
-from animtool.sim.colliders import Mesh
+from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.systems.crowds.agents import (
     ENOUGH,
     Going,
@@ -24,21 +24,23 @@ from animtool.systems.crowds.agents import (
     warning,
 )
 from animtool.systems.crowds.ground import Frame, Ground, about_up
-from animtool.systems.crowds.obstacles import Obstacles, grids, lost
+from animtool.systems.crowds.obstacles import Obstacles, Walls, grids, lost
 from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import GONE, Progress, Steering
 from animtool.systems.simulation import Diagnostics, SimContext
 
 if TYPE_CHECKING:
+    from animtool.rig.kinematics import WorldTransforms
     from animtool.systems.crowds.bodies import BodyState
     from animtool.systems.crowds.cast import Casting
+    from animtool.systems.crowds.falls import Falling, Falls
 
 # Rounds in which agents that overlap in a step are moved apart.
 APART = 100
 # Moves out of obstacles that agents begin in.
 MOVES = 20
 # What agents do, as the kernel knows it.
-WALKS, OUT = np.uint8(0), np.uint8(2)
+WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
 # Agents look where they go, and by this part where they would like to.
 FACING = 0.5
 # Who is slower than this part of the speed that it likes turns as much slower.
@@ -57,6 +59,7 @@ class CrowdState:
     progress: Progress
     overlap: float  # the most that two were ever in each other [m]
     bodies: BodyState | None  # None where they have none
+    falls: Falls | None  # None where nobody can fall
 
 
 class Crowd:
@@ -127,13 +130,34 @@ class Crowd:
         sources = [parts.get("gaits") for parts in context.parts["populations"]]
         gaits = [source for source in sources if source is not None]
         self._casting: Casting | None = None
+        self._falling: Falling | None = None
         if gaits:
             from animtool.systems.crowds.cast import Casting
 
-            self._casting = Casting.of(self._agents, gaits, self._ground)
+            moving = [*context.colliders.bodies, *_moving(context.colliders)]
+            self._casting = Casting.of(
+                self._agents, gaits, self._ground, falls=bool(moving)
+            )
+            self._falling = self._fallers(context) if moving else None
             for group in self._casting.groups:
                 self._notices += group.bodies.gaits.notices
         self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
+
+    def _fallers(self, context: SimContext) -> Falling | None:
+        """Return what moves those who fall; None where a rig has no bodies for it."""
+        from animtool.systems.crowds.falls import Falling
+
+        assert self._casting is not None
+        casts = [group.cast.rig for group in self._casting.groups]
+        if not all(Falling.possible(rig) for rig in casts) or not len(self._agents):
+            return None
+        return Falling(
+            self._casting.rigs,
+            self._frame,
+            self._ground,
+            context.colliders,
+            self._spec.step,
+        )
 
     def _on_ground(self, points: Sequence[Sequence[float]]) -> FloatArray:
         """Return x and z of points of the world on the ground ``(K, 2)``."""
@@ -203,7 +227,8 @@ class Crowd:
         if self._casting is not None:
             going = Going(x, still, headings)
             bodies = self._casting.first(going, self._agents.chances)
-        return CrowdState(x, still, headings, progress, 0.0, bodies)
+        falls = None if self._falling is None else self._falling.none()
+        return CrowdState(x, still, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return where agents are a step [s] later.
@@ -218,26 +243,58 @@ class Crowd:
         wanted = self._steering.preferred(t, self._begin, state.progress, x)
         relaxed = v + (wanted - v) * -np.expm1(-dt / self._settling)[:, None]
         walls = self._obstacles.walls(t, dt, x)
+        down = np.zeros(len(x), np.bool_)
+        if state.falls is not None:
+            down[state.falls.agents] = True
+        does = np.where(down, STAYS, WALKS)
+        does[state.progress.stages == GONE] = OUT
         if not all(np.isfinite(each).all() for each in (x, v, relaxed, walls.rows)):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         points, velocities, overlap = _kernels.crowd_step(
             x, v, relaxed, agents.radii, agents.most, agents.gives, agents.groups,
-            np.where(state.progress.stages == GONE, OUT, WALKS), walls.starts,
+            does, walls.starts,
             walls.rows, rules.sight, rules.nearest, rules.horizon, rules.space,
             rules.push, rules.headway, dt, APART, ENOUGH * float(agents.radii.min()),
         )  # fmt: skip
         progress = self._steering.advanced(state.progress, points, dt)
         headings = self._turned(state.headings, wanted, velocities, dt)
         bodies = state.bodies
+        falls = state.falls
         if self._casting is not None and bodies is not None:
             before, after = _going(state), Going(points, velocities, headings)
-            bodies = self._casting.next(bodies, before, after, dt)
+            speeds = self._struck(walls, dt)
+            hit = speeds > self._spec.impact.stagger
+            bodies = self._casting.next(bodies, before, after, dt, hit)
+            if self._falling is not None and falls is not None:
+                fell = np.flatnonzero((speeds > self._spec.impact.fall) & ~down)
+                if len(fell):
+                    first, last = (
+                        [self._world(body, going, i) for i in fell.tolist()]
+                        for body, going in ((state.bodies, before), (bodies, after))
+                    )
+                    falls = self._falling.begun(falls, fell, first, last, dt)
+                falls = self._falling.step(falls, t, dt)
         if not (np.isfinite(points).all() and np.isfinite(headings).all()):
             message = f"agents blew up at {t + dt:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         overlap = max(state.overlap, overlap)
-        return CrowdState(points, velocities, headings, progress, overlap, bodies)
+        return CrowdState(
+            points, velocities, headings, progress, overlap, bodies, falls
+        )
+
+    def _struck(self, walls: Walls, dt: float) -> FloatArray:
+        """Return how fast what touches each in a step comes to it ``(N,)`` [m/s]."""
+        made = np.zeros(len(self._agents))
+        touch = walls.gaps < np.maximum(walls.closing, 0.0) * dt
+        np.maximum.at(made, walls.whose[touch], walls.closing[touch])
+        return made
+
+    def _world(self, bodies: BodyState | None, going: Going, i: int) -> WorldTransforms:
+        """Return where the joints of an agent are."""
+        assert self._casting is not None
+        assert bodies is not None
+        return self._casting.world(bodies, going, self._frame, self._ground, i)
 
     def _turned(
         self, headings: FloatArray, wanted: FloatArray, v: FloatArray, dt: float
@@ -271,7 +328,13 @@ class Crowd:
         if self._casting is not None and state.bodies is not None:
             placed = self._frame, velocities
             return self._casting.frame(
-                state.bodies, _going(state), heights, placed, here, primvars
+                state.bodies,
+                _going(state),
+                heights,
+                placed,
+                here,
+                primvars,
+                self._fallen(state.falls),
             )
         if not self._meshes:
             return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
@@ -288,6 +351,15 @@ class Crowd:
             primvars,
         )
 
+    def _fallen(self, falls: Falls | None) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Return local places and turns of the joints of who fell, by number."""
+        if falls is None or self._falling is None:
+            return {}
+        return {
+            agent: self._falling.poses(falls, k)
+            for k, agent in enumerate(falls.agents.tolist())
+        }
+
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return how fast agents are, how far on their routes, and how close."""
         gone = state.progress.stages == GONE
@@ -295,8 +367,15 @@ class Crowd:
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
         if len(speeds):
             values["speed"] = float(speeds.mean())
+        if state.falls is not None:
+            values["fallen"] = float(len(state.falls.agents))
         values["goals reached"] = float(np.where(gone, 0, state.progress.stages).sum())
         return Diagnostics(values=values, notices=self._notices)
+
+
+def _moving(colliders: Colliders) -> list[Collider]:
+    """Return the colliders that move."""
+    return [one for one in colliders if len(one.poses.moments) > 1]
 
 
 def _going(state: CrowdState) -> Going:

@@ -177,6 +177,19 @@ class AgentAvoidanceModel(FileModel):
     )
 
 
+class ImpactModel(FileModel):
+    """What becomes of agents that something hits: how fast it comes [m/s]."""
+
+    stagger: Positive = key(
+        "From this on they react, if a clip does.", 0.6, default=1.0
+    )
+    fall: Positive = key(
+        "From this on their bodies fall, as their rig's colliders and limits have it.",
+        3,
+        default=2.5,
+    )
+
+
 class CrowdsModel(SystemSpec):
     """Crowds: agents walk to goals, around obstacles and each other."""
 
@@ -198,6 +211,9 @@ class CrowdsModel(SystemSpec):
         "How they keep clear of each other.",
         {"horizon": 3},
         default=AgentAvoidanceModel(),
+    )
+    impact: ImpactModel = key(
+        "What becomes of those whom something hits.", {"fall": 3}, default=ImpactModel()
     )
     cell: Positive | None = key(
         "Grid in which routes around obstacles are found [m]. Not given: the largest "

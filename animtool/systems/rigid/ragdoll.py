@@ -336,7 +336,7 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
     targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
     around = [_later(one, float(times[first])) for one in options.colliders]
-    speeds = _speeds(bodies, world, times, first)
+    speeds = ragdoll_speeds(bodies, world, times, first)
     run = _run(bodies, options, targets, speeds, Colliders(around))
     origins, turns = [], []
     for k in range(first, clock.count):
@@ -346,7 +346,7 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         turns.append(frame.rotations)
         if context.progress is not None:
             context.progress((k + 1 - first) / (clock.count - first))
-    fallen = _locals(
+    fallen = ragdoll_transforms(
         bodies,
         np.array(origins),
         np.array(turns),
@@ -415,7 +415,7 @@ def _run(
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
 
 
-def _speeds(
+def ragdoll_speeds(
     bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
 ) -> FloatArray:
     """Return velocities of centres of mass and angular momenta ``(N, 6)``."""
@@ -433,7 +433,7 @@ def _speeds(
     return np.concatenate([velocities, so3.rotate(axes, own)], axis=1)
 
 
-def _locals(
+def ragdoll_transforms(
     bodies: Ragdoll,
     origins: FloatArray,
     turns: FloatArray,

@@ -1,0 +1,250 @@
+"""Agents that are knocked down: from then on their rigs are rigid bodies on joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
+from animtool.sim.colliders.on_joints import Capsules
+from animtool.systems.crowds.ground import Frame, Ground
+from animtool.systems.particles.forces import find_force
+from animtool.systems.rigid.ragdoll import (
+    Ragdoll,
+    RagdollOptions,
+    bodies_of_rig,
+    joints_of_rig,
+    ragdoll_speeds,
+    ragdoll_transforms,
+)
+from animtool.systems.rigid.simulation import RigidSimulation
+from animtool.systems.rigid.spec import RigidModel
+from animtool.systems.simulation import growing
+
+# Small steps of the bodies of who falls [s].
+SMALL_STEP = 0.001
+# Who moves less than this for so long has come to rest [m/s], [s].
+REST_SPEED, REST_TIME = 0.08, 0.4
+# Nobody falls faster [m/s].
+FASTEST = 60.0
+GRAVITY = 9.81  # [m/s²]
+
+
+@dataclass(frozen=True, slots=True)
+class Falls:
+    """K agents that fell, in the order in which they did.
+
+    Attributes:
+        agents: Which ``(K,)``.
+        positions: Joints as each began to fall, in the world ``(K, J, 3)`` [m].
+        turns: How they were turned ``(K, J, 4)``.
+        motion: Of B bodies of each, as rigid bodies have it ``(K, B, 14)``.
+        slow: For how long each has moved slowly ``(K,)`` [s].
+    """
+
+    agents: IntArray = field(metadata=growing())
+    positions: FloatArray = field(metadata=growing())
+    turns: FloatArray = field(metadata=growing())
+    motion: FloatArray = field(metadata=growing())
+    slow: FloatArray = field(metadata=growing())
+
+    @staticmethod
+    def none(joints: int, bodies: int) -> Falls:
+        """Return that nobody fell, of rigs with so many joints and bodies at most."""
+        return Falls(
+            np.zeros(0, np.int64),
+            np.zeros((0, joints, 3)),
+            np.zeros((0, joints, 4)),
+            np.zeros((0, bodies, 14)),
+            np.zeros(0),
+        )
+
+
+@dataclass(frozen=True)
+class _Falling:
+    """The bodies of one who falls."""
+
+    ragdoll: Ragdoll
+    simulation: RigidSimulation
+
+
+class Falling:
+    """What moves those who fall, among colliders and on the ground.
+
+    Args:
+        rigs: Of each agent.
+        frame: Where the ground is.
+        ground: That they fall onto.
+        colliders: What else is there.
+        step: Of the crowd [s].
+    """
+
+    def __init__(
+        self,
+        rigs: Sequence[Rig],
+        frame: Frame,
+        ground: Ground,
+        colliders: Colliders,
+        step: float,
+    ) -> None:
+        self._rigs, self._up = rigs, frame.turned(np.array([0.0, 1.0, 0.0]))
+        shape: Plane | Mesh = Plane()
+        if not ground.flat:
+            seen = ground.triangles
+            a, b, c = seen.swapaxes(0, 1)
+            over = np.cross(b - a, c - a)[:, 1] < 0
+            seen = np.where(over[:, None, None], seen[:, ::-1], seen)
+            corners = seen.reshape(-1, 3)
+            shape = Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+        poses = Poses.fixed(frame.origin, frame.rotation)
+        floor = Collider(shape, poses, "ground", friction=0.8)
+        self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
+        small = max(1, round(step / SMALL_STEP))
+        self._spec = RigidModel.model_validate(
+            {
+                "name": "falls",
+                "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
+                "step": step,
+                "substeps": small,
+                "iterations": 24,
+                "sleep": {"speed": 0},
+            }
+        )
+        make: Any = find_force("gravity")
+        self._gravity = make(acceleration=tuple((-GRAVITY * self._up).tolist()))
+        self._known: dict[tuple[int, bytes], _Falling] = {}
+
+    @staticmethod
+    def possible(rig: Rig) -> bool:
+        """Return whether a rig has bodies to fall with."""
+        return bool(len(Capsules.of(rig)))
+
+    def none(self) -> Falls:
+        """Return that nobody fell."""
+        rigs = {id(rig): rig for rig in self._rigs}.values()
+        joints = max(len(rig.joints) for rig in rigs)
+        return Falls.none(
+            joints, max(len(np.unique(Capsules.of(rig).joints)) for rig in rigs)
+        )
+
+    def begun(
+        self,
+        falls: Falls,
+        agents: IntArray,
+        before: Sequence[WorldTransforms],
+        after: Sequence[WorldTransforms],
+        dt: float,
+    ) -> Falls:
+        """Return falls with more agents, whose joints were there a step [s] ago."""
+        for agent, first, last in zip(agents.tolist(), before, after, strict=True):
+            rig = self._rigs[agent]
+            positions = np.zeros((1, *falls.positions.shape[1:]))
+            turns = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
+            positions[0, : len(rig.joints)] = last.positions[0]
+            turns[0, : len(rig.joints)] = last.rotations[0]
+            falling = self._falling(agent, positions[0], turns[0])
+            pair = WorldTransforms(
+                np.concatenate([first.positions, last.positions]),
+                np.concatenate([first.linear, last.linear]),
+            )
+            motion = falling.simulation.initial().motion.copy()
+            motion[:, 7:13] = ragdoll_speeds(
+                falling.ragdoll, pair, np.array([0.0, dt]), 1
+            )
+            whole = np.zeros((1, *falls.motion.shape[1:]))
+            whole[0, : len(motion)] = motion
+            falls = Falls(
+                np.append(falls.agents, agent),
+                np.concatenate([falls.positions, positions]),
+                np.concatenate([falls.turns, turns]),
+                np.concatenate([falls.motion, whole]),
+                np.append(falls.slow, 0.0),
+            )
+        return falls
+
+    def step(self, falls: Falls, t: float, dt: float) -> Falls:
+        """Return falls a step [s] later; who rests stays."""
+        motion, slow = falls.motion.copy(), falls.slow.copy()
+        for k, agent in enumerate(falls.agents.tolist()):
+            if slow[k] >= REST_TIME:
+                continue
+            falling = self._falling(agent, falls.positions[k], falls.turns[k])
+            simulation = falling.simulation
+            begun = simulation.initial()
+            count = len(begun.motion)
+            state = replace(begun, motion=np.ascontiguousarray(motion[k, :count]))
+            made = simulation.step(state, t, dt).motion
+            speeds = np.linalg.norm(made[:, 7:10], axis=1)
+            if not speeds.max() < FASTEST:
+                # Squeezed between others that give no way: it goes on from a stop.
+                made = motion[k, :count].copy()
+                made[:, 7:13] = 0.0
+            motion[k, :count] = made
+            slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
+        return replace(falls, motion=motion, slow=slow)
+
+    def poses(self, falls: Falls, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return local places ``(J, 3)`` [m] and turns ``(J, 4)`` of one who fell.
+
+        Those of the first joint are in the world.
+        """
+        agent = int(falls.agents[k])
+        rig = self._rigs[agent]
+        falling = self._falling(agent, falls.positions[k], falls.turns[k])
+        bodies = falling.ragdoll.bodies
+        frame = falling.simulation.frame(
+            replace(
+                falling.simulation.initial(),
+                motion=np.ascontiguousarray(falls.motion[k, : len(bodies.of)]),
+            ),
+            0.0,
+        )
+        count = len(rig.joints)
+        turns = falls.turns[k, :count]
+        local = turns.copy()
+        below = rig.parents >= 0
+        above = turns[rig.parents[below]]
+        local[below] = so3.multiply(so3.conjugate(above), turns[below])
+        places = rig.rest_translations.copy()
+        places[~below] = falls.positions[k, :count][~below]
+        moved, turned = ragdoll_transforms(
+            falling.ragdoll,
+            frame.points[None],
+            frame.rotations[None],
+            places[None],
+            local[None],
+        )
+        return moved[0], turned[0]
+
+    def _falling(
+        self, agent: int, positions: FloatArray, turns: FloatArray
+    ) -> _Falling:
+        """Return the bodies of one who fell in a pose."""
+        key = agent, positions.tobytes()
+        if key not in self._known:
+            rig = self._rigs[agent]
+            count = len(rig.joints)
+            pose = WorldTransforms(
+                positions[None, :count], so3.to_matrix(turns[None, :count])
+            )
+            options = RagdollOptions(mass=None, damping=2.0)
+            ragdoll = bodies_of_rig(rig, pose, options)
+            joints = joints_of_rig(ragdoll, options, lambda _: np.zeros((0, 5)))
+            around, forces = self._colliders, [self._gravity]
+            simulation = RigidSimulation(
+                self._spec, 0.0, ragdoll.bodies, joints, around, forces
+            )
+            self._known[key] = _Falling(ragdoll, simulation)
+        return self._known[key]
+
+
+def resting(falls: Falls) -> BoolArray:
+    """Return who has come to rest ``(K,)``."""
+    return np.asarray(falls.slow >= REST_TIME)
