@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from animtool.cli.console import columns
@@ -57,9 +58,11 @@ def _line(mesh: MeshReport) -> str:
         moves = f"{counted(written.samples, 'frame')}, {size_text(written.bytes)}"
     many = counted(written.vertices, "vertex", "vertices")
     if mesh.simulated:
-        nouns = ("body", "bodies") if mesh.kind == "rigid" else ("particle",)
+        nouns = _NOUNS.get(mesh.kind, ("particle",))
         many = counted(written.vertices, *nouns)
         many = f"up to {many}" if mesh.kind == "particles" else many
+    if written.characters is not None:
+        return f"    {mesh.name}: {many}, {_characters_text(mesh)}"
     return (
         f"    {mesh.name}: {many}, {moves}, "
         f"{duration_text(_milliseconds(mesh) / 1e3)} a frame, largest error of float32 "
@@ -67,8 +70,33 @@ def _line(mesh: MeshReport) -> str:
     )
 
 
+# What is counted of a kind of system.
+_NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
+
+
+def _characters_text(mesh: MeshReport) -> str:
+    """Return how characters were written."""
+    made = mesh.written.characters
+    assert made is not None
+    kept = f"{made.samples / made.frames:.0%}" if made.frames else "none"
+    return (
+        f"{counted(mesh.written.samples, 'frame')}, "
+        f"{duration_text(_milliseconds(mesh) / 1e3)} a frame\n"
+        f"      {made.own} with an animation of their own, {kept} of its poses written: "
+        f"joints within {length_text(made.error, 2)}, standing feet "
+        f"{length_text(made.slide, 2)}\n"
+        f"      {made.shared} with a part in an animation of who stands"
+    )
+
+
 def _milliseconds(mesh: MeshReport) -> float:
     return mesh.seconds * 1e3 / max(mesh.frames, 1)
+
+
+def _characters_json(mesh: MeshReport) -> dict[str, object]:
+    """Return how characters were written; nothing of other meshes."""
+    made = mesh.written.characters
+    return {} if made is None else {"characters": asdict(made)}
 
 
 def mesh_json(take: TakeReport) -> list[dict[str, object]]:
@@ -80,6 +108,7 @@ def mesh_json(take: TakeReport) -> list[dict[str, object]]:
             "prim": mesh.written.path,
             "of": take.source.name if mesh.simulated else take.meshes_of,
             "vertices": mesh.written.vertices,
+            **_characters_json(mesh),
             "samples": mesh.written.samples,
             "animated": mesh.written.sampled,
             "bytes": mesh.written.bytes,

@@ -22,6 +22,8 @@ constexpr double TINY = 1e-12;
 constexpr double PARALLEL = 1e-9;
 // Of the preferred directions of two who go the same way, the cosine is larger.
 constexpr double ALIKE = 0.7;
+// Of two who go against each other, less than minus it.
+constexpr double ONCOMING = 0.5;
 // Who is slower than this part of what it likes is stuck, and shoves by so much of it.
 constexpr double STUCK = 0.3, SHOVE = 0.5;
 
@@ -118,7 +120,7 @@ void least_outside(const Chooser& chooser, const std::vector<HalfPlane>& planes,
 }
 
 struct Rules {
-  double sight, horizon, space, push, headway, step;
+  double sight, horizon, space, push, headway, side, step;
   std::size_t nearest;
 };
 
@@ -187,7 +189,7 @@ class Walker {
     Vec2 wanted = vec2(agents_.preferred + 2 * self);
     const double speed = wanted.length(), own = agents_.radii[self];
     const Vec2 ahead = wanted * (speed > TINY ? 1 / speed : 0.0);
-    double most = speed;
+    double most = speed, aside = 0;
     Vec2 away;
     for (const Seen& one : seen_) {
       const double far = std::sqrt(one.squared), wide = own + agents_.radii[one.which];
@@ -199,12 +201,19 @@ class Walker {
         if (other.dot(ahead) > ALIKE * other.length() && one.off.dot(other) >= 0)
           most = std::min(most, gap / rules_.headway);
       }
+      if (rules_.side != 0 && along > 0 && one.squared - along * along < 2.25 * wide * wide) {
+        const Vec2 other = vec2(agents_.preferred + 2 * one.which);
+        if (other.dot(ahead) < -ONCOMING * other.length() && other.length() > TINY)
+          aside = std::max(aside, 1 - far / rules_.sight);
+      }
       const bool together =
           agents_.groups[self] >= 0 && agents_.groups[self] == agents_.groups[one.which];
       if (gap < rules_.space && far > TINY && !together)
         away -= one.off * (rules_.push * (1 - gap / rules_.space) / far);
     }
-    return ahead * most + away;
+    // To the left of z is x.
+    const Vec2 left{ahead.y, -ahead.x};
+    return ahead * most + left * (rules_.side * speed * aside) + away;
   }
 
   // The half-plane of velocities that an agent and another, who does its share, agree on.
@@ -291,7 +300,7 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
     In<double, 2> points, In<double, 2> velocities, In<double, 2> preferred,
     In<double, 1> radii, In<double, 1> most, In<double, 1> gives, In<std::int32_t, 1> groups,
     In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
-    std::int64_t nearest, double horizon, double space, double push, double headway, double step,
+    std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
     std::int64_t rounds, double enough) {
   const std::size_t count = points.shape(0);
   check::at_most("points", count, check::MOST_ROWS);
@@ -316,6 +325,7 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
   check::not_negative("space", space);
   check::finite("push", push);
   check::not_negative("headway", headway);
+  check::between("side", side, -1, 1);
   check::positive("step", step);
   check::between("rounds", rounds, 0, 10000);
   check::not_negative("enough", enough);
@@ -334,7 +344,7 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
     }
     const double anyone = std::numeric_limits<double>::infinity();
     const Block<Vec2> moved = block<Vec2>(count);
-    const Rules rules{sight, horizon, space, push, headway, step,
+    const Rules rules{sight, horizon, space, push, headway, side, step,
                       static_cast<std::size_t>(nearest)};
     const Neighbours grid(flat.get(), nullptr, count, sight, open, open);
     const Agents agents{grid,          points.data(), velocities.data(), preferred.data(),

@@ -184,12 +184,13 @@ there were to look at; where these are more than ``most``, nothing is done.)");
 
   m.def("crowd_step", &crowd_step, "points"_a, "velocities"_a, "preferred"_a, "radii"_a,
         "most"_a, "gives"_a, "groups"_a, "does"_a, "starts"_a, "walls"_a, "sight"_a, "nearest"_a,
-        "horizon"_a, "space"_a, "push"_a, "headway"_a, "step"_a, "rounds"_a, "enough"_a,
+        "horizon"_a, "space"_a, "push"_a, "headway"_a, "side"_a, "step"_a, "rounds"_a, "enough"_a,
         R"(Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
 
 They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
 between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
-nearer than ``space`` [m] who are not of their group (-1 is none). No velocity is larger than
+nearer than ``space`` [m] who are not of their group (-1 is none). Those who come against
+them they leave to their right by ``side`` of their speed, 0 to 1, or to their left below 0. No velocity is larger than
 ``most``, none collides within ``horizon`` [s] with one of the ``nearest`` that are in
 ``sight`` [m], or if there is none such the least. What each ``does`` is 0 for who walks, 1 for who
 stays and 2 for who is gone. ``walls`` ``(M, 4)``

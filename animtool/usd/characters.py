@@ -65,10 +65,11 @@ class Characters:
         """Write the prim above them, and the rigs, which nothing shows."""
         self._first = frame
         prim(layer, self.path, "Xform")
-        above = prim(layer, f"{self.path}/{PROTOTYPES}", "Scope")
-        above.specifier = Sdf.SpecifierClass
         for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
             _author_cast(layer, cast, paths, self.unit)
+        above = prim(layer, f"{self.path}/{PROTOTYPES}", "Scope")
+        above.specifier = Sdf.SpecifierClass
+        above.ClearInfo("kind")
 
     def _rigs(self, frame: CharactersFrame) -> list[RigPaths]:
         """Return where the rigs are."""

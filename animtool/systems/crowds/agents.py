@@ -24,6 +24,9 @@ DEVIATIONS = 2.0
 FASTEST = 1.3
 # Who gives least, over who gives most: were all alike, arches before doors would hold.
 FIRMEST = 0.2
+# Agents go to random places in a goal, no farther from its middle than this part of its
+# radius; those of a group to the same.
+SPREAD = 0.8
 # Room from one to the next of a group, over both radii.
 ABREAST = 1.3
 # Rounds in which those that begin in each other are moved apart, and how often others
@@ -45,6 +48,7 @@ class Agents:
         delays: When they set out, after the beginning ``(N,)`` [s].
         groups: Which one they are of, -1 for none ``(N,)``.
         sides: Where they walk in it, left of its middle ``(N,)`` [m].
+        offsets: Where in its goals each goes, over their radius ``(N, 2)``.
         sizes: Of the body of each, over its rig ``(N,)``.
         chances: Where in its clips each begins, from 0 to 1 ``(N,)``.
     """
@@ -58,6 +62,7 @@ class Agents:
     delays: FloatArray
     groups: npt.NDArray[np.int32]
     sides: FloatArray
+    offsets: FloatArray
     sizes: FloatArray
     chances: FloatArray
 
@@ -111,8 +116,8 @@ def agents_of(
         for one, own in zip(spec.populations, parts, strict=True)
     ]
     counts = [len(each[0]) for each in drawn]
-    starts, speeds, gives, delays, sides, sizes, chances = (
-        np.concatenate(each) for each in zip(*(one[:7] for one in drawn), strict=True)
+    starts, speeds, gives, delays, sides, offsets, sizes, chances = (
+        np.concatenate(each) for each in zip(*(one[:8] for one in drawn), strict=True)
     )
     groups, number = [], 0
     for *_, own in drawn:
@@ -132,6 +137,7 @@ def agents_of(
         delays,
         np.concatenate(groups).astype(np.int32),
         sides,
+        offsets,
         sizes,
         chances,
     )
@@ -178,8 +184,8 @@ def separated(
     count = len(x)
     moved, _, overlap = _kernels.crowd_step(
         x, still, still, agents.radii, np.zeros(count), agents.gives, agents.groups,
-        np.zeros(count, np.uint8), starts, walls, radius, 0, 1.0, 0.0, 0.0, 0.0, 1.0,
-        ROUNDS, ENOUGH * radius,
+        np.zeros(count, np.uint8), starts, walls, radius, 0, 1.0, 0.0, 0.0, 0.0, 0.0,
+        1.0, ROUNDS, ENOUGH * radius,
     )  # fmt: skip
     return moved, overlap
 
@@ -196,7 +202,7 @@ def _drawn(
         raise refused(f"{message}finite: they must be (N, 3)", "", "points")
     count = population.count if points is None else len(points)
     keys = np.arange(count)
-    chances, more = np.split(uniforms(population.seed, keys, 8), [6], axis=1)
+    chances, more = np.split(uniforms(population.seed, keys, 10), [6], axis=1)
     group = population.group
     if points is None:
         emitter = Emitter(
@@ -218,9 +224,9 @@ def _drawn(
         sides = (rank - (sizes - 1) / 2) * 2 * ABREAST * population.radius
         if parts.get("points") is None:
             # The others stand about the first, at some angle.
-            angle = 2 * np.pi * chances[groups * group, 0]
-            along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            along = _circle(2 * np.pi * chances[groups * group, 0])
             starts = starts[groups * group] + along * sides[:, None]
+        more[:, 2:] = more[groups * group, 2:]
         chances = np.concatenate([chances[groups * group, :5], chances[:, 5:]], axis=1)
     speed = population.speed
     # Box and Muller.
@@ -233,10 +239,16 @@ def _drawn(
         FIRMEST + (1 - FIRMEST) * chances[:, 5],
         population.delay * chances[:, 3],
         sides,
+        SPREAD * np.sqrt(more[:, 2:3]) * _circle(2 * np.pi * more[:, 3]),
         1 + population.size * (2 * more[:, 0] - 1),
         more[:, 1],
         groups,
     )
+
+
+def _circle(angles: FloatArray) -> FloatArray:
+    """Return unit vectors at angles [rad] ``(K, 2)``."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _check(spec: CrowdsModel) -> None:

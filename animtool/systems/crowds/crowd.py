@@ -43,6 +43,8 @@ MOVES = 20
 WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
 # Agents look where they go, and by this part where they would like to.
 FACING = 0.5
+# By which part of their speed agents leave those who come against them to a side.
+SIDES = {"right": -0.3, "left": 0.3, "none": 0.0}
 # Who is slower than this part of the speed that it likes turns as much slower.
 SLOW = 0.6
 # How long agents take to turn to where they go [s].
@@ -255,7 +257,8 @@ class Crowd:
             x, v, relaxed, agents.radii, agents.most, agents.gives, agents.groups,
             does, walls.starts,
             walls.rows, rules.sight, rules.nearest, rules.horizon, rules.space,
-            rules.push, rules.headway, dt, APART, ENOUGH * float(agents.radii.min()),
+            rules.push, rules.headway, SIDES[rules.side], dt, APART,
+            ENOUGH * float(agents.radii.min()),
         )  # fmt: skip
         progress = self._steering.advanced(state.progress, points, dt)
         headings = self._turned(state.headings, wanted, velocities, dt)

@@ -29,9 +29,9 @@ from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.simulation import growing
 
 # Small steps of the bodies of who falls [s].
-SMALL_STEP = 0.001
+SMALL_STEP = 0.0025
 # Who moves less than this for so long has come to rest [m/s], [s].
-REST_SPEED, REST_TIME = 0.08, 0.4
+REST_SPEED, REST_TIME = 0.15, 0.3
 # Nobody falls faster [m/s].
 FASTEST = 60.0
 GRAVITY = 9.81  # [m/s²]
@@ -113,7 +113,7 @@ class Falling:
                 "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
                 "step": step,
                 "substeps": small,
-                "iterations": 24,
+                "iterations": 10,
                 "sleep": {"speed": 0},
             }
         )

@@ -142,10 +142,11 @@ class Route:
         size = np.linalg.norm(made, axis=2)[..., None]
         return made / np.where(size > 0, size, 1.0)
 
-    def directions(self, points: FloatArray) -> FloatArray:
+    def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the way from x and z ``(K, 2)``.
 
-        Who stands where nobody may goes back first.
+        To ``targets`` near the goal, where nothing is between. Who stands where nobody
+        may goes back first.
         """
         grid = self.grid
         rows, columns, shares = grid.corners(points)
@@ -158,7 +159,7 @@ class Route:
         far = np.linalg.norm(off, axis=1)
         row, column = grid.at(points).T
         near = self.distances[row, column] <= far + STRAIGHT * grid.cell
-        made[near] = off[near]
+        made[near] = (targets - points)[near]
         size = np.linalg.norm(made, axis=1)[:, None]
         return np.asarray(made / np.where(size > 0, size, 1.0))
 

@@ -169,6 +169,11 @@ class AgentAvoidanceModel(FileModel):
     push: NotNegative = key(
         "How fast they leave who is close to them [m/s].", 0.4, default=0.3
     )
+    side: Literal["right", "left", "none"] = key(
+        "On which side they walk where others come against them.",
+        "left",
+        default="right",
+    )
     headway: NotNegative = key(
         "Behind who goes the same way they walk no faster than the gap over this "
         "time [s].",

@@ -101,16 +101,23 @@ class Steering:
         """Return where agents are to be in the end ``(N, 2)`` [m], and who queues."""
         if not len(self.points):
             return x, np.zeros(len(x), np.bool_)
-        at = np.where((goal >= 0)[:, None], self.points[goal], x)
-        for g, route in enumerate(self.routes):
-            own = goal == g
-            at[own] = route.goal(x[own])
+        at = self._middles(goal, x)
+        radii = np.array([one.radius for one in self.goals])
+        at += self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
         queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[queued]).tolist():
             line = np.flatnonzero(queued & (goal == g))
             line = line[np.argsort(progress.tickets[line], kind="stable")]
             at[line] = self.points[g] + np.arange(len(line))[:, None] * self.lines[g]
         return at, queued
+
+    def _middles(self, goal: IntArray, x: FloatArray) -> FloatArray:
+        """Return the goal of each that it can reach ``(N, 2)`` [m]; without one, x."""
+        at = np.where((goal >= 0)[:, None], self.points[goal], x)
+        for g, route in enumerate(self.routes):
+            own = goal == g
+            at[own] = route.goal(x[own])
+        return np.asarray(at)
 
     def preferred(
         self, t: float, begin: float, progress: Progress, x: FloatArray
@@ -125,7 +132,7 @@ class Steering:
         for g, route in enumerate(self.routes):
             own = (goal == g) & ~queued
             if own.any():
-                ways[own] = route.directions(x[own])
+                ways[own] = route.directions(x[own], target[own])
         speeds = np.minimum(agents.speeds, far / STOPPING)
         speeds = np.where((goal >= 0) & (t - begin >= agents.delays), speeds, 0.0)
         # Who waits where all are at once makes room for those behind, and stays.
@@ -183,8 +190,9 @@ class Steering:
         tickets = self._joined(progress.tickets, goal, has & queues, x)
         target, queued = self.targets(replace(progress, tickets=tickets), goal, x)
         far = np.linalg.norm(target - x, axis=1)
+        near = np.linalg.norm(self._middles(goal, x) - x, axis=1)
         first = queued & (far <= radius) & (target == self.points[goal]).all(axis=1)
-        there = has & np.where(queues, first, far <= radius)
+        there = has & np.where(queues, first, near <= radius)
         waited = np.where(there | ((progress.waited > 0) & has & ~queues),
                           progress.waited + dt, 0.0)  # fmt: skip
         last = ~again & ~leaves & (progress.stages + 1 >= counts)
