@@ -82,7 +82,7 @@ def _characters_text(mesh: MeshReport) -> str:
     return (
         f"{counted(mesh.written.samples, 'frame')}, "
         f"{duration_text(_milliseconds(mesh) / 1e3)} a frame\n"
-        f"      {made.own} with an animation of their own, {kept} of its poses written: "
+        f"      {made.own} with an animation of their own, {kept} of poses written: "
         f"joints within {length_text(made.error, 2)}, standing feet "
         f"{length_text(made.slide, 2)}\n"
         f"      {made.shared} with a part in an animation of who stands"

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-HERE = Path(__file__).parent
-sys.path.append(str(HERE.parent / "retarget"))
+sys.path.append(str(Path(__file__).parents[1] / "retarget"))
 
 from make_takes import SIDES, Tracks, bvh, keyed, standing
+
+HERE = Path(__file__).parent
 
 
 def stand() -> Tracks:

@@ -1,0 +1,226 @@
+"""Bodies of crowds: what clips are, and that feet stay where they stand."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from animtool.errors import OptionError
+from animtool.maths import so3
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Joint, Rig
+from animtool.scene.systems.gaits import GaitsSource
+from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.bodies import Bodies, BodyState
+from animtool.systems.crowds.cast import part
+from animtool.systems.crowds.gaits import Gaits, gaits_of
+from animtool.systems.crowds.ground import about_up
+
+SAMPLES = Path(__file__).parents[3] / "samples"
+TAKES = SAMPLES / "retarget" / "takes"
+RIG = SAMPLES.parent / "rigs" / "biped" / "biped.rig.yaml"
+UP = np.array([0.0, 1.0, 0.0])
+
+
+@cache
+def library(*names: str) -> Gaits:
+    """Return takes of the samples on the biped, as gaits."""
+    clips = {path.stem: path for path in [*TAKES.glob("*.bvh"), *CLIPS.glob("*.bvh")]}
+    return GaitsSource(RIG, tuple(clips[name] for name in names))()
+
+
+CLIPS = SAMPLES / "crowd" / "clips"
+
+
+def level(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros(len(points)), np.tile(UP, (len(points), 1))
+
+
+def bumpy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ground that rises and falls by 8 cm."""
+    x, z = 1.5 * points[:, 0], 1.3 * points[:, 1]
+    slopes = 0.12 * np.cos(x) * np.cos(z), -0.104 * np.sin(x) * np.sin(z)
+    normals = np.stack([-slopes[0], np.ones(len(x)), -slopes[1]], axis=1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return 0.08 * np.sin(x) * np.cos(z), normals
+
+
+def path(step: float, count: int) -> list[Going]:
+    """Return who stands, walks, turns, runs, stops, turns on the spot, and leaves."""
+    t = np.arange(0, 13 + step / 2, step)
+    speeds = np.interp(
+        t, [0, 1, 2, 4, 6, 7, 8, 11, 13], [0, 0, 1.3, 1.3, 2.2, 1, 0, 0, 0.6]
+    )
+    turning = np.interp(
+        t, [3, 3.5, 5, 5.5, 8.5, 8.6, 10, 10.1], [0, 1.6, 1.6, 0, 0, 1.5, 1.5, 0]
+    )
+    headings = np.cumsum(turning) * step
+    v = speeds[:, None] * np.stack([np.sin(headings), np.cos(headings)], axis=1)
+    x = np.cumsum(v, axis=0) * step
+    return [
+        Going(*(np.tile(one, (count, 1)) for one in (x[i], v[i])), np.full(count, turn))
+        for i, turn in enumerate(headings)
+    ]  # fmt: skip
+
+
+def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
+    """Return joints in the world ``(N, J, 3)`` [m]."""
+    rig, made = bodies.gaits.walker.rig, bodies.poses(state, going)
+    places = np.repeat(rig.rest_translations[None], len(made.turns), axis=0)
+    places[:, 0] = made.roots
+    local = forward(rig, places, made.turns).positions * bodies.scales[:, None, None]
+    heights = bodies.ground(going.points)[0]
+    origin = np.insert(going.points, 1, heights, axis=1)
+    return so3.rotate(about_up(going.headings)[:, None], local) + origin[:, None]
+
+
+def walked(
+    bodies: Bodies, goings: list[Going], step: float
+) -> tuple[list[BodyState], np.ndarray]:
+    """Return states, and joints in the world ``(F, N, J, 3)``."""
+    count = len(goings[0].points)
+    state = bodies.first(goings[0], np.linspace(0.1, 0.8, count))
+    states, places = [], []
+    for before, after in pairwise(goings):
+        state = bodies.next(state, before, after, step)
+        states.append(state)
+        places.append(joints(bodies, state, after))
+    return states, np.array(places)
+
+
+def between(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the least distance of segments ``(F, N, 2, 3)`` [m]."""
+    shares = np.linspace(0, 1, 15)[:, None]
+    a, b = (
+        each[..., None, 0, :] + shares * (each[..., None, 1, :] - each[..., None, 0, :])
+        for each in (one, other)
+    )
+    return float(np.linalg.norm(a[..., :, None, :] - b[..., None, :, :], axis=-1).min())
+
+
+def test_clips_are_what_they_show() -> None:
+    found = library("walk", "run", "turn", "stand", "stumble")
+    assert [one.name for one in found.moving] == ["turn", "walk", "run"]
+    assert found.idle.name == "stand"
+    assert [one.name for one in found.reactions] == ["stumble"]
+    assert not found.notices
+    turn, walk, run = found.moving
+    # What `make_takes.py` says of them, in the size of the biped.
+    assert walk.period == pytest.approx(1.1, abs=1 / 30)
+    assert run.period == pytest.approx(0.7, abs=1 / 30)
+    assert walk.stands == pytest.approx(0.62, abs=1 / 33)
+    assert run.stands.max() < 0.35
+    assert abs(walk.turning) < 1e-6
+    assert turn.turning > 1
+    assert walk.steps[0, 0] > 0 > walk.steps[1, 0]
+    assert walk.steps[0, 1] == pytest.approx(walk.steps[1, 1], abs=0.03)
+
+
+@pytest.mark.parametrize("ground", [level, bumpy])
+def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
+    bodies = Bodies(
+        library("walk", "run", "turn", "stand"), np.array([1.0, 1.1]), ground
+    )
+    goings = path(0.02, 2)
+    states, places = walked(bodies, goings, 0.02)
+    legs = bodies.gaits.walker.legs
+    swings = np.array([state.swings for state in states])
+    for k, (_, _, _, toe) in enumerate(legs):
+        for n in range(2):
+            held = None
+            for stands, place in zip(
+                swings[:, n, k] < 0, places[:, n, toe], strict=True
+            ):
+                held = (place if held is None else held) if stands else None
+                if held is not None:
+                    assert np.linalg.norm(place - held) < 1e-3
+    # Shins are 4 cm thick, at least.
+    shins = [places[:, :, [shin, foot]] for _, shin, foot, _ in legs]
+    assert between(*shins) > 0.04
+    # Each stepped, and stands still in the end of the stop.
+    assert (np.diff((swings >= 0).astype(int), axis=0) > 0).sum(axis=0).min() > 6
+    # No joint goes faster than twice as fast as in a run.
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) / 0.02
+    assert speeds.max() < 10
+
+
+def test_a_clip_at_its_own_speed_is_the_clip() -> None:
+    """But for legs, whose feet go as the ground has them: within 4 cm in the air."""
+    gaits = library("walk", "stand")
+    walk = gaits.moving[0]
+    bodies = Bodies(gaits, np.ones(1), level)
+    step = 1 / 60
+    goings = [
+        Going(*(np.array([[0.0, walk.speed * s]]) for s in (step * i, 1)), np.zeros(1))
+        for i in range(300)
+    ]  # fmt: skip
+    states, places = walked(bodies, goings, step)
+    rig, phases = gaits.walker.rig, len(walk.turns)
+    errors = []
+    for i in range(200, 299):
+        at = states[i].phases[0] * phases
+        low, share = int(at), at % 1
+        turns = so3.slerp(walk.turns[[low]], walk.turns[[(low + 1) % phases]], share)
+        root = walk.hips[low] + share * (walk.hips[(low + 1) % phases] - walk.hips[low])
+        rest = rig.rest_translations[None].copy()
+        rest[0, 0] = root
+        clip = forward(rig, rest, turns).positions[0]
+        clip[:, 2] += goings[i + 1].points[0, 1]
+        errors.append(np.linalg.norm(places[i, 0] - clip, axis=1))
+    worst = np.array(errors).max(axis=0)
+    below = {j for leg in gaits.walker.legs for j in leg}
+    above = [j for j in range(len(worst)) if not below & {j, *rig.upwards(j)}]
+    assert worst[above].max() < 2e-3
+    assert worst.max() < 0.04
+
+
+def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
+    bodies = Bodies(
+        library("walk", "run", "turn", "stand"), np.array([1, 1.1, 0.9]), level
+    )
+    alone = Bodies(bodies.gaits, bodies.scales[[1]], level)
+    goings = path(0.05, 3)[:120]
+    row = np.array([1])
+    state = bodies.first(goings[0], np.array([0.1, 0.4, 0.7]))
+    own = part(state, row)
+    for before, after in pairwise(goings):
+        state = bodies.next(state, before, after, 0.05)
+        own = alone.next(own, part(before, row), part(after, row), 0.05)
+    whole, single = (
+        bodies.poses(state, goings[-1]),
+        alone.poses(own, part(goings[-1], row)),
+    )
+    np.testing.assert_array_equal(whole.turns[1], single.turns[0])
+    np.testing.assert_array_equal(whole.roots[1], single.roots[0])
+
+
+def test_who_is_hit_plays_the_reaction_once() -> None:
+    bodies = Bodies(library("walk", "stand", "stumble"), np.ones(2), level)
+    here = Going(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
+    state = bodies.first(here, np.zeros(2))
+    quiet = bodies.poses(state, here).turns
+    state = bodies.next(state, here, here, 0.1, np.array([True, False]))
+    for _ in range(4):
+        state = bodies.next(state, here, here, 0.1)
+    hit = bodies.poses(state, here).turns
+    off = np.degrees(2 * np.arccos(np.clip(np.abs((hit * quiet).sum(axis=-1)), 0, 1)))
+    assert off[0].max() > 15
+    assert off[1].max() < 5
+    for _ in range(20):
+        state = bodies.next(state, here, here, 0.1)
+    assert (state.reacts == -1).all()
+
+
+def test_what_a_library_lacks_is_named() -> None:
+    found = library("run")
+    assert [fault.code for fault in found.notices] == ["SIM150", "SIM150"]
+    with pytest.raises(OptionError, match="none of the clips walks"):
+        library("stand")
+    stick = Rig("stick", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
+    with pytest.raises(OptionError, match="has no two legs"):
+        gaits_of(stick, [])
