@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.errors import OptionError
 from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.reorient import reorient, turned_rig
 from animtool.rig.skeleton import Rig
-from animtool.scene.ik import naming
 from animtool.scene.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
 from animtool.systems.crowds.gaits import Gaits, gaits_of
@@ -52,8 +52,11 @@ def _on_rig(path: Path, rig: Rig) -> Take:
     names = map_names(rig, take.rig)
     if _is_same(rig, take.rig, names):
         return replace(take, rig=rig, motion=names.apply(take.motion), tracks=())
-    with naming(path):
+    try:
         return retarget_take(take, rig, map_joints(take.rig, rig)).take
+    except OptionError as error:
+        faults = [replace(one, path=one.path or str(path)) for one in error.faults]
+        raise OptionError(faults) from error
 
 
 def _is_same(rig: Rig, other: Rig, names: NameMap) -> bool:

@@ -103,7 +103,16 @@ class Steering:
             return x, np.zeros(len(x), np.bool_)
         at = self._middles(goal, x)
         radii = np.array([one.radius for one in self.goals])
-        at += self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
+        apart = (
+            at + self.agents.offsets * np.where(goal >= 0, radii[goal], 0.0)[:, None]
+        )
+        if self.grid is None:
+            at = apart
+        else:
+            # Only where it can be reached from the middle.
+            nodes = self.grid.at(np.stack([at, apart]).reshape(-1, 2))
+            parts = self.grid.parts[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
+            at = np.where((parts[0] == parts[1])[:, None], apart, at)
         queued = progress.tickets != NO_TICKET
         for g in np.unique(goal[queued]).tolist():
             line = np.flatnonzero(queued & (goal == g))
