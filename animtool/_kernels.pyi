@@ -209,6 +209,22 @@ def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     Returns ``(points, velocities, overlap)``.
     """
 
+def fitting_spans(turns: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], places: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rest: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], feet: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], stands: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], begins: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], wide: int, near: float, standing: float, hips: float) -> tuple[Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]]:
+    """
+    Which spans ``wide`` frames long can be interpolated, of F poses ``(F, M, 4)``.
+
+    Joints are a chain: ``parents`` ``(S,)`` before each, -1 for none, which of the poses' M
+    rotations each has (``numbers``, -1 has ``rest``), where it is above the other ``(S, 3)``, and
+    how its frame is turned there (``before`` ``(S, 4)``). Signs of rotations are continuous. From
+    the ends of a span joints turn evenly the short way; all are moved then so that the mean of
+    those ``feet`` that stand ``(F, 2)`` is where it was, by at most ``hips`` [m]. A span fits
+    where no joint is farther off than ``near`` [m] then, and no foot that stands than
+    ``standing``.
+
+    Returns ``(fits, moved)``: of each of ``begins`` ``(B,)``, and of the frames inside
+    ``(B, wide - 1, 3)``; those of a span that does not fit may have any values.
+    """
+
 def travel_distances(free: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], cell: float, seeds: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     How far nodes of a grid are from seeds on ways over free nodes alone ``(R, C)`` [m].

@@ -140,6 +140,11 @@ std::tuple<Out<double, 2>, Out<double, 2>, double> crowd_step(
     In<std::uint8_t, 1> does, In<std::int32_t, 1> starts, In<double, 2> walls, double sight,
     std::int64_t nearest, double horizon, double space, double push, double headway, double side, double step,
     std::int64_t rounds, double enough);
+std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
+    In<double, 3> turns, In<std::int64_t, 1> parents, In<std::int64_t, 1> numbers,
+    In<double, 2> places, In<double, 2> before, In<double, 2> rest, In<std::int64_t, 1> feet,
+    In<bool, 2> stands, In<std::int64_t, 1> begins, std::int64_t wide, double near,
+    double standing, double hips);
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);
 std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(

@@ -200,6 +200,22 @@ is ``enough`` [m].
 
 Returns ``(points, velocities, overlap)``.)");
 
+  m.def("fitting_spans", &fitting_spans, "turns"_a, "parents"_a, "numbers"_a, "places"_a,
+        "before"_a, "rest"_a, "feet"_a, "stands"_a, "begins"_a, "wide"_a, "near"_a,
+        "standing"_a, "hips"_a,
+        R"(Which spans ``wide`` frames long can be interpolated, of F poses ``(F, M, 4)``.
+
+Joints are a chain: ``parents`` ``(S,)`` before each, -1 for none, which of the poses' M
+rotations each has (``numbers``, -1 has ``rest``), where it is above the other ``(S, 3)``, and
+how its frame is turned there (``before`` ``(S, 4)``). Signs of rotations are continuous. From
+the ends of a span joints turn evenly the short way; all are moved then so that the mean of
+those ``feet`` that stand ``(F, 2)`` is where it was, by at most ``hips`` [m]. A span fits
+where no joint is farther off than ``near`` [m] then, and no foot that stands than
+``standing``.
+
+Returns ``(fits, moved)``: of each of ``begins`` ``(B,)``, and of the frames inside
+``(B, wide - 1, 3)``; those of a span that does not fit may have any values.)");
+
   m.def("travel_distances", &travel_distances, "free"_a, "cell"_a, "seeds"_a, "starts"_a,
         R"(How far nodes of a grid are from seeds on ways over free nodes alone ``(R, C)`` [m].
 

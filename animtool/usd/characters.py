@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
-from animtool import _kernels
 from animtool._types import BoolArray, Float32Array, FloatArray, IntArray
 from animtool.frames import Cast, CharactersFrame
 from animtool.maths import so3
@@ -32,7 +31,14 @@ from animtool.usd.layers import (
 from animtool.usd.names import RigPaths, distinct_names, joint_names
 from animtool.usd.point_based import CharactersReport
 from animtool.usd.skeleton import author_bones, author_rig
-from animtool.usd.sparse import kept_samples, slerped, turning
+from animtool.usd.sparse import (
+    NEAR,
+    NEAR_STANDING,
+    Chain,
+    kept_samples,
+    slerped,
+    turning,
+)
 
 _TYPES = Sdf.ValueTypeNames
 PROTOTYPES, STANDING = "Prototypes", "Standing"
@@ -172,12 +178,10 @@ class _Track:
         return np.union1d(cast.moves, np.array(cast.feet))
 
     @cached_property
-    def _chain(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return of each that is `shown` the one above it, and how it is there.
-
-        Places ``(S, 3)`` and turns ``(S, 4)`` of its frame, joints between at rest.
-        """
+    def chain(self) -> Chain:
+        """Return the joints that show what a pose is, those between at rest."""
         rig, shown = self.cast.rig, self.shown.tolist()
+        numbers = {joint: m for m, joint in enumerate(self.cast.moves.tolist())}
         parents, places, turns = [], [], []
         for joint in shown:
             place, turn = rig.rest_translations[joint], so3.IDENTITY
@@ -190,23 +194,15 @@ class _Track:
             parents.append(shown.index(above) if above >= 0 else -1)
             places.append(place)
             turns.append(turn)
-        return np.array(parents), np.array(places), np.array(turns)
-
-    def joints(self, turns: FloatArray) -> FloatArray:
-        """Return what is `shown` of poses ``(K, M, 4)``, the first joint at rest.
-
-        Places ``(K, S, 3)`` [m].
-        """
-        parents, places, before = self._chain
-        whole = np.repeat(self.cast.rig.rest_rotations[None, self.shown], len(turns), 0)
-        whole[:, np.searchsorted(self.shown, self.cast.moves)] = turns
-        if (before != so3.IDENTITY).any():
-            whole = so3.multiply(before, whole)
-        shape = len(turns), len(places), 3
-        made, linear = np.empty(shape), np.empty((*shape, 3))
-        own = np.repeat(places[None], len(turns), axis=0)
-        _kernels.forward_kinematics(parents, own, whole, None, made, linear)
-        return made
+        return Chain(
+            np.array(parents),
+            np.array([numbers.get(joint, -1) for joint in shown]),
+            np.array(places),
+            np.array(turns),
+            rig.rest_rotations[self.shown],
+            np.searchsorted(self.shown, self.cast.feet),
+            self.size,
+        )
 
 
 @dataclass(frozen=True)
@@ -222,6 +218,9 @@ class _Group:
     def write(self, names: Sequence[str]) -> None:
         """Write all of them, by name."""
         track, report = self.track, self.owner.report
+        size = track.size * float(track.scales.max(initial=0.0))
+        report.error = max(report.error, NEAR * size)
+        report.slide = max(report.slide, NEAR_STANDING * size)
         shared = self._sharing()
         for i, name in enumerate(names):
             path = f"{self.owner.path}/{name}"
@@ -230,19 +229,15 @@ class _Group:
                 self._place(path, i, None)
                 self._share(path, i)
                 continue
-            left, right = np.searchsorted(track.shown, track.cast.feet).tolist()
-            feet = (left, right), track.stands[:, i]
             turns = track.turns[:, i].copy()
             moves = turning(turns, track.arms, track.size)
             turns[:, ~moves] = turns[:1, ~moves]
-            kept = kept_samples(turns, track.joints, feet)
+            kept, moved = kept_samples(turns, track.chain, track.stands[:, i])
             report.own += 1
-            report.samples += int(kept.rows.sum())
+            report.samples += int(kept.sum())
             report.frames += len(track.codes)
-            report.error = max(report.error, kept.error * float(track.scales[i]))
-            report.slide = max(report.slide, kept.slide * float(track.scales[i]))
-            self._place(path, i, kept.put_right)
-            self._animate(path, turns, moves, kept.rows)
+            self._place(path, i, moved)
+            self._animate(path, turns, moves, kept)
 
     def bound(self) -> None:
         """Write bounds of the rig that hold whatever a character does.

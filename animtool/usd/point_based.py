@@ -56,8 +56,8 @@ class CharactersReport:
     shared: int = 0  # with a part in one that others have, too
     samples: int = 0  # poses of those with their own
     frames: int = 0  # of these
-    error: float = 0.0  # a joint between samples, from where it should be [m]
-    slide: float = 0.0  # likewise of a foot that stands [m]
+    error: float = 0.0  # most that a joint is off between samples [m]
+    slide: float = 0.0  # likewise a foot that stands [m]
 
 
 @dataclass(slots=True)

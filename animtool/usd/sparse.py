@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from animtool import _kernels
 from animtool._types import BoolArray, Float32Array, FloatArray, IntArray
 
 # How far a joint may be from where it should be where a pose is left out: a part of the
@@ -22,84 +22,77 @@ SPANS = {2: (1,), 3: (2,), 4: (3,), 6: (3, 3), 9: (4, 4), 16: (9, 6), 32: (16, 1
 
 
 @dataclass(frozen=True)
-class KeptSamples:
-    """Which of F poses are kept, and what becomes of the others.
+class Chain:
+    """Joints that show what a pose is, as `fitting_spans` has them.
 
     Attributes:
-        rows: Which ``(F,)``.
-        put_right: How far all joints are moved so that feet stay ``(F, 3)`` [m].
-        error: The most that a joint is off then [m].
-        slide: The same of feet that stand [m].
+        parents: Which of them is above each, -1 for none ``(S,)``.
+        numbers: Which rotation of a pose each has, -1 for its own at rest ``(S,)``.
+        places: In the frame of the one above ``(S, 3)`` [m].
+        before: How that is turned there ``(S, 4)``.
+        rest: Own rotations at rest ``(S, 4)``.
+        feet: A joint of each foot ``(2,)``.
+        size: How far the rig reaches [m].
     """
 
-    rows: BoolArray
-    put_right: FloatArray
-    error: float
-    slide: float
+    parents: IntArray
+    numbers: IntArray
+    places: FloatArray
+    before: FloatArray
+    rest: FloatArray
+    feet: IntArray
+    size: float
+
+    def fitting(
+        self, turns: FloatArray, stands: BoolArray, begins: IntArray, wide: int
+    ) -> tuple[BoolArray, FloatArray]:
+        """Return which spans fit, and how far joints are moved in them."""
+        near = (part * self.size for part in (NEAR, NEAR_STANDING, NEAR_HIPS))
+        return _kernels.fitting_spans(
+            turns, self.parents, self.numbers, self.places, self.before, self.rest,
+            self.feet, stands, begins, wide, *near,
+        )  # fmt: skip
 
 
 def kept_samples(
-    turns: Float32Array,
-    joints: Callable[[FloatArray], FloatArray],
-    feet: tuple[tuple[int, int], BoolArray],
-) -> KeptSamples:
-    """Return which poses ``(F, M, 4)`` of a character must be written.
+    turns: Float32Array, chain: Chain, stands: BoolArray
+) -> tuple[BoolArray, FloatArray]:
+    """Return which poses ``(F, M, 4)`` of a character must be written ``(F,)``.
 
-    Signs of quaternions are continuous. Between two of them USD turns each joint the
-    short way, evenly. Of all that leave joints near, the fewest samples are chosen.
+    With how far all joints are moved in each, so that feet stay ``(F, 3)`` [m]. Signs
+    of quaternions are continuous. Between two samples USD turns each joint the short
+    way, evenly. Of all that leave joints near, the fewest samples are chosen.
 
     Args:
         turns: Of joints.
-        joints: From K poses to places of joints ``(K, J, 3)`` [m].
-        feet: Two joints, and when each stands ``(F, 2)``.
+        chain: These joints.
+        stands: When each foot stands ``(F, 2)``.
     """
     exact = turns.astype(np.float64)
-    true = joints(exact)
-    size = float(np.ptp(true[0], axis=0).max())
     count = len(turns)
-    found: dict[int, _Spans] = {}
-    fits = {1: np.ones(count, bool)}
+    moved = np.zeros((count, 3))
+    found: dict[int, tuple[IntArray, FloatArray]] = {}
+    fits = {1: np.ones(count, np.bool_)}
     for wide, parts in SPANS.items():
-        begins = np.ones(max(count - wide, 0), bool)
+        begun = np.ones(max(count - wide, 0), np.bool_)
         first = 0
         for part in parts:
-            begins &= fits[part][first : first + len(begins)]
+            begun &= fits[part][first : first + len(begun)]
             first += part
-        begins = np.flatnonzero(begins)
-        inside = begins[:, None] + np.arange(1, wide)
-        shares = np.arange(1, wide)[:, None] / wide
-        made = slerped(exact[begins, None], exact[begins + wide, None], shares)
-        off = true[inside] - joints(made.reshape(-1, *exact.shape[1:])).reshape(
-            *inside.shape, *true.shape[1:]
-        )
-        back, error, slide = _put_right(off, feet[0], feet[1][inside])
-        good = (error <= NEAR * size) & (slide <= NEAR_STANDING * size)
-        good &= np.linalg.norm(back, axis=-1) <= NEAR_HIPS * size
-        fits[wide] = np.zeros(count, bool)
-        fits[wide][begins] = good.all(axis=1)
-        found[wide] = _Spans(begins, back, error, slide)
+        begins = np.flatnonzero(begun)
+        fits[wide] = np.zeros(count, np.bool_)
+        if len(begins):
+            good, back = chain.fitting(exact, stands, begins, wide)
+            fits[wide][begins] = good
+            found[wide] = begins, back
     rows = _fewest(fits)
-    moved = np.zeros((count, 3))
-    worst = slid = 0.0
     keys = np.flatnonzero(rows)
     for begin, wide in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if wide > 1:
-            spans = found[wide]
-            at = int(np.searchsorted(spans.begins, begin))
-            moved[begin + 1 : begin + wide] = spans.back[at]
-            worst = max(worst, float(spans.error[at].max()))
-            slid = max(slid, float(spans.slide[at].max()))
-    return KeptSamples(rows, moved, worst, slid)
-
-
-@dataclass(frozen=True)
-class _Spans:
-    """Spans of one length, and what is off in them."""
-
-    begins: IntArray  # (B,)
-    back: FloatArray  # (B, S - 1, 3)
-    error: FloatArray  # (B, S - 1)
-    slide: FloatArray  # (B, S - 1)
+            begins, back = found[wide]
+            at = int(np.searchsorted(begins, begin))
+            moved[begin + 1 : begin + wide] = back[at]
+    return rows, moved
 
 
 def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
@@ -119,21 +112,6 @@ def _fewest(fits: dict[int, BoolArray]) -> BoolArray:
         rows[k] = True
         k += steps[k]
     return rows
-
-
-def _put_right(
-    off: FloatArray, feet: tuple[int, int], stands: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far to move poses so that feet stay, and what is off then.
-
-    ``off``: from where joints are to where they should be ``(…, J, 3)`` [m].
-    """
-    both = off[..., feet, :]
-    count = np.maximum(stands.sum(axis=-1), 1)[..., None]
-    back = (both * stands[..., None]).sum(axis=-2) / count
-    left = off - back[..., None, :]
-    far = np.sqrt(np.einsum("...k,...k->...", left, left))
-    return back, far.max(axis=-1), (far[..., feet] * stands).max(axis=-1)
 
 
 def slerped(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:

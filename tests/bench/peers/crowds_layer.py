@@ -1,0 +1,66 @@
+"""A crowd in a layer, and its numbers alone: prints seconds and bytes as JSON."""
+
+import json
+import sys
+from pathlib import Path
+
+from clock import timed
+from pxr import Sdf
+
+from animtool.scene.file import load_scene
+from animtool.scene.systems.simulation import open_systems
+from animtool.usd.characters import Characters
+
+
+def main(scene: str, runs: str, output: str) -> None:
+    """Time what writes the frames of a scene, and a copy of its samples alone."""
+    systems = load_scene(Path(scene)).systems
+    last = 480
+    runs_open = open_systems(systems, last / 24)
+    (crowd,) = (run for run in runs_open if run.name == "people")
+    frames = []
+    simulated = timed(lambda: frames.extend(crowd.at(k / 24) for k in range(last + 1)))
+    report = {}
+
+    def write() -> None:
+        layer = Sdf.Layer.CreateNew(output + "/crowd.usdc")
+        layer.Clear()
+        made = Characters("/square/people", 1.0, 24.0)
+        made.begin(layer, frames[0])
+        for k, frame in enumerate(frames):
+            made.add(float(k + 1), frame)
+        made.finish(layer)
+        layer.Save()
+        report.update(own=made.report.own, shared=made.report.shared)
+        report.update(error=made.report.error, slide=made.report.slide)
+
+    written = [timed(write) for _ in range(int(runs))]
+    source = Sdf.Layer.FindOrOpen(output + "/crowd.usdc")
+    samples = []
+
+    def collect(path: Sdf.Path) -> None:
+        if path.IsPropertyPath():
+            for code in source.ListTimeSamplesForPath(path):
+                samples.append((str(path), code, source.QueryTimeSample(path, code)))
+
+    source.Traverse("/", collect)
+
+    def numbers() -> None:
+        layer = Sdf.Layer.CreateNew(output + "/numbers.usdc")
+        layer.Clear()
+        for path in dict.fromkeys(path for path, _, _ in samples):
+            other = source.GetAttributeAtPath(path)
+            spec = Sdf.CreatePrimInLayer(layer, other.path.GetPrimPath())
+            Sdf.AttributeSpec(spec, other.name, other.typeName)
+        for path, code, value in samples:
+            layer.SetTimeSample(path, code, value)
+        layer.Save()
+
+    alone = [timed(numbers) for _ in range(int(runs))]
+    size = Path(output + "/crowd.usdc").stat().st_size
+    report.update(taken=written, alone=alone, simulated=[simulated], bytes=size)
+    print("\n" + json.dumps(report), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
