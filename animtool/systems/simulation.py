@@ -310,7 +310,9 @@ class SimulationRun:
         """
         assert self._kept is not None
         whole = self.advance(t)
-        state = next(one for one in reversed(self._kept) if one.steps <= whole)
+        # What was resumed has nothing from before.
+        earlier = (one for one in reversed(self._kept) if one.steps <= whole)
+        state = next(earlier, self._kept[0])
         now, found = self.time(state.steps), self._part(state, t)
         if begins and found is state:
             found = self._pushed(state)

@@ -352,3 +352,39 @@ def test_a_run_goes_on_from_its_state(simulator: Simulator) -> None:
     whole.at(2.0)
     rest = run(whole.state)
     np.testing.assert_array_equal(rest.at(4.0).points, whole.at(4.0).points)
+
+
+def test_crowds_and_rocks_go_on_from_their_states(simulator: Simulator) -> None:
+    """Where both are resumed nothing is known of the rocks before."""
+    rocks = {
+        "name": "rocks",
+        "bodies": [
+            {
+                "name": "rock",
+                "shape": {"sphere": {"radius": 0.5}},
+                "at": [0, 0.5, -4],
+                "velocity": [0, 0, 3],
+            }
+        ],
+        "colliders": [{"shape": {"plane": {}}}],
+    }
+    people = crowd(
+        [{"count": 12, "place": {"disc": {"radius": 2}}}], systems=[{"system": "rocks"}]
+    )[0]["crowds"]
+
+    def points(kept: dict[str, Any], times: list[float]) -> list[np.ndarray]:
+        systems = [
+            {"rigid": {**rocks, **{k: f"rocks_{v}" for k, v in kept.items()}}},
+            {"crowds": {**people, **{k: f"people_{v}" for k, v in kept.items()}}},
+        ]
+        run = SystemRun(simulator.scene(systems).systems, times[-1], None, None)
+        codes = [round(t * 24) for t in times]
+        rows = [row[1].points for _, row in run.rows(codes, 0, 24)]  # type: ignore[arg-type]
+        run.save_states(simulator.folder)
+        return rows
+
+    whole = points({}, [0.5, 1.0, 1.5, 2.0])
+    points({"save": "a.npz"}, [0.5, 1.0])
+    rest = points({"resume": "a.npz"}, [1.0, 1.5, 2.0])
+    for one, other in zip(whole[1:], rest, strict=True):
+        np.testing.assert_array_equal(one, other)
