@@ -25,6 +25,7 @@ from animtool.usd.layers import (
     attribute,
     author_order,
     prim,
+    put_samples,
     quatf,
     relationship,
 )
@@ -288,7 +289,7 @@ class _Group:
         order = ["xformOp:translate"]
         made = attribute(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing(places, SAME_PLACE / unit)
-        _put(
+        put_samples(
             self.layer,
             made,
             track.codes,
@@ -301,7 +302,7 @@ class _Group:
         made = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
-        _put(self.layer, made, track.codes, rows, degrees[rows].tolist())
+        put_samples(self.layer, made, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -313,7 +314,7 @@ class _Group:
             made = attribute(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(seen, prepend=~seen[:1]))
             words = ["inherited" if one else "invisible" for one in seen[rows].tolist()]
-            _put(self.layer, made, track.codes, rows, words)
+            put_samples(self.layer, made, track.codes, rows, words)
         rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -337,7 +338,7 @@ class _Group:
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one))
             for one in turns[rows][:, moves]
         ]
-        _put(self.layer, made, self.track.codes, rows, arrays)
+        put_samples(self.layer, made, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, which: IntArray) -> Any:
         """Return a new animation of some joints that stay where they are at rest."""
@@ -381,14 +382,14 @@ class _Group:
         turns = _continuous(_standing(cast, cast.turns, clocks).astype(np.float32))
         arrays = [Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one)) for one in turns]
         codes = rows.astype(np.float64)
-        _put(self.layer, spec.attributes["rotations"], codes, rows, arrays)
+        put_samples(self.layer, spec.attributes["rotations"], codes, rows, arrays)
         moved = np.repeat(cast.rig.rest_translations[None, cast.moves], len(rows), 0)
         moved[:, cast.moves == 0] = _standing(cast, cast.roots, clocks)[:, None]
         arrays = [
             Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(one))
             for one in (moved / self.owner.unit).astype(np.float32)
         ]
-        _put(self.layer, spec.attributes["translations"], codes, rows, arrays)
+        put_samples(self.layer, spec.attributes["translations"], codes, rows, arrays)
 
 
 def _standing(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
@@ -420,18 +421,3 @@ def _changing(values: Float32Array, same: float) -> IntArray:
         return np.zeros(1, np.int64)
     kept = np.append(True, steps) | np.append(steps, True)
     return np.flatnonzero(kept)
-
-
-def _put(
-    layer: Any,
-    made: Any,
-    codes: npt.NDArray[np.floating[Any]],
-    rows: IntArray,
-    values: Sequence[Any],
-) -> None:
-    """Write values of an attribute at some frames; a single one is its default."""
-    made.default = values[0]
-    if len(values) == 1:
-        return
-    for code, value in zip(codes[rows].tolist(), values, strict=True):
-        layer.SetTimeSample(made.path, code, value)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Sdf, Tf, Vt, Work
 
-from animtool._types import FloatArray
+from animtool._types import FloatArray, IntArray
 from animtool.clock import FrameSpan, time_fraction
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import (
@@ -236,6 +236,29 @@ def attribute(
     if interpolation:
         made.SetInfo("interpolation", interpolation)
     return made
+
+
+def put_samples(
+    layer: Any,
+    made: Any,
+    codes: npt.NDArray[np.floating[Any]],
+    rows: IntArray,
+    values: Sequence[Any],
+) -> None:
+    """Write values of an attribute at some of the time codes.
+
+    The first is its default, and all that is written where it is alone.
+
+    Raises:
+        OutputError: A value is not finite, or too large for its type (USD170).
+    """
+    letter, labels = largest(made.typeName), Labels(str(made.path))
+    for code, value in zip(codes[rows].tolist(), values, strict=True):
+        if letter:
+            check_value(value, letter, labels, code)
+        if len(values) > 1:
+            layer.SetTimeSample(made.path, code, value)
+    made.default = values[0]
 
 
 def relationship(spec: Any, name: str, *targets: str) -> None:

@@ -240,7 +240,7 @@ def _drawn(
         population.delay * chances[:, 3],
         sides,
         SPREAD * np.sqrt(more[:, 2:3]) * _circle(2 * np.pi * more[:, 3]),
-        1 + population.size * (2 * more[:, 0] - 1),
+        (1 + population.size) ** (2 * more[:, 0] - 1),
         more[:, 1],
         groups,
     )

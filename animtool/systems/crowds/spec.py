@@ -140,8 +140,8 @@ class PopulationModel(PlacedModel):
         {"rig": "biped.rig.yaml", "clips": ["idle.bvh", "walk.bvh", "run.bvh"]},
         default=None,
     )
-    size: Annotated[Real, Ge(0), Le(0.5)] = key(
-        "How much larger or smaller than its rig a body may be, at random.",
+    size: Annotated[Real, Ge(0), Le(1)] = key(
+        "By which part a body may be larger than its rig, or that smaller, at random.",
         0.05,
         default=0.0,
     )
