@@ -135,18 +135,17 @@ def growth(options: argparse.Namespace, folder: Path) -> list[Row]:
 def layer(options: argparse.Namespace, folder: Path) -> list[Row]:
     """Return how long the characters of the sample take to be written."""
     report = run_peer(sys.executable, "crowds_layer.py", SAMPLE, options.runs, folder)
-    section, written, alone = (
-        "layer of 200 characters, 20 s",
-        taken_of(report),
-        taken_of(report, "alone"),
-    )
+    section, written = "layer of 200 characters, 20 s", taken_of(report)
+    alone, whole = taken_of(report, "alone"), taken_of(report, "whole")
     rows = time_rows(section, "simulated", taken_of(report, "simulated"))
     rows += time_rows(section, "written", written)
-    rows += time_rows(section, "its numbers alone", alone)
+    rows += time_rows(section, "all poses alone", whole)
+    rows += time_rows(section, "what is left of them alone", alone)
     rows += ratio_rows(
-        section, "written", written, alone, name="numbers",
+        section, "written", written, whole, name="all poses",
         wanted=PropRequest(at_least=False, bound=3),
     )  # fmt: skip
+    rows += ratio_rows(section, "written", written, alone, name="what is left")
     size = PropRequest(at_least=False, bound=20)
     rows.append(Row(section, "written", "size [MB]", [report["bytes"] / 1e6], size))
     for name, unit in (
