@@ -32,6 +32,8 @@ class Reader:
         prim: ``module:object`` of a function from a path, the name of an object in
             it, a rig, and the name of an object in whose frame that stands or None,
             to the object's transforms over time; empty where they hold none.
+        markers: ``module:object`` of a function from a path, and options by keyword,
+            to `animtool.markers.Markers`; empty where such files hold none.
     """
 
     about: str
@@ -39,6 +41,7 @@ class Reader:
     source: str = ""
     options: tuple[str, ...] = ()
     prim: str = ""
+    markers: str = ""
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return what opens a file as a rig; see `source_opener`."""
@@ -51,6 +54,10 @@ class Reader:
     def prim_opener(self, path: Path) -> Callable[..., Any]:
         """Return what opens an object of a file; see `source_opener`."""
         return _opener(self.prim, "prim", path)
+
+    def markers_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens a file as marker trajectories; see `source_opener`."""
+        return _opener(self.markers, "markers", path)
 
 
 BVH = Reader(
@@ -176,5 +183,5 @@ def listed_readers() -> list[ListedReader]:
 
 
 def _opens(reader: Reader) -> tuple[str, ...]:
-    named = {"rig": reader.rig, "source": reader.source}
+    named = {"rig": reader.rig, "source": reader.source, "markers": reader.markers}
     return tuple(name for name, place in named.items() if place)

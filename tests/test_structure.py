@@ -45,7 +45,7 @@ LAYERS = [
     {"rules"},
     {"rig"},
     {"transforms"},
-    {"clock", "physics", "frames", "motion", "take", "take_checks"},
+    {"clock", "physics", "frames", "markers", "motion", "take", "take_checks"},
     {"passthrough"},
     {"passes", "reorient", "keyed"},
     {"clip"},

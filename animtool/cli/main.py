@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import NoReturn
 import click
 
 from animtool.cli.console import Console
+from animtool.cli.groups import LazyGroup
 from animtool.errors import AnimtoolError, ExitCode, FormatError, StrictError
 from animtool.quantities import escaped
 from animtool.signals import (
@@ -51,7 +51,7 @@ COMMANDS = {
         "Rewrite files of older versions as the newest.",
     ),
     "loop": ("animtool.cli.loop:loop", "Find the cycle of a take, and repeat it."),
-    "mocap": ("animtool.cli.mocap:mocap", "Mend what was captured: clean."),
+    "mocap": ("animtool.cli.mocap:mocap", "Clean captured takes."),
     "plugins": (
         "animtool.cli.plugins:plugins",
         "List the passes, readers and executors there are.",
@@ -69,44 +69,6 @@ COMMANDS = {
 }
 
 
-class LazyGroup(click.Group):
-    """A group that imports a command's module when it is called."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands."""
-        del ctx
-        return sorted(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command."""
-        del ctx
-        if cmd_name not in COMMANDS:
-            return None
-        module, _, name = COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(importlib.import_module(module), name)
-        return command
-
-    def format_commands(
-        self, ctx: click.Context, formatter: click.HelpFormatter
-    ) -> None:
-        """List the commands from the table, importing none."""
-        del ctx
-        with formatter.section("Commands"):
-            formatter.write_dl([(n, text) for n, (_, text) in sorted(COMMANDS.items())])
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Name the nearest command where there is none of that name."""
-        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
-            from difflib import get_close_matches
-
-            near = get_close_matches(args[0], COMMANDS, 1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"No such command {args[0]!r}.{hint}")
-        return super().resolve_command(ctx, args)
-
-
 def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     if not value or ctx.resilient_parsing:
         return
@@ -121,6 +83,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 
 @click.group(
     cls=LazyGroup,
+    table=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start here: animtool bake walk.bvh -o walk.usdc",
 )

@@ -1,0 +1,97 @@
+"""``animtool mocap clean``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    read_values,
+    record_option,
+    source_option,
+    source_options,
+    source_options_record,
+    strict_option,
+)
+from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.mocap.clean_options import CleanOptions
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool mocap clean take.bvh -o clean.usdc
+  animtool mocap clean take.bvh -o clean.bvh --spikes 2 --noise keep
+  animtool mocap clean take.bvh -o clean.usdc --drift remove --feet hold
+  animtool mocap clean take.usdc -o clean.clip.yaml --cutoff 6"""
+)
+@click.argument("source", type=INPUT)
+@click.option(
+    "-o",
+    "--output",
+    type=INPUT,
+    required=True,
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh.",
+)
+@record_option(CleanOptions)
+@click.option(
+    "--feet",
+    type=click.Choice(["free", "hold"]),
+    default="free",
+    help="Whether feet slide where they stand, as captured, or are held.  "
+    "[default: free]",
+)
+@click.option(
+    "--drift",
+    type=click.Choice(["keep", "remove"]),
+    default="keep",
+    help="Whether a root that drifts over the ground or in height is left alone, or "
+    "moved so that feet stand where they stand.  [default: keep]",
+)
+@source_options
+@source_option("prim_path", "take")
+@strict_option
+@existing_options
+@format_option
+@common_options
+@click.pass_obj
+def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None:
+    """Remove spikes and noise from the take of SOURCE, a BVH, USD or clip file.
+
+    Filters have no lag. What was removed, and at which frequencies, is said.
+    """
+    from animtool.passes import find_pass
+    from animtool.scene.convert import convert_outputs
+    from animtool.scene.passed import convert_passed
+
+    if skipped(console, "mocap clean", given, output, lambda: convert_outputs(output)):
+        return
+    options = CleanOptions(**read_values(CleanOptions, given))
+    passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
+    wanted = {"root_drift": given["drift"] == "remove", "feet": given["feet"] == "hold"}
+    for name in (name for name, on in wanted.items() if on):
+        passes.append((find_pass(name), find_pass(name).options()))
+    with all_named(), console.progress(f"clean {source.name}") as progress:
+        report = convert_passed(
+            source,
+            output,
+            passes,
+            source_options_record(given, "take", "prim_path"),
+            overwrite=given["overwrite"],
+            strict=given["strict"],
+            progress=progress,
+        )
+    console.faults(report.notices)
+    from animtool.cli.summary import convert_json, convert_text
+
+    if given["report_format"] == "json":
+        console.result_json(convert_json(report))
+        return
+    for line in convert_text(report):
+        console.say(line)

@@ -1,0 +1,102 @@
+"""Marker trajectories: points over frames, as optical capture gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.clock import Clock
+from animtool.errors import Fault, OptionError, counted
+from animtool.rates import rate_label
+from animtool.units import UpAxis
+
+
+@dataclass(frozen=True, slots=True)
+class Markers:
+    """Trajectories of M markers, or of unlabelled points, over F frames.
+
+    Attributes:
+        names: Of each marker, unique; a point without label has a name that begins
+            with ``*``.
+        clock: Times of the frames.
+        positions: World space [m] ``(F, M, 3)``; NaN where a marker was not seen.
+        up: The up axis of the world.
+        cameras: How many cameras each position is from ``(F, M)``; None where unknown.
+        residuals: Reconstruction residual of each position [m] ``(F, M)``, NaN where
+            unknown; None where no position has one.
+        filled: Positions that were computed over a gap and not measured ``(F, M)``;
+            None where there is none.
+        notices: Warnings and notes about where they come from.
+
+    Raises:
+        OptionError: An array does not have the shape of the clock's frames and the
+            names, or holds an infinity (MKR001), or two names are equal (MKR002).
+
+    >>> clock = Clock(120, 1, 1, 2)
+    >>> Markers(("LFHD",), clock, np.zeros((2, 1, 3)))
+    <Markers: 2 frames at 120 fps, 1 marker>
+    """
+
+    names: tuple[str, ...]
+    clock: Clock
+    positions: FloatArray
+    up: UpAxis = UpAxis.Y
+    cameras: IntArray | None = None
+    residuals: FloatArray | None = None
+    filled: BoolArray | None = None
+    notices: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes, names and numbers."""
+        shape = (self.clock.count, len(self.names))
+        for name, width in (
+            ("positions", (3,)),
+            ("cameras", ()),
+            ("residuals", ()),
+            ("filled", ()),
+        ):
+            values = getattr(self, name)
+            if values is not None and values.shape != shape + width:
+                message = f"{name} must have shape {shape + width}, not {values.shape}"
+                raise OptionError(Fault("MKR001", message))
+        if np.isinf(self.positions).any():
+            frame, marker, _ = np.argwhere(np.isinf(self.positions))[0].tolist()
+            message = f"marker {self.names[marker]!r} is infinite in frame {frame}"
+            raise OptionError(Fault("MKR001", message))
+        if len(set(self.names)) < len(self.names):
+            twice = next(n for n in self.names if self.names.count(n) > 1)
+            message = f"two markers are called {twice!r}"
+            raise OptionError(Fault("MKR002", message))
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which markers have a position in which frame ``(F, M)``."""
+        return np.isfinite(self.positions).all(axis=-1)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return self.clock.count
+
+    def __repr__(self) -> str:
+        """Return the number of frames, the rate and the number of markers."""
+        frames = counted(self.clock.count, "frame")
+        markers = counted(len(self.names), "marker")
+        return f"<Markers: {frames} at {rate_label(self.clock.rate)}, {markers}>"
+
+    def select(self, markers: IntArray) -> Markers:
+        """Return some of the markers, by index, in that order."""
+
+        def chosen(values: Any) -> Any:
+            return None if values is None else values[:, markers]
+
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in markers.tolist()),
+            positions=self.positions[:, markers],
+            cameras=chosen(self.cameras),
+            residuals=chosen(self.residuals),
+            filled=chosen(self.filled),
+        )
