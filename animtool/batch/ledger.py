@@ -33,7 +33,7 @@ from animtool.batch.records import (
     whole_in,
 )
 from animtool.batch.spec import place_of
-from animtool.errors import Fault, OutputError, excerpt
+from animtool.errors import Fault, LockedError, OutputError, excerpt
 from animtool.files import FileState
 from animtool.leftovers import is_running
 from animtool.output import replacing
@@ -280,7 +280,7 @@ def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
     except Timeout as error:
         message = f"another run of this batch goes on: {_owner(files)}"
         hint = "wait for it to end, or end it"
-        raise OutputError(Fault("BAT010", message, str(path), (), hint)) from error
+        raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
         # The second is of disks that have no locks.
         fault = output_error(path, error).faults[0]

@@ -85,8 +85,8 @@ def run_batch(
         NothingFoundError: There is no input (BAT005).
         OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist and were
             made by nobody here (OUT001); or an option makes no sense.
-        OutputError: Another run goes on (BAT010), or a folder cannot be written to
-            (OUT002, BAT012).
+        LockedError: Another run goes on (BAT010).
+        OutputError: A folder cannot be written to (OUT002, BAT012).
     """
     began = time.perf_counter()
     options, listener = options or RunOptions(), listener or Listener()

@@ -20,8 +20,8 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.documents.names import is_named
-from animtool.scene.options import KEY_TOLERANCE
 
 
 @click.command(

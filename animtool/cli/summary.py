@@ -17,7 +17,7 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
-    from animtool.clip.reduction import Reduction
+    from animtool.clip.reduction.keys import Reduction
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport, TakeReport
     from animtool.scene.table import BakeTable

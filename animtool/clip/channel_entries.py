@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel
 from animtool.clip.schema import CurveModel, KeyModel
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
 from animtool.errors import counted
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.joint_entries import UNIT_LENGTH
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})

@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clip.coordinates import JointMotion, Same, wanted_of_joints
-from animtool.clip.points import SHELL, attached_points, point_errors
-from animtool.clip.reduction import ChannelKind, ReducedChannel
+from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion

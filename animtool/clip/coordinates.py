@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.clip.reduction import ChannelKind
-from animtool.clip.tracks import Track, euler_order
+from animtool.clip.reduction.keys import ChannelKind
+from animtool.clip.reduction.tracks import Track, euler_order
 from animtool.maths import euler, so3
 from animtool.motion import Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part

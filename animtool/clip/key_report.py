@@ -11,7 +11,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.coordinates import JointMotion
-from animtool.clip.tracks import Track
+from animtool.clip.reduction.tracks import Track
 from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

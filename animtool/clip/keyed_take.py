@@ -23,11 +23,17 @@ from animtool.clip.coordinates import (
     joint_tracks,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
-from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
-from animtool.clip.reduce import reduce_motion
-from animtool.clip.reduction import ChannelKind, Reduction, clip_of_reduction
+from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
+from animtool.clip.reduction.points import (
+    SHELL,
+    attached_points,
+    joint_bounds,
+    point_errors,
+)
+from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
-from animtool.clip.tracks import Track, in_order, pose_of, tracks_of
 from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
@@ -37,8 +43,6 @@ from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
-# Largest error of a shape's weight that anyone sees [1].
-WEIGHT_TOLERANCE = 1e-3
 # What samples in float32 leave between joints and what drives them [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
 # Of a tolerance, what such a difference may use up [1].

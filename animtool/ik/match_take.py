@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel, ClipUnits, Interp, Tangent
-from animtool.clip.points import SHELL
-from animtool.clip.reduction import fitted_channel
-from animtool.clip.tracks import euler_order
+from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.clip.reduction.keys import fitted_channel
+from animtool.clip.reduction.points import SHELL
+from animtool.clip.reduction.tracks import euler_order
 from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
@@ -28,7 +28,9 @@ from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.ik.write import USUAL_EASE
 from animtool.maths import euler, so3
+from animtool.maths.curves import Interp
 from animtool.maths.fit import fit_keys
+from animtool.maths.tangents import Tangent
 from animtool.motion import Channel
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain

@@ -8,13 +8,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.options import KEY_TOLERANCE
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
     Opener,
@@ -29,7 +29,7 @@ from animtool.units import parse_length
 
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake
-    from animtool.clip.reduction import Reduction
+    from animtool.clip.reduction.keys import Reduction
     from animtool.rig.surfaces import StoredArrays
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.errors import Fault, OptionError
 from animtool.motion import Motion
 from animtool.rig.kinematics import forward

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, attached_points, point_errors
-from animtool.clip.reduce import reduce_motion
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.reduce import reduce_motion
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.channels import ClipChannel, Interp, evaluate_channels
+from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject

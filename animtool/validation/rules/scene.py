@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from animtool.clip.points import joint_bounds
+from animtool.clip.reduction.points import joint_bounds
 from animtool.config import find_config
 from animtool.documents.document import Location, read_document
 from animtool.documents.names import is_named

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import BoolArray
-from animtool.clip.channels import Interp
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
     check_clip,
@@ -20,6 +19,7 @@ from animtool.clip.file import (
 )
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, Severity
+from animtool.maths.curves import Interp
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.scene.clips import clip_stream

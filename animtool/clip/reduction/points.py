@@ -11,8 +11,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.clip.reduction import ChannelKind
-from animtool.clip.tracks import Track
+from animtool.clip.reduction.keys import ChannelKind
+from animtool.clip.reduction.tracks import Track
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
