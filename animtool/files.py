@@ -254,10 +254,10 @@ def open_input(
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable(path, reason) from error
     try:
-        found = os.fstat(handle)
-        _check_regular(path, found)
-        _check_size(path, found, max_bytes)
-        file = InputFile(path, handle, FileState.of_stat(found))
+        status = os.fstat(handle)
+        _check_regular(path, status)
+        _check_size(path, status, max_bytes)
+        file = InputFile(path, handle, FileState.of_stat(status))
     except BaseException:
         os.close(handle)
         raise
@@ -310,8 +310,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     if missing is None or not missing.name:
         return None
     try:
-        with os.scandir(folder / missing.parent) as found:
-            names = sorted(entry.name for entry in islice(found, MAX_NAMES))
+        with os.scandir(folder / missing.parent) as entries:
+            names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
     except OSError:
         return None
     folded = {name.casefold(): name for name in reversed(names)}

@@ -47,7 +47,7 @@ def target(path: Path) -> Target:
             (OUT002).
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         if path.is_symlink():
             message = "is a link to a file that does not exist"
@@ -62,7 +62,7 @@ def target(path: Path) -> Target:
         raise output_error(path, error) from error
     except ValueError as error:
         raise output_error(path, "its name has a NUL byte") from error
-    _check_kind(path, found)
+    _check_kind(path, status)
     return Target(path, path.resolve())
 
 
@@ -97,15 +97,15 @@ class Whole:
 
     def seal(self) -> None:
         """Flush it to the disk, with the mode and the owner of what it replaces."""
-        found = None
+        status = None
         with contextlib.suppress(FileNotFoundError):
-            found = self.final.lstat()
-            _check_kind(self.path, found)
+            status = self.final.lstat()
+            _check_kind(self.path, status)
         try:
             handle = os.open(self.temporary, os.O_RDWR)
             try:
-                if found is not None and os.name != "nt":
-                    _inherit(handle, found)
+                if status is not None and os.name != "nt":
+                    _inherit(handle, status)
                 os.fsync(handle)
                 own = os.fstat(handle)
             finally:

@@ -203,10 +203,10 @@ class _Reader:
 
     def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
         """Return what ``metadata.animtool`` of a clip or the timeline says."""
-        found, faults = cut_metadata(schema.metadata, named, rate=rate)
+        metadata, faults = cut_metadata(schema.metadata, named, rate=rate)
         for message, hint in faults:
             self.fault("BAT047", message, hint)
-        return found
+        return metadata
 
     def rate(self, timeline: Any) -> Fraction:
         """Return the rate of its shots: stated, asked for, or that of most clips."""
@@ -265,8 +265,8 @@ class _Reader:
         from animtool.clock import MAX_FRAMES
 
         clip, named = entry.clip, entry.named
-        found = self.medium(clip, named)
-        if found is None:
+        medium = self.medium(clip, named)
+        if medium is None:
             return
         try:
             start, seconds, media_fps = shown_span(clip)
@@ -283,7 +283,7 @@ class _Reader:
         if shot.speed <= 0:
             message = f"{named} plays at {float(shot.speed):g} times its speed"
             hint = "only forward motion is baked: render the clip's media as it plays, "
-            hint += f"or leave it out with --exclude {found.path}"
+            hint += f"or leave it out with --exclude {medium.path}"
             self.fault("BAT044", message, hint)
             return
         if shot.end - shot.start >= MAX_FRAMES:
@@ -297,7 +297,7 @@ class _Reader:
             **shot.names(),
             **_media_names(shot, media_fps),
         }
-        self.found.shots.append(Cut(found, names, shot))
+        self.found.shots.append(Cut(medium, names, shot))
 
     def shot(
         self,

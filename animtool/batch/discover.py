@@ -258,10 +258,10 @@ class _Items:
         if spec.output is not None:
             paths = frozenset({"parent", *spec.variables})
             outputs = NamedOutputs(spec.output, spec.folder, paths)
-        made = itertools.product(self.shots, spec.rows)
+        pairs = itertools.product(self.shots, spec.rows)
         items = [
             self._item(number, shot, row, outputs)
-            for number, (shot, row) in enumerate(made, 1)
+            for number, (shot, row) in enumerate(pairs, 1)
         ]
         if self.faults:
             raise OptionError(self.faults[:MAX_FAULTS])
@@ -336,9 +336,9 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
 
 def _cuts(spec: BatchSpec) -> CutList:
     """Return what items are made of: clips of a timeline, or the inputs."""
-    found, left_out = _found(spec)
+    cuts, left_out = _found(spec)
     if spec.cuts is None:
-        return CutList([Cut(file) for file in found])
+        return CutList([Cut(file) for file in cuts])
     options, start = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
@@ -349,7 +349,7 @@ def _cuts(spec: BatchSpec) -> CutList:
         message = f"start is {float(start):g}, and shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
-    return read_cuts(spec.cuts, found, CutOptions(spec.handles, first, fps), left_out)
+    return read_cuts(spec.cuts, cuts, CutOptions(spec.handles, first, fps), left_out)
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:

@@ -395,8 +395,8 @@ class _BatchReader:
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        found = self._input(at, name)
-        return Path(name) if found is None else found
+        path = self._input(at, name)
+        return Path(name) if path is None else path
 
     def _input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None, and a fault, where it is refused or missing."""

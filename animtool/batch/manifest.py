@@ -126,10 +126,10 @@ def _numbered(
         raise RecordError("'inputs' is empty")
     for number in numbers:
         # A truth value, and a float, can be equal to an int.
-        found = files.get(number) if type(number) is int else None
-        if found is None:
+        file = files.get(number) if type(number) is int else None
+        if file is None:
             raise RecordError("an input has no record")
-        yield found
+        yield file
 
 
 def digest_of(value: object) -> str:
@@ -186,8 +186,8 @@ class Manifest:
 
     def join(self, other: Manifest) -> None:
         """Note what another manifest says."""
-        for made in other.items.values():
-            self.add(made)
+        for record in other.items.values():
+            self.add(record)
         self.known |= other.known
         self.damaged += other.damaged
 
@@ -275,5 +275,5 @@ def rewrite_manifest(
         ManifestWriter(temporary, Manifest()) as writer,
     ):
         writer.claim(known)
-        for made in items:
-            writer.add(made)
+        for record in items:
+            writer.add(record)

@@ -191,9 +191,9 @@ class PathRule:
 def read_rules(path: Path) -> list[PathRule]:
     """Return the rules of a file; none of one without any (malformed: BAT038)."""
     try:
-        found = json_of_file(path, MAX_BYTES)
+        plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        given = list_in(found, key) if key in found else ()
+        given = list_in(plain, key) if key in plain else ()
         return [_rule(object_of(rule)) for rule in given]
     except RecordError as error:
         message = f"is no file of path mapping rules: {error}"

@@ -148,14 +148,14 @@ def timeline_shot(
     from animtool.batch.cuts import CutOptions, read_cut
 
     options = CutOptions(given["handles"], None if start is None else int(start), fps)
-    found = read_cut(path, given["shot"], options)
-    console.faults(found.notices)
-    if not found.shots:
+    cuts = read_cut(path, given["shot"], options)
+    console.faults(cuts.notices)
+    if not cuts.shots:
         from animtool.errors import Fault, FormatError
 
         hint = f"animtool batch {path} TAKES finds media by the names of clips"
         raise FormatError(Fault("BAT042", "the shot has no media", str(path), (), hint))
-    return found.shots[0]
+    return cuts.shots[0]
 
 
 def bake_shot(

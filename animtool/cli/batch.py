@@ -50,12 +50,12 @@ class _Numbers:
 
 
 def _numbers(text: str) -> _Numbers:
-    found = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
-    if found is None:
+    match = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
+    if match is None:
         message = f"{text!r} is neither a number nor a range such as 1-20 or 1+20"
         raise ValueError(message)
-    first, last = int(found[1]), int(found[3] or found[1])
-    if found[2] == "+":
+    first, last = int(match[1]), int(match[3] or match[1])
+    if match[2] == "+":
         return _Numbers(first, first + last - 1, open=True)
     return _Numbers(first, last)
 
@@ -247,13 +247,13 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     if openjd and given["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
     with openjd_failure(asked=openjd):
-        found = find_batch(_spec(inputs, given))
-    console.faults(found.notices)
+        batch_found = find_batch(_spec(inputs, given))
+    console.faults(batch_found.notices)
     numbers = given["numbers"]
     options = RunOptions(
         given["jobs"],
         given["executor"],
-        None if numbers is None else numbers.among(len(found.items)),
+        None if numbers is None else numbers.among(len(batch_found.items)),
         given["dry_run"],
         given["force"],
         given["verify"],
@@ -267,8 +267,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
             openjd_failure(asked=openjd),
             shown_progress(console, lines=lines) as listener,
         ):
-            told = openjd_lines(listener) if openjd else listener
-            report = run_batch(found, options, told)
+            listening = openjd_lines(listener) if openjd else listener
+            report = run_batch(batch_found, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("what was made is recorded; the same command goes on with the rest")
         raise

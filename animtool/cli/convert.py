@@ -146,12 +146,12 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
         )
         return
     nouns = [("joint", ""), ("mesh", "meshes"), ("shape", ""), ("control", "")]
-    said = ", ".join(
+    summary = ", ".join(
         counted(count, *noun)
         for noun, count in zip(nouns, counts.values(), strict=True)
         if count
     )
-    console.say(f"{', '.join(map(str, report.outputs))}: {said}")
+    console.say(f"{', '.join(map(str, report.outputs))}: {summary}")
     if report.physics is not None:
         joints = counted(report.physics, "joint")
         console.say(f"  {joints} as UsdPhysics has them")

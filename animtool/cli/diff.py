@@ -93,26 +93,28 @@ def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     from animtool.report.compare import compare
     from animtool.scene.sources import is_usd
 
-    found: Any = None
+    difference: Any = None
     if is_usd(first) and is_usd(second):
         from animtool.report.compare_points import compare_points
 
-        found = compare_points(first, second)
-    if found is not None:
-        same = found.within(given["tol"], given["tol_degrees"])
-        text, notices = _points_text(found), []
+        difference = compare_points(first, second)
+    if difference is not None:
+        same = difference.within(given["tol"], given["tol_degrees"])
+        text, notices = _points_text(difference), []
     else:
-        found = compare(first, second, *_options(first, second, given))
-        same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
-        text, notices = _text(found), found.notices
+        difference = compare(first, second, *_options(first, second, given))
+        same = difference.within(
+            given["tol"], given["tol_degrees"], given["tol_weight"]
+        )
+        text, notices = _text(difference), difference.notices
     if given["report_format"] == "json":
-        values = {"diff": "animtool/1", "same": same, **asdict(found)}
+        values = {"diff": "animtool/1", "same": same, **asdict(difference)}
         if "notices" in values:
             values["notices"] = [notice.as_dict() for notice in notices]
         console.result_json(values)
     else:
-        text += [f"  {line}" for line in found.mismatches]
-        text += [f"  note: {line}" for line in found.notes]
+        text += [f"  {line}" for line in difference.mismatches]
+        text += [f"  note: {line}" for line in difference.notes]
         console.result(*text, "same" if same else "different")
         console.faults(notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))

@@ -349,14 +349,14 @@ def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
     }
     if given["reduce"] is not None and output is None:
         raise click.UsageError("--reduce is for an output: give -o.")
-    wanted = [flag for flag, value in flags.items() if value]
+    flags_given = [flag for flag, value in flags.items() if value]
     from animtool.scene.options import BakeOptions
     from animtool.scene.sources import is_usd
 
-    if wanted and output is None:
-        raise click.UsageError(f"{wanted[0]} is for an output: give -o.")
-    if wanted and not to_stdout and not is_usd(output):
-        raise click.UsageError(f"{wanted[0]} is for USD, and {output} is none.")
+    if flags_given and output is None:
+        raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
+    if flags_given and not to_stdout and not is_usd(output):
+        raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
     return BakeOptions(
         form="split" if given["split"] else None,
         rig_layer=given["rig_layer"],

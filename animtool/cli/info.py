@@ -63,8 +63,8 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
         files_json = [found.as_dict() for found, _ in described]
         console.result_json({"info": "animtool/1", "files": files_json})
     else:
-        for found, said in described:
-            console.result(*said(found))
+        for found, description in described:
+            console.result(*description(found))
             console.faults(found.notices)
     for one in errors:
         console.faults(one.faults)

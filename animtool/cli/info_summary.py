@@ -66,8 +66,8 @@ def rig_text(found: RigDescription) -> list[str]:
         "attachment": found.attach,
         "collider": found.colliders,
     }
-    said = ", ".join(counted(count, name) for name, count in others.items() if count)
-    return [*lines, f"  and       {said or 'nothing else'}"]
+    counts = ", ".join(counted(count, name) for name, count in others.items() if count)
+    return [*lines, f"  and       {counts or 'nothing else'}"]
 
 
 def take_text(found: TakeDescription) -> list[str]:

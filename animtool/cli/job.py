@@ -84,15 +84,15 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
     if not is_named(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
     spec = load_batch(batch_file, of_shots=given["cuts"] is not None)
-    found = find_batch(with_cuts(spec, given))
-    console.faults(found.notices)
-    check_places(found)
+    found_batch = find_batch(with_cuts(spec, given))
+    console.faults(found_batch.notices)
+    check_places(found_batch)
     costs = given["costs"]
     seconds = None if costs is None else mean_seconds(costs)
-    count = len(found.items)
+    count = len(found_batch.items)
     chunk = given["chunk"] or chunk_size(count, seconds, given["task_seconds"])
     cuts = Cuts(given["cuts"], given["handles"])
-    bundle = batch_bundle(found, batch_file, min(chunk, count), cuts)
+    bundle = batch_bundle(found_batch, batch_file, min(chunk, count), cuts)
     files = write_bundle(bundle, given["output"], overwrite=given["overwrite"])
     values = [f"{name}={value}" for name, value in bundle.values.items()]
     command = ["openjd", "run", str(files[0]), "--step", "Settle"]

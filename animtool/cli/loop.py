@@ -92,11 +92,11 @@ def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -
             }
         )
         return
-    found = cycle.found
+    best = cycle.found
     console.say(
-        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {found.first:g} to "
-        f"{found.last:g}; its ends differ by {length_text(found.apart)}, "
-        f"{percent(found.share)} of what moves"
+        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {best.first:g} to "
+        f"{best.last:g}; its ends differ by {length_text(best.apart)}, "
+        f"{percent(best.share)} of what moves"
     )
     if report is not None:
         from animtool.cli.summary import convert_text

@@ -305,8 +305,8 @@ def record_option(
 def read_values(record: type, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of a record that a command line has."""
     return {
-        name: read_value(found, given[name])
-        for name, found in options_of(record).items()
+        name: read_value(option, given[name])
+        for name, option in options_of(record).items()
         if name in given
     }
 
@@ -382,8 +382,8 @@ def source_options_record(
 ) -> SourceOptions:
     """Return what a BVH leaves open, more options by name, and values as they are."""
     read = {
-        name: read_value(found, given[_SOURCE_NAMES.get(name, name)])
-        for name, found in options_of(SourceOptions).items()
+        name: read_value(option, given[_SOURCE_NAMES.get(name, name)])
+        for name, option in options_of(SourceOptions).items()
         if name in {"unit", "up", "fps", *names}
     }
     return SourceOptions(**read, **values)

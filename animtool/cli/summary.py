@@ -226,7 +226,7 @@ def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
 def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
     """Return what became of one source."""
     written = take.written
-    found: dict[str, object] = {
+    values: dict[str, object] = {
         "source": str(take.source),
         "source_frames": take.source_frames,
         "source_rate": str(take.source_fps),
@@ -235,11 +235,11 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         **({"props": written.props} if written.props else {}),
     }
     if "fit" in take.details:
-        found["fit"] = take.details["fit"]
+        values["fit"] = take.details["fit"]
     if written.name:
-        found = {
+        values = {
             "take": written.name,
-            **found,
+            **values,
             "samples": written.samples,
             "start": float(written.first),
             "end": float(written.last),
@@ -248,12 +248,12 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             "error": _error_json(report, take),
         }
     if take.meshes:
-        found["meshes"] = mesh_json(take)
+        values["meshes"] = mesh_json(take)
     if take.simulated:
-        found["simulated"] = take.simulated
-    found |= _scores_json(take.scores)
+        values["simulated"] = take.simulated
+    values |= _scores_json(take.scores)
     if take.thinned is not None:
-        found["reduction"] = {
+        values["reduction"] = {
             "samples": take.thinned.samples,
             "kept": len(take.thinned.kept),
             "error": {
@@ -264,7 +264,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             "weight_error": take.thinned.weight_error,
         }
     if written.curves:
-        found["curves"] = [
+        values["curves"] = [
             {
                 "control": curve.name,
                 "knots": curve.knots,
@@ -274,7 +274,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             }
             for curve in written.curves
         ]
-    return found
+    return values
 
 
 def output_text(report: BakeReport | ConvertReport) -> list[str]:
@@ -302,8 +302,8 @@ def convert_text(report: ConvertReport) -> list[str]:
     lines += _shot_text(report)
     lines += [f"  {line}" for line in scores_text(report.scores)]
     if report.reduction is not None:
-        made = _reduction_text(report.reduction, report.frames)
-        lines += [f"  {line}" for line in made]
+        reduction = _reduction_text(report.reduction, report.frames)
+        lines += [f"  {line}" for line in reduction]
     return lines + [f"  {line}" for line in channel_lines(report)]
 
 
@@ -372,8 +372,8 @@ def _reduction_text(found: Reduction, frames: int) -> list[str]:
     """Return what a reduction came to, and its error where there is one."""
     keys = counted(found.keys, "key")
     if not found.samples:
-        made = f"{keys}, for what is not at rest" if found.keys else "no keys"
-        lines = [f"nothing moves: {made}"]
+        text = f"{keys}, for what is not at rest" if found.keys else "no keys"
+        lines = [f"nothing moves: {text}"]
     else:
         lines = [
             f"{counted(found.samples, 'sample')} of what moves became {keys}: "

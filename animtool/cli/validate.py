@@ -97,10 +97,10 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
 
         check_outputs([given["output_file"]], files, overwrite=True)
     if given["fix"]:
-        found = _fixed(console, files, options, given)
+        report = _fixed(console, files, options, given)
     else:
-        found = _checked(files, options)
-    _say(console, found, given)
+        report = _checked(files, options)
+    _say(console, report, given)
 
 
 def _check_fix(given: Mapping[str, Any]) -> None:
@@ -141,8 +141,8 @@ def _fixed(
         raise click.UsageError(f"-o is for one USD file, not {len(files)} files.")
     for note in fixes.notes:
         console.say(note)
-    for fault, said in fixes.report.mended:
-        console.say(f"{fault.path}: {fault.code} mended: {said}")
+    for fault, remedy in fixes.report.mended:
+        console.say(f"{fault.path}: {fault.code} mended: {remedy}")
     for fault, reason in fixes.left:
         console.say(f"{fault.path}: {fault.code} not mended: {reason}")
     return fixes.report

@@ -98,18 +98,18 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"{joint!r} is no joint", hint=hint)
-    found = rig.joints[rig.index(joint)]
-    if found.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
-        message = f"a {found.type} joint has no {part}"
+    own = rig.joints[rig.index(joint)]
+    if own.type not in KEYED_PARTS[part]:
+        fitting = [p for p, types in KEYED_PARTS.items() if own.type in types]
+        message = f"a {own.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
     return kind
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
     """Refuse targets that a rig has not."""
-    found = [target_kind(target, rig) for target in targets]
-    faults = [fault for fault in found if isinstance(fault, Fault)]
+    kinds = [target_kind(target, rig) for target in targets]
+    faults = [fault for fault in kinds if isinstance(fault, Fault)]
     if faults:
         raise OptionError(faults)
 
@@ -268,7 +268,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
     )
     for group in groups:
         first = group[0]
-        made = evaluate_rotations(
+        rotations = evaluate_rotations(
             first.times,
             np.stack([channel.values for channel in group], axis=1),
             rotation_kinds(first),
@@ -276,7 +276,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
             first.pre,
             first.post,
         )
-        rows = np.ascontiguousarray(made.swapaxes(0, 1))
+        rows = np.ascontiguousarray(rotations.swapaxes(0, 1))
         values |= {c.target: own for c, own in zip(group, rows, strict=True)}
     return values
 

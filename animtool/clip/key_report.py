@@ -74,13 +74,13 @@ def channel_errors(
         off = np.linalg.norm(places[0] - places[1], axis=1)
         return off / units.length, unit_name(units.length)
 
-    made = []
+    reports = []
     for channel in clip.channels:
         off, unit = errors(channel.target)
         frame = int(np.argmax(off))
         code = float(take.clock.times[frame])
-        made.append(ChannelError(channel.target, float(off[frame]), unit, code))
-    return tuple(made)
+        reports.append(ChannelError(channel.target, float(off[frame]), unit, code))
+    return tuple(reports)
 
 
 def _gathered(
@@ -99,7 +99,7 @@ def key_notices(
     driven: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
     """Return notes on where a take departs from what its rig can do by itself."""
-    found = [
+    notices = [
         *_released(solved),
         *_on_top(rig, tracks, driven),
         *_off_type(rig, joints, tracks),
@@ -107,7 +107,7 @@ def key_notices(
     ]
     return tuple(
         Fault(code, message, severity=Severity.NOTE, hint=hint)
-        for code, message, hint in found
+        for code, message, hint in notices
     )
 
 

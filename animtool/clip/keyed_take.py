@@ -103,13 +103,13 @@ def keyed_take(
     solved = _solved(take, rig, joints, same, additive=base is not None)
     weights = own_weights_of(take, rig)
     job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
-    made = job.made(1.0)
+    result = job.made(1.0)
     for i in range(TRIES):
-        if made.reduction.held:
+        if result.reduction.held:
             break
         finer = job.made(FINER ** (i + 1))
-        made = min(made, finer, key=lambda keyed: keyed.reduction.error)
-    return made
+        result = min(result, finer, key=lambda keyed: keyed.reduction.error)
+    return result
 
 
 def _same(rig: Rig, tolerance: float) -> Same:
@@ -205,9 +205,9 @@ class _Job:
         """Return the take with joints as the keys of controls move them."""
         times = self.take.clock.times
         exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
-        wanted = sample_values(exact, self.rig, times).motion
+        exact_motion = sample_values(exact, self.rig, times).motion
         found = sample_values(controls.values, self.rig, times).motion
-        return driven_pose(self.take.motion, found, wanted, own)
+        return driven_pose(self.take.motion, found, exact_motion, own)
 
     def _scales(self) -> list[Track]:
         motion = self.take.motion
@@ -260,10 +260,10 @@ def _measured(
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
     below = None if base is None else base.motion
-    truth, made = (
+    truth, evaluated = (
         pose_of(take.rig, motion, below).world() for motion in (take.motion, found)
     )
-    errors = point_errors(attached_points(take.rig, SHELL), truth, made)
+    errors = point_errors(attached_points(take.rig, SHELL), truth, evaluated)
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
     return replace(
         reduction,

@@ -167,26 +167,26 @@ class _Resolver:
             if key[0] not in {DEFAULTS, OUTPUT}
             for name in names
         }
-        found: set[str] = set()
+        used: set[str] = set()
         while left:
             name = left.pop()
-            found.add(name)
-            left |= self.uses.get((DEFAULTS, name), set()) - found
-        return frozenset(found)
+            used.add(name)
+            left |= self.uses.get((DEFAULTS, name), set()) - used
+        return frozenset(used)
 
     def put(self, location: Location, text: str) -> None:
         """Put the values of variables into a text of the document."""
-        found = self.resolved(location, text)
-        if found is not None and (location[0], location[-1]) in WRITTEN:
-            found = self.named(location, text, found)
-        value: Any = found
-        if found is not None and self.is_typed(location, text):
+        resolved = self.resolved(location, text)
+        if resolved is not None and (location[0], location[-1]) in WRITTEN:
+            resolved = self.named(location, text, resolved)
+        value: Any = resolved
+        if resolved is not None and self.is_typed(location, text):
             try:
-                value = plain_scalar(found)
+                value = plain_scalar(resolved)
             except OverflowError:
                 self.document.add("DOC001", location, "a number of too many digits")
-                found = None
-        if found is None:
+                resolved = None
+        if resolved is None:
             annotation = annotation_at(self.model, self.document.value, location)
             value = stand_in(annotation)
             self.document.doubts.add(location)
@@ -224,16 +224,16 @@ class _Resolver:
         """Return a text with values in place; None where that cannot be."""
         parts: list[str] = []
         whole, end, length = True, 0, 0
-        for found in _USE.finditer(text):
-            part = self._value(location, found)
+        for use in _USE.finditer(text):
+            part = self._value(location, use)
             length += len(part or "")
             if length > LONGEST:
                 message = f"variables make a text of more than {LONGEST} letters"
                 self.document.add("DOC025", location, message)
                 return None
             whole &= part is not None
-            parts += [text[end : found.start()], part or ""]
-            end = found.end()
+            parts += [text[end : use.start()], part or ""]
+            end = use.end()
         return "".join([*parts, text[end:]]) if whole else None
 
     def _value(self, location: Location, found: re.Match[str]) -> str | None:

@@ -122,13 +122,13 @@ class _Measure:
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         at = places_between(self.codes[kept], self.codes[frames])
-        found = self.motion.select(kept).map(at.blend)
+        blended = self.motion.select(kept).map(at.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
-        world = forward(self.rig, *found.dense())
+        world = forward(self.rig, *blended.dense())
         weights = np.zeros(len(frames))
-        if found.weights is not None and self.motion.weights is not None:
+        if blended.weights is not None and self.motion.weights is not None:
             true = self.motion.weights.values[frames]
-            off = np.abs(found.weights.values - true)
+            off = np.abs(blended.weights.values - true)
             weights = off.max(axis=(1, 2), initial=0.0)
         return point_errors(self.points, truth, world), weights
 

@@ -111,7 +111,7 @@ def match_take(
     refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
     world = forward(part, motion.translations.gather(own), motion.rotations.gather(own))
-    found = match(part, chains, world)
+    matched = match(part, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
@@ -126,7 +126,7 @@ def match_take(
         reduce,
     )
     goals = tuple(
-        _track(take.rig, chain, e, found, maker) for e, chain in enumerate(chains)
+        _track(take.rig, chain, e, matched, maker) for e, chain in enumerate(chains)
     )
     return TargetTracks(path, clock.fps, first, last, goals)
 
@@ -228,12 +228,12 @@ class _Values:
         return Rows(f"{self.arrays}#{self._named(name)}", rows, self.first)
 
     def _named(self, name: str) -> str:
-        found = plain = re.sub(r"\W", "_", name)
+        unique = plain = re.sub(r"\W", "_", name)
         number = 2
-        while found in self.names:
-            found, number = f"{plain}_{number}", number + 1
-        self.names.add(found)
-        return found
+        while unique in self.names:
+            unique, number = f"{plain}_{number}", number + 1
+        self.names.add(unique)
+        return unique
 
     def _keys(self, rows: FloatArray) -> ClipChannel:
         """Return a key for each frame."""
@@ -255,8 +255,8 @@ class _Values:
         """Return few keys that stay within the tolerance."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
-            made = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
-            return Keyed(made)
+            channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
+            return Keyed(channel)
         order = euler_order(joint, rows)
         # Three turns of one tolerance make one of no more than its root of 3.
         angle = math.degrees(tolerance / SHELL) / math.sqrt(3)

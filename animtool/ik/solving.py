@@ -266,17 +266,17 @@ def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     )
     reports = np.zeros((len(asked.starts), 3), np.int64)
     seconds = np.zeros(len(reports))
-    found = _Found(limbs.coordinates, limbs.misses, reports, seconds)
+    closed_form = _Found(limbs.coordinates, limbs.misses, reports, seconds)
     rest = np.flatnonzero(~limbs.valid)
     if len(rest):
         other = _damped(problem, asked[rest], options)
-        found.coordinates[rest] = other.coordinates
-        found.misses[rest] = other.misses
-        found.reports[rest] = other.reports
-        found.seconds[rest] = other.seconds
+        closed_form.coordinates[rest] = other.coordinates
+        closed_form.misses[rest] = other.misses
+        closed_form.reports[rest] = other.reports
+        closed_form.seconds[rest] = other.seconds
     if options.warm:
-        _stay(found, ~np.logical_or(*wanted(problem, asked.targets)))
-    return found
+        _stay(closed_form, ~np.logical_or(*wanted(problem, asked.targets)))
+    return closed_form
 
 
 def _stay(found: _Found, idle: BoolArray) -> None:
@@ -309,7 +309,9 @@ def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
 
 
 def _check(options: IkOptions) -> None:
-    faults = [fault for found in option_faults(options).values() for fault in found]
+    faults = [
+        fault for of_option in option_faults(options).values() for fault in of_option
+    ]
     if faults:
         raise OptionError(faults)
 
@@ -380,8 +382,8 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         ),
         (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
     ]
-    found = (why for holds, methods, why in rules if holds and method in methods)
-    return next(found, None)
+    reasons = (why for holds, methods, why in rules if holds and method in methods)
+    return next(reasons, None)
 
 
 def _sliding(problem: Problem) -> list[str]:

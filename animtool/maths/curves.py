@@ -270,10 +270,10 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
         rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    found = _held(curves, rows)
-    found += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
-    found += cycles * rises[:, None]
-    return found
+    values = _held(curves, rows)
+    values += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
+    values += cycles * rises[:, None]
+    return values
 
 
 def end_slopes(curves: Curves) -> FloatArray:

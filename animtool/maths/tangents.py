@@ -113,17 +113,17 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     [0.0, 0.0, 0.0, -10.5]
     """
     _, values, spans, slopes = _segments(times, values)
-    found = nonuniform(times, values)
+    clamped = nonuniform(times, values)
     if len(values) < 3:
-        return found
+        return clamped
     for end, one, two in ((0, 0, 1), (-1, -1, -2)):
         weight = spans[one] / (spans[one] + spans[two])
-        found[end] = slopes[one] + weight * (slopes[one] - slopes[two])
+        clamped[end] = slopes[one] + weight * (slopes[one] - slopes[two])
     before = np.concatenate([slopes[:1], slopes])
     behind = np.concatenate([slopes, slopes[-1:]])
     monotone = np.sign(before) == np.sign(behind)
     limit = 3 * np.minimum(np.abs(before), np.abs(behind))
-    along = np.sign(before) * found
+    along = np.sign(before) * clamped
     return np.where(monotone, np.sign(before) * np.clip(along, 0, limit), 0.0) + 0.0
 
 

@@ -92,8 +92,8 @@ def solve_controls(
         part = [control for control in controls if control.name in group]
         problem = _Problem(part, wanted, tolerances, keyed)
         own = {control.name: values[control.name] for control in part}
-        found, loose = _solved_group(problem, own)
-        values |= found
+        solved, loose = _solved_group(problem, own)
+        values |= solved
         released |= loose
         kept |= {control.name for control in part if control.drives} - loose
     order = [control.name for control in controls]

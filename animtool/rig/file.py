@@ -75,9 +75,9 @@ def _mirrored(
     found: FileJoints, bind: Mapping[str, Pose], given: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of joints that a mirror wrote, parents before children."""
-    made: dict[str, Pose] = {}
+    poses: dict[str, Pose] = {}
     if not found.mirrored - given or not bind:
-        return made
+        return poses
     world: list[Transform] = []
     places = {joint.name: i for i, joint in enumerate(found.joints)}
     for joint in found.joints:
@@ -88,12 +88,12 @@ def _mirrored(
             and joint.mirror in given
         ):
             source = bind[joint.mirror]
-            made[joint.name] = mirrored_pose(
+            poses[joint.name] = mirrored_pose(
                 source, world[places[joint.mirror]], parent
             )
-        pose = made.get(joint.name) or bind.get(joint.name) or _rest(joint)
+        pose = poses.get(joint.name) or bind.get(joint.name) or _rest(joint)
         world.append(placed(parent, pose))
-    return made
+    return poses
 
 
 # A sidecar of a sidecar is odd; this many of them are no studio's rig.
@@ -194,8 +194,8 @@ def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return the joints of a sidecar whose base cannot be read: there may be more."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
-    found = _added(document, model, units)
-    return replace(found, adrift=frozenset(joint.name for joint in found.joints))
+    joints = _added(document, model, units)
+    return replace(joints, adrift=frozenset(joint.name for joint in joints.joints))
 
 
 def _overlaid(
@@ -215,8 +215,8 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} comes from {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "leave it out")
-    found = _added(document, model, units)
-    added = {names.get(joint.name, joint.name): joint for joint in found.joints}
+    own = _added(document, model, units)
+    added = {names.get(joint.name, joint.name): joint for joint in own.joints}
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
@@ -233,8 +233,8 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
-    untyped = frozenset(names.get(name, name) for name in found.untyped)
-    return FileJoints(joints, untyped=untyped, unnamed=found.unnamed)
+    untyped = frozenset(names.get(name, name) for name in own.untyped)
+    return FileJoints(joints, untyped=untyped, unnamed=own.unnamed)
 
 
 def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:

@@ -78,9 +78,11 @@ class _Tree:
         """Return where a joint is at rest, the world for none."""
         if joint < 0:
             return ORIGIN
-        for made in self.made[len(self.world) : joint + 1]:
-            parent = self.world[made.parent] if made.parent >= 0 else ORIGIN
-            self.world.append(placed(parent, Pose(made.translation, made.rotation)))
+        for transform in self.made[len(self.world) : joint + 1]:
+            parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
+            self.world.append(
+                placed(parent, Pose(transform.translation, transform.rotation))
+            )
         return self.world[joint]
 
 
@@ -105,7 +107,7 @@ def joints_of(
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
         tree.made.append(joint)
-    found = FileJoints(
+    joints = FileJoints(
         tuple(tree.made),
         frozenset(name for name, entry in entries.items() if entry.adrift),
         frozenset(name for name, entry in entries.items() if entry.mirrored),
@@ -116,7 +118,7 @@ def joints_of(
         ),
         unnamed,
     )
-    return _with_mimics(document, models, entries, found, units)
+    return _with_mimics(document, models, entries, joints, units)
 
 
 def _entries(

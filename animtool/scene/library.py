@@ -31,17 +31,17 @@ def take_names(sources: Sequence[Path], notices: list[Fault]) -> list[str]:
     Two that would be the same are added to the notices.
     """
     stems = [source_stem(path) for path in sources]
-    found = distinct_names([path.name for path in sources], stems, stems)
+    names = distinct_names([path.name for path in sources], stems, stems)
     renamed = [
         path
-        for path, stem, name in zip(sources, stems, found.names, strict=True)
+        for path, stem, name in zip(sources, stems, names.names, strict=True)
         if name != legal_name(stem)
     ]
     notices += [
         replace(notice, path=str(path))
-        for notice, path in zip(found.notices, renamed, strict=True)
+        for notice, path in zip(names.notices, renamed, strict=True)
     ]
-    return found.names
+    return names.names
 
 
 def rate_notice(
@@ -127,15 +127,15 @@ def _ordered(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source.tolist(), first.joints, strict=True)
     )
-    made = replace(rig, joints=joints)
-    mapping = JointMap(made, source, np.ones((len(joints), 3)), [])
+    ordered = replace(rig, joints=joints)
+    mapping = JointMap(ordered, source, np.ones((len(joints), 3)), [])
     curve, given = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
         for block in given:
             yield mapping.apply(block)
 
-    turned = replace(stream, rig=made, blocks=blocks())
+    turned = replace(stream, rig=ordered, blocks=blocks())
     if curve is not None:
         turned.curve = lambda times: mapping.apply(curve(times))
     return turned

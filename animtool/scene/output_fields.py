@@ -69,14 +69,14 @@ def with_keys(place: FileKind, *order: str) -> Callable[[type[Model]], type[Mode
         names = sorted(
             definitions, key=lambda n: order.index(n) if n in order else len(order)
         )
-        made: Any = create_model(
+        model_type: Any = create_model(
             model.__name__,
             __base__=FileModel,
             __module__=model.__module__,
             __doc__=model.__doc__,
             **{name: definitions[name] for name in names},
         )
-        return made  # type: ignore[no-any-return]
+        return model_type  # type: ignore[no-any-return]
 
     return decorate
 

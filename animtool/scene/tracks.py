@@ -39,8 +39,8 @@ class Tracks:
 
     def of(self, kind: str) -> IntArray:
         """Return those of a kind of `KINDS`."""
-        found: IntArray = getattr(self, kind)
-        return found
+        indices: IntArray = getattr(self, kind)
+        return indices
 
     def names(self, rig: Rig) -> list[str]:
         """Return what each is called."""
@@ -68,7 +68,7 @@ def chosen_tracks(
     What a chosen control drives is chosen too, as a motion holds what came of it.
     """
     rig, unknown = names.rig, []
-    found: dict[str, set[int]] = {kind: set() for kind in KINDS}
+    chosen: dict[str, set[int]] = {kind: set() for kind in KINDS}
     for kind in KINDS:
         there = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         known = {getattr(rig, kind)[i].name: i for i in there}
@@ -76,9 +76,9 @@ def chosen_tracks(
             fitting = {i for name, i in known.items() if fnmatchcase(name, pattern)}
             if not fitting:
                 unknown.append(UnknownTrack(kind, pattern, list(known)))
-            found[kind] |= fitting
-    _add_driven(rig, found)
-    tracks = Tracks(*(np.array(sorted(found[kind]), np.int64) for kind in KINDS))
+            chosen[kind] |= fitting
+    _add_driven(rig, chosen)
+    tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
     return _within(tracks, names), unknown
 
 

@@ -62,9 +62,11 @@ class DeformedMesh:
         if self.normals is None:
             return []
         at = self.normal_vertices
-        wanted = len(self.points) if at is None else len(at)
-        if np.shape(self.normals) != (wanted, 3):
-            message = f"normals are {np.shape(self.normals)}, and must be ({wanted}, 3)"
+        expected = len(self.points) if at is None else len(at)
+        if np.shape(self.normals) != (expected, 3):
+            message = (
+                f"normals are {np.shape(self.normals)}, and must be ({expected}, 3)"
+            )
             return [Fault("SKIN001", message)]
         if (
             at is not None
@@ -198,7 +200,7 @@ def deform_blocks(
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         low, high = max(begin - margin, 0), min(end + margin, frames)
-        made = _deform(
+        deformed = _deform(
             mesh,
             None if values is None else values[low:high],
             None
@@ -208,7 +210,7 @@ def deform_blocks(
             None if seconds is None else seconds[low:high],
             space,
         )
-        yield made.select(slice(begin - low, end - low))
+        yield deformed.select(slice(begin - low, end - low))
 
 
 def block_frames(vertices: int) -> int:

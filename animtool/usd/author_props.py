@@ -133,8 +133,8 @@ def check_props(
     """
     faults = []
     model, root = paths.model, paths.root
-    found = prop_paths(tracks, model)
-    for i, (track, path) in enumerate(zip(tracks, found, strict=True)):
+    by_path = prop_paths(tracks, model)
+    for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "name a path of its own, such as Props/box"
         if overlap(path, root) or _within(model, path):
@@ -145,7 +145,7 @@ def check_props(
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
-        for other in found[:i]:
+        for other in by_path[:i]:
             if overlap(path, other):
                 message = f"{path} meets {other}, which another thing has"
                 hint = "each has a path of its own, none below another's"
@@ -175,10 +175,10 @@ def author_props(
 
     Returns their paths, and what there is to say of their frames.
     """
-    found = prop_paths(samples.tracks, places.model)
+    paths = prop_paths(samples.tracks, places.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
-    for i, (track, path) in enumerate(zip(samples.tracks, found, strict=True)):
+    for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _author_above(layer, path, places)
         there, world = places.exists(path), places.world(path)
         if world.turn is not None:
@@ -191,7 +191,7 @@ def author_props(
         _author_track(spec, track, codes, known, world)
         if known.held is not None and known.held.any():
             notices.append(_held_notice(track, path, codes, known.held))
-    return found, notices
+    return paths, notices
 
 
 def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:

@@ -101,9 +101,9 @@ def find_take_set(start: Any) -> TakeSet | None:
     """
     for prim in upwards(start):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
-            found = prim.GetVariantSet(TAKE_SET)
-            names = tuple(found.GetVariantNames())
-            return TakeSet(prim, names, str(found.GetVariantSelection()))
+            variants = prim.GetVariantSet(TAKE_SET)
+            names = tuple(variants.GetVariantNames())
+            return TakeSet(prim, names, str(variants.GetVariantSelection()))
     return None
 
 
@@ -197,6 +197,6 @@ def _make_variant(model: Any, name: str) -> None:
     if TAKE_SET not in model.variantSets:
         model.variantSetNameList.prependedItems.append(TAKE_SET)
         Sdf.VariantSetSpec(model, TAKE_SET)
-    found = model.variantSets[TAKE_SET]
-    if name not in found.variants:
-        Sdf.VariantSpec(found, name)
+    variants = model.variantSets[TAKE_SET]
+    if name not in variants.variants:
+        Sdf.VariantSpec(variants, name)

@@ -175,15 +175,15 @@ def _reference(wanted: PropRequest, stage: Any) -> Reference | None:
 
 def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
     """Return the attributes to read."""
-    found, faults = [], []
+    attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
         # What USD takes for lengths that are not stated depends on the unit.
         always = {*_LENS, "clippingRange"}
         own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
-        found = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+        attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
     for name in wanted.attributes:
         attribute = prim.GetAttribute(name)
-        if attribute and attribute.GetName() in {a.GetName() for a in found}:
+        if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
             continue
         if name.startswith("xformOp"):
             message = f"{name} of {wanted.prim} is of its place, which is read anyway"
@@ -199,10 +199,10 @@ def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
             hint = "numbers, vectors, bools, tokens and strings are carried"
             faults.append(Fault("SCN049", message, hint=hint))
         else:
-            found.append(attribute)
+            attributes.append(attribute)
     if faults:
         raise OptionError(faults)
-    return found
+    return attributes
 
 
 def _kind(attribute: Any) -> str:
@@ -258,14 +258,16 @@ class _Sampler:
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])
         self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
-        found = self.at(codes)
+        transforms = self.at(codes)
         # Values that are functions of time, such as splines, have no samples.
         self.moves = any(not part.GetTimeSamples() for part in moving) or any(
             bool((values != values[:1]).any())
-            for values in (found.matrix(), *found.values)
+            for values in (transforms.matrix(), *transforms.values)
         )
-        even = np.abs(found.scales - found.scales[0]).max() <= ROUNDED
-        self.scales = _plain(found.scales[0]) if even and not self.sheared else None
+        even = np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDED
+        self.scales = (
+            _plain(transforms.scales[0]) if even and not self.sheared else None
+        )
 
     def _moving(self) -> Iterator[Any]:
         """Yield attributes and places that may change over time."""
@@ -297,10 +299,10 @@ class _Sampler:
             if self.scales is not None:
                 near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
                 scales = np.where(near, self.scales, scales)
-        found = Transforms(places, turns, scales, matrices, self._values(codes))
+        transforms = Transforms(places, turns, scales, matrices, self._values(codes))
         if not self.moves:
-            return _lasting(found, len(times))
-        return replace(found, held=self._held(codes))
+            return _lasting(transforms, len(times))
+        return replace(transforms, held=self._held(codes))
 
     def _held(self, codes: FloatArray) -> BoolArray | None:
         low, high = map(float, _span(self.stage, self.keys))
@@ -321,27 +323,27 @@ class _Sampler:
         return times
 
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
-        found: list[Any] = []
+        columns: list[Any] = []
         for attribute, about in zip(self.attributes, self.described, strict=True):
             with usd_errors(Path(self.where)):
                 rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if about.width:
                 values = np.array(rows, np.float64).reshape(len(codes), about.width)
                 self._check(values)
-                found.append(values * (self.unit if about.length else 1.0))
+                columns.append(values * (self.unit if about.length else 1.0))
             else:
-                found.append(np.array([about.choices.index(row) for row in rows]))
-        return tuple(found)
+                columns.append(np.array([about.choices.index(row) for row in rows]))
+        return tuple(columns)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
         cache = UsdGeom.XformCache()
-        found = []
+        sampled = []
         with usd_errors(Path(self.where)):
             for code in codes.tolist():
                 cache.SetTime(Usd.TimeCode(code))
-                found.append(cache.GetLocalToWorldTransform(self.prim))
-        matrices = np.array(found, np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
+                sampled.append(cache.GetLocalToWorldTransform(self.prim))
+        matrices = np.array(sampled, np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
         self._check(matrices)
         matrices[:, :3, 3] *= self.unit
         if self.turn is not None:

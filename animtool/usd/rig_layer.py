@@ -183,11 +183,11 @@ def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
 
     meters_per_unit: unit of its lengths [m].
     """
-    found = {}
-    for made in Usd.PrimRange(stage.GetPseudoRoot()):
-        if made.IsA(UsdPhysics.Joint):
-            found[made.GetName()] = _read_joint(made, meters_per_unit)
-    return found
+    joints = {}
+    for each in Usd.PrimRange(stage.GetPseudoRoot()):
+        if each.IsA(UsdPhysics.Joint):
+            joints[each.GetName()] = _read_joint(each, meters_per_unit)
+    return joints
 
 
 _JOINT_TYPES = {
@@ -273,18 +273,20 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         _metadata(layer, rig, paths)
         author_rig(layer, rig, names, paths, meters)
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
-        _, said = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        _, renamed = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
         apply_schemas(root, ["SkelBindingAPI"])
         relationship(root, "skel:skeleton", paths.skeleton)
     stage = Usd.Stage.Open(layer)
-    made = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
-    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(made, Usd.TimeCode.Default())
+    boundable = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
+        boundable, Usd.TimeCode.Default()
+    )
     bounds = np.array(extent, np.float32).reshape(-1, 3)
     with Sdf.ChangeBlock():
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
-    notices = [replace(fault, path=str(path)) for fault in names.notices + said]
+    notices = [replace(fault, path=str(path)) for fault in names.notices + renamed]
     return layer, notices
 
 
@@ -307,6 +309,6 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
         _metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim(layer, paths.model, over=True)
-        made = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
+        counts = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
     layer.subLayerPaths = [f"./{rig_path.name}"]
-    return save_layer(layer, path), made
+    return save_layer(layer, path), counts

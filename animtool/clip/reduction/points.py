@@ -47,9 +47,9 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     ]
     bounds = np.full(len(rig.joints), float(tolerance))
     for pattern, value in others.items():
-        found = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
-        bounds[found] = value
-        if not found:
+        matching = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
+        bounds[matching] = value
+        if not matching:
             near = similar(pattern, rig.names)
             hint = f"did you mean {near!r}?" if near else None
             message = f"{rig.name!r} has no joint {excerpt(pattern)}"
@@ -120,9 +120,9 @@ class Budget:
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance)
         blank = np.zeros(frames)
-        made = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
-        made.settle()
-        return made
+        budget = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
+        budget.settle()
+        return budget
 
     def scale(self, factor: float) -> None:
         """Fit again with a tolerance so many times as large."""
@@ -176,9 +176,9 @@ class Budget:
 
 def subtree_largest(parents: IntArray, values: FloatArray) -> FloatArray:
     """Return the largest of each joint's values ``(F, J)`` and its descendants'."""
-    found = np.ascontiguousarray(values.T)
-    for joint in range(len(found) - 1, -1, -1):
+    largest = np.ascontiguousarray(values.T)
+    for joint in range(len(largest) - 1, -1, -1):
         if parents[joint] >= 0:
-            above = found[parents[joint]]
-            np.maximum(above, found[joint], out=above)
-    return found.T
+            above = largest[parents[joint]]
+            np.maximum(above, largest[joint], out=above)
+    return largest.T

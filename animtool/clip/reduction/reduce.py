@@ -234,12 +234,12 @@ def _channels(
     rig: Rig, tracks: list[Track], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
     """Return a channel a track: one key where it does not move."""
-    found = {(b.track.kind, b.track.index): b.keys for b in budgets}
+    keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
     return tuple(
         _channel(
             rig,
             track,
-            found[track.kind, track.index]
+            keys[track.kind, track.index]
             if track.moves
             else fit_keys(track.samples, 1.0),
         )

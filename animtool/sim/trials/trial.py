@@ -232,12 +232,12 @@ def best_of(costs: Sequence[Cost | None]) -> list[int]:
     order = sorted(
         (cost.seconds, cost.error, i) for i, cost in enumerate(costs) if cost
     )
-    found, least = [], float("inf")
+    best, least = [], float("inf")
     for _, error, i in order:
         if error < least:
-            found.append(i)
+            best.append(i)
             least = error
-    return sorted(found)
+    return sorted(best)
 
 
 def recommended_of(

@@ -44,12 +44,12 @@ def check_bindings(subject: Subject) -> Iterator[Fault]:
             if not relationship:
                 continue
             for target in relationship.GetTargets():
-                found = subject.stage.GetPrimAtPath(target)
-                if not found and subject.alone:
+                bound = subject.stage.GetPrimAtPath(target)
+                if not bound and subject.alone:
                     continue
-                if found and not found.GetTypeName() and not found.IsDefined():
+                if bound and not bound.GetTypeName() and not bound.IsDefined():
                     continue
-                yield from _target(relationship, target, found, schema, _NAMES[name])
+                yield from _target(relationship, target, bound, schema, _NAMES[name])
 
 
 def _target(
@@ -108,8 +108,8 @@ def _counts(
 ) -> Iterator[Fault]:
     wrong = sampled.counts != wanted
     if wrong.any():
-        found = sampled.counts[np.flatnonzero(wrong)[0]]
-        have = "no value" if found < 0 else counted(found, "value")
+        count = sampled.counts[np.flatnonzero(wrong)[0]]
+        have = "no value" if count < 0 else counted(count, "value")
         message = f"{have} for {wanted} {noun} {at_samples(sampled, wrong)}"
         yield finding(code, attr.GetPath(), message)
 

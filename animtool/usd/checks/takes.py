@@ -96,7 +96,7 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     bound = _bound(skeletons)
     shared = _Shared.of(subject)
-    found = []
+    takes = []
     for animation in subject.of_type(UsdSkel.Animation):
         # What was made to be small is no capture.
         if stored_data(animation.GetPrim()).get("thinned"):
@@ -107,19 +107,19 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
         except AnimtoolError:
             continue
         if take is not None:
-            found.append(take)
-    return found
+            takes.append(take)
+    return takes
 
 
 def _bound(skeletons: list[Any]) -> dict[Any, Any]:
     """Return the Skeleton of each animation that one is bound to."""
-    found: dict[Any, Any] = {}
+    bound: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
         source = binding.GetInheritedAnimationSource()
         if source:
-            found.setdefault(source.GetPath(), skeleton)
-    return found
+            bound.setdefault(source.GetPath(), skeleton)
+    return bound
 
 
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
@@ -140,7 +140,7 @@ def _take(
     where = Spot.of(path, animation)
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
-    found = _rig(subject, animation, skeleton, joints, path)
+    of_rig = _rig(subject, animation, skeleton, joints, path)
     movers = moving_carriers(skeleton.GetPrim()) if skeleton else []
     parts = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in parts]
@@ -149,14 +149,14 @@ def _take(
     times.update(t for mover in movers for t in mover.GetTimeSamples())
     codes = np.array(sorted(times), np.float64)
     rows = [_values(subject, *entry, codes) for entry in attributes]
-    motion = _motion(found, joints, shapes, rows)
+    motion = _motion(of_rig, joints, shapes, rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
     if movers:
         own = translations, rotations, scales
-        carry_roots(found.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
-    rig = replace(found.rig, shapes=tuple(Shape(name) for name in shapes))
+        carry_roots(of_rig.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
+    rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     take = Take(
         rig,
         _clock(subject, codes),
@@ -173,7 +173,7 @@ def _take(
         codes if len(codes) else None,
         _range(subject, animation, shared),
         skeleton is not None,
-        _influencing(skeleton, found, shared) if skeleton else None,
+        _influencing(skeleton, of_rig, shared) if skeleton else None,
         _bind(skeleton, rig) if skeleton else None,
         _shown_rate(subject.stage),
     )

@@ -110,8 +110,8 @@ def _open_cases(
 ) -> Iterator[Fault]:
     """Yield findings that count, have a fix, and were not tried yet."""
     for fault in found:
-        wanted = has_fix(fault.code) and options.counts(fault.code)
-        if wanted and _key(fault) not in given_up:
+        fixable = has_fix(fault.code) and options.counts(fault.code)
+        if fixable and _key(fault) not in given_up:
             yield fault
 
 

@@ -63,13 +63,13 @@ class ClipSubject(DocumentSubject):
     def cuts(self) -> BoolArray:
         """From which frames to the next a step is keyed ``(F - 1,)``."""
         frames = np.array(self.frames)
-        found = np.zeros(len(frames) - 1, bool)
+        cuts = np.zeros(len(frames) - 1, bool)
         for channel in self.clip.channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     at = channel.times[k + 1]
-                    found |= (frames[:-1] < at) & (at <= frames[1:])
-        return found
+                    cuts |= (frames[:-1] < at) & (at <= frames[1:])
+        return cuts
 
     def key(self, channel: int, frame: float) -> Location:
         """Return the last key of a channel that is not behind a frame, or its first."""
