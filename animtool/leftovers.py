@@ -71,8 +71,8 @@ class PlacedFile:
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
-    def _is_own(self, found: os.stat_result) -> bool:
-        return (found.st_ino, found.st_size, found.st_mtime_ns) == self.state
+    def _is_own(self, status: os.stat_result) -> bool:
+        return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,7 +92,7 @@ def mean_seconds(path: Path) -> float:
 
 
 def chunk_size(
-    items: int, seconds: float | None = None, wanted: float = TASK_SECONDS
+    items: int, seconds: float | None = None, span: float = TASK_SECONDS
 ) -> int:
     """Return how many items of some seconds [s] each make a task of those wanted [s].
 
@@ -101,7 +101,7 @@ def chunk_size(
     """
     if seconds is None:
         return min(CHUNK, items)
-    return max(1, min(items, round(wanted / max(seconds, 1e-6))))
+    return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
 def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> Bundle:

@@ -369,16 +369,16 @@ class _Reader:
             self.note("BAT043", f"{named} is in transitions: {more} are taken too")
         return before, after
 
-    def name(self, wanted: str, named: str) -> str:
+    def name(self, shot: str, named: str) -> str:
         """Return a name that is legal, and of no shot before."""
-        legal = _LEGAL.sub("_", wanted).strip("_-")[:MAX_NAME] or "shot"
+        legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
             number += 1
             name = f"{legal}_{number}"
         self.taken[name.casefold()] = 1
         self.taken[legal.casefold()] = number
-        if name != wanted:
+        if name != shot:
             self.note("BAT046", f"{named} is the shot {name}")
         return name
 
@@ -392,9 +392,9 @@ def _is_file(path: Path) -> bool | None:
         return None
 
 
-def _first(*given: int | None) -> int:
+def _first(*start: int | None) -> int:
     """Return the first that is stated."""
-    return next(value for value in given if value is not None)
+    return next(value for value in start if value is not None)
 
 
 def _media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:

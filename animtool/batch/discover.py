@@ -220,8 +220,8 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         check_suffix(Path(pattern))
 
 
-def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
-    paths = [file.path for file in found]
+def _recipe(spec: BatchSpec, files: Sequence[FoundFile]) -> Recipe:
+    paths = [file.path for file in files]
     kinds = {(path.suffix.lower(), is_named(path, "scene")): path for path in paths}
     return Recipe(spec.scene, dict(spec.variables), spec.options, tuple(kinds.values()))
 
@@ -399,7 +399,7 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
 
 
 def _meant(
-    folder: Path, given: Sequence[str], suffixes: Sequence[str]
+    folder: Path, inputs: Sequence[str], suffixes: Sequence[str]
 ) -> Iterator[FoundFile]:
-    for text in given:
+    for text in inputs:
         yield from files_meant(os.fspath(folder / text), suffixes)

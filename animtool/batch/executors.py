@@ -400,9 +400,9 @@ class _WorkerProcesses:
             process.end()
 
 
-def _differences(wanted: Mapping[str, str], found: Mapping[str, str]) -> str:
+def _differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
     return ", ".join(
-        f"{name} {found.get(name) or 'none'} for {wanted.get(name) or 'none'}"
-        for name in sorted({*wanted, *found})
-        if wanted.get(name) != found.get(name)
+        f"{name} {actual.get(name) or 'none'} for {expected.get(name) or 'none'}"
+        for name in sorted({*expected, *actual})
+        if expected.get(name) != actual.get(name)
     )

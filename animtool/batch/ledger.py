@@ -203,12 +203,12 @@ class Ledger:
             self._grown = True
             self.history.made.known.update(new)
 
-    def made(self, made: ItemRecord) -> None:
+    def made(self, record: ItemRecord) -> None:
         """Note an item that was made."""
-        self._writer.add(made)
+        self._writer.add(record)
         self._grown = True
-        self.history.made.add(made)
-        self.history.failed.pop(made.key, None)
+        self.history.made.add(record)
+        self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, why: str) -> None:
         """Note an item that failed."""
@@ -221,14 +221,14 @@ class Ledger:
         """Close the files, as they are."""
         self._closing.close()
 
-    def settle(self, wanted: Callable[[ItemRecord], bool]) -> None:
+    def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
         """Write records of the whole anew, those of its parts taken in."""
         self.close()
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
             return
         manifest = self.history.made
-        kept = [item for item in manifest.items.values() if wanted(item)]
+        kept = [item for item in manifest.items.values() if keep(item)]
         recorded = {output.path for item in kept for output in item.outputs}
         root = self._files.folder.parent
         known = [

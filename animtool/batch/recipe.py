@@ -43,7 +43,7 @@ INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 _PLACES = frozenset({"input", "folder"})
 
 
-def input_names(found: FoundFile) -> dict[str, str]:
+def input_names(file: FoundFile) -> dict[str, str]:
     """Return what the names stand for that every input has.
 
     ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
@@ -55,12 +55,12 @@ def input_names(found: FoundFile) -> dict[str, str]:
     >>> names["name"], names["parent"], names["stem"]
     ('walk.clip.yaml', 'a', 'walk')
     """
-    path = found.path
+    path = file.path
     return {
         "input": path.absolute().as_posix(),
         "folder": path.parent.absolute().as_posix(),
         "name": path.name,
-        "parent": path.parent.relative_to(found.base).as_posix(),
+        "parent": path.parent.relative_to(file.base).as_posix(),
         "stem": source_stem(path),
     }
 

@@ -231,10 +231,10 @@ class LineReader:
     def _unreadable(self, why: str) -> FormatError:
         return FormatError(Fault("BAT011", f"cannot be read: {why}", str(self.path)))
 
-    def _foreign(self, found: Line) -> FormatError:
+    def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
         message = f"is no {kind} file of {version}"
-        stated = found.get(kind)
+        stated = line.get(kind)
         if isinstance(stated, str) and stated != version:
             message = f"is of version {stated[:40]!r}, and {version} is known"
         hint = "remove it, and everything is made anew"

@@ -268,10 +268,10 @@ class _Run:
         self.found[item.number] = report
         self.listener.ended(report)
 
-    def wanted(self, made: ItemRecord) -> bool:
+    def wanted(self, record: ItemRecord) -> bool:
         """Return whether a record is of interest: its output is there, or to be."""
         return any(
-            place_of(file.path, self.batch.root).exists() for file in made.outputs
+            place_of(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:

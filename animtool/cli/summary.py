@@ -368,23 +368,25 @@ def channels_json(report: ConvertReport) -> dict[str, object]:
     }
 
 
-def _reduction_text(found: Reduction, frames: int) -> list[str]:
+def _reduction_text(reduction: Reduction, frames: int) -> list[str]:
     """Return what a reduction came to, and its error where there is one."""
-    keys = counted(found.keys, "key")
-    if not found.samples:
-        text = f"{keys}, for what is not at rest" if found.keys else "no keys"
+    keys = counted(reduction.keys, "key")
+    if not reduction.samples:
+        text = f"{keys}, for what is not at rest" if reduction.keys else "no keys"
         lines = [f"nothing moves: {text}"]
     else:
         lines = [
-            f"{counted(found.samples, 'sample')} of what moves became {keys}: "
-            f"{found.samples_per_key:.3g} a key"
+            f"{counted(reduction.samples, 'sample')} of what moves became {keys}: "
+            f"{reduction.samples_per_key:.3g} a key"
         ]
     where = ""
-    if found.error:
-        where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
-    lines.append(f"largest error: {length_text(found.error)}{where}")
-    if found.weight_error:
-        lines.append(f"largest error of a shape's weight: {plain(found.weight_error)}")
+    if reduction.error:
+        where = f" (joint {reduction.joint!r}, frame {reduction.frame + 1} of {frames})"
+    lines.append(f"largest error: {length_text(reduction.error)}{where}")
+    if reduction.weight_error:
+        lines.append(
+            f"largest error of a shape's weight: {plain(reduction.weight_error)}"
+        )
     return lines
 
 

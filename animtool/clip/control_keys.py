@@ -200,7 +200,7 @@ class _Effect:
 
 def driven_pose(
     motion: Motion,
-    found: Motion,
+    controls: Motion,
     exact: Motion,
     own: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
@@ -208,7 +208,7 @@ def driven_pose(
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         of_take: Channel = getattr(motion, name)
-        now: Channel = getattr(found, name)
+        now: Channel = getattr(controls, name)
         before: Channel = getattr(exact, name)
         moved = set(now.animated.tolist()) | set(before.animated.tolist())
         joints = [j for j in sorted(moved) if (kind, j) not in own]

@@ -251,17 +251,17 @@ def _growth(rig: Rig, tracks: list[Track]) -> float:
 def _measured(
     reduction: Reduction,
     take: Take,
-    found: Motion,
+    keyed: Motion,
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
     """Return a reduction with the errors of a motion that came of it."""
-    weight_error = _weight_error(take.motion.weights, found.weights)
+    weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
     below = None if base is None else base.motion
     truth, evaluated = (
-        pose_of(take.rig, motion, below).world() for motion in (take.motion, found)
+        pose_of(take.rig, motion, below).world() for motion in (take.motion, keyed)
     )
     errors = point_errors(attached_points(take.rig, SHELL), truth, evaluated)
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
@@ -275,7 +275,7 @@ def _measured(
     )
 
 
-def _weight_error(wanted: Channel | None, found: Channel | None) -> float:
+def _weight_error(target: Channel | None, keyed: Channel | None) -> float:
     zero = np.zeros(1)
-    dense = [zero if c is None else c.dense() for c in (wanted, found)]
+    dense = [zero if c is None else c.dense() for c in (target, keyed)]
     return float(np.abs(dense[0] - dense[1]).max(initial=0.0))

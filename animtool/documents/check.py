@@ -172,11 +172,11 @@ class _Faults:
 
 
 def _by_place(
-    value: Any, found: Sequence[Any]
+    value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Return faults by where they are, and by the key that is missing there."""
     merged: dict[tuple[Location, str], list[Any]] = {}
-    for fault in found:
+    for fault in errors:
         missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
         merged.setdefault((_within(value, fault), missing), []).append(fault)
     return merged
@@ -194,11 +194,11 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(steps)
 
 
-def _lacking(last: int | str, given: Any) -> str:
+def _lacking(last: int | str, value: Any) -> str:
     """Return what is missing: a key, or an item behind those that are there."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
-    return f"{counted(len(given), 'item')} where {_are(last + 1)} wanted"
+    return f"{counted(len(value), 'item')} where {_are(last + 1)} wanted"
 
 
 def _words(fault: Any) -> str:

@@ -93,10 +93,10 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     raise EditError(f"the layout around {places} cannot be kept")
 
 
-def _reads_as(text: str, path: Path, wanted: Any) -> bool:
+def _reads_as(text: str, path: Path, value: Any) -> bool:
     """Return whether a text holds some values; one that is malformed holds none."""
     try:
-        return bool(document_of(text, path).value == wanted)
+        return bool(document_of(text, path).value == value)
     except FormatError:
         return False
 

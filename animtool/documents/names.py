@@ -59,7 +59,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(known[:12])}" + (" …" if len(known) > 12 else "")
 
 
-def check_given(given: Iterable[str], used: Iterable[str]) -> None:
+def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
     """Refuse variables that are given and that nothing uses.
 
     Raises:
@@ -70,7 +70,7 @@ def check_given(given: Iterable[str], used: Iterable[str]) -> None:
     names = sorted(used)
     faults = [
         Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
-        for name in given
+        for name in stated
         if name not in names
     ]
     if faults:

@@ -42,7 +42,7 @@ class Variables:
 def resolve_variables(
     document: Document,
     model: type[BaseModel],
-    given: Mapping[str, str],
+    variables: Mapping[str, str],
     parts: Collection[str] = (),
 ) -> Variables:
     """Put the values of variables into the text of a document; keys stay.
@@ -57,11 +57,11 @@ def resolve_variables(
     Args:
         document: Changed in place.
         model: What the document should be.
-        given: Values by name; they come before the document's own.
+        variables: Values by name; they come before the document's own.
         parts: Those of them that are a part of one name, where they name what is
             written.
     """
-    resolver = _Resolver(document, model, dict(given), parts=set(parts))
+    resolver = _Resolver(document, model, dict(variables), parts=set(parts))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS:
@@ -192,7 +192,7 @@ class _Resolver:
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
 
-    def named(self, location: Location, text: str, found: str) -> str | None:
+    def named(self, location: Location, text: str, spelling: str) -> str | None:
         """Return the name of a file to write; None, and a fault, for an unsafe one."""
         for piece in text.split("/"):
             used = {match["name"] for match in _USE.finditer(piece) if match["name"]}
@@ -205,7 +205,7 @@ class _Resolver:
                 hint = "a value from another file is a part of one name"
                 self.document.add("OUT006", location, message, hint)
                 return None
-        return found
+        return spelling
 
     def is_typed(self, location: Location, text: str) -> bool:
         """Return whether a text may become a number or a truth value.
@@ -236,11 +236,11 @@ class _Resolver:
             end = use.end()
         return "".join([*parts, text[end:]]) if whole else None
 
-    def _value(self, location: Location, found: re.Match[str]) -> str | None:
+    def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return what stands for a use of a variable; None, and a fault, for none."""
-        if found["kept"]:
-            return found[0][1:]
-        name = found["name"]
+        if match["kept"]:
+            return match[0][1:]
+        name = match["name"]
         if name is None:
             message = "a ${ has no name and } behind it"
             hint = "write ${name}, or $${ where those letters are meant"

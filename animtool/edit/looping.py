@@ -369,18 +369,18 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(said_of(cycle, found=options.find))
+    context.notices.extend(said_of(cycle, searched=options.find))
     return result
 
 
-def said_of(cycle: Cycle, *, found: bool) -> list[Fault]:
+def said_of(cycle: Cycle, *, searched: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
         f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of what moves between"
     )
     notices = []
-    if found:
+    if searched:
         message = f"the best cycle: {ends}"
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:

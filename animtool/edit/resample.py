@@ -115,18 +115,18 @@ def plan_samples(
 
 
 def _between(
-    wanted: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
+    frames: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
 ) -> int:
     """Return how many samples lie between whole frames, and are not taken.
 
     ``ahead`` [frame].
     """
-    begin = max(wanted[0], math.ceil(-ahead))
-    end = min(wanted[-1], math.floor((count - 1) / ratio - ahead))
+    begin = max(frames[0], math.ceil(-ahead))
+    end = min(frames[-1], math.floor((count - 1) / ratio - ahead))
     if end < begin:
         return 0
-    low = max(0, math.ceil((wanted[0] + ahead) * ratio))
-    high = min(count - 1, math.floor((wanted[-1] + ahead) * ratio))
+    low = max(0, math.ceil((frames[0] + ahead) * ratio))
+    high = min(count - 1, math.floor((frames[-1] + ahead) * ratio))
     places = even_places(np.arange(begin, end + 1), ahead, ratio, count)
     kept = np.union1d(places.frames[places.fractions == 0], taken)
     return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
@@ -136,8 +136,8 @@ def _refusal(message: str) -> OptionError:
     return OptionError(Fault("CLI005", message))
 
 
-def _codes(first: Fraction, wanted: range) -> FloatArray:
-    return time_codes(Fraction(first), Fraction(wanted.step), len(wanted))
+def _codes(first: Fraction, frames: range) -> FloatArray:
+    return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
 def _within(

@@ -143,11 +143,11 @@ def _turned(local: LocalTransforms) -> BoolArray:
 
 
 def _with_rests(
-    rig: Rig, rests: LocalTransforms, frame: int, wanted: Sequence[int]
+    rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
     """Return the rig with the rest pose of a frame, where that is another."""
     joints = list(rig.joints)
-    for j in wanted:
+    for j in moving:
         place, turn = rests.translations[frame, j], rests.rotations[frame, j]
         apart = np.abs(place - rig.rest_translations[j]).max() > SAME
         if apart or so3.angle_between(turn, rig.rest_rotations[j]) > SAME:

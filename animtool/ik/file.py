@@ -214,10 +214,10 @@ class _Reader:
         return name
 
     def _spans(
-        self, at: Location, given: list[list[float]]
+        self, at: Location, pairs: list[list[float]]
     ) -> list[tuple[float, float]]:
         spans: list[tuple[float, float, int]] = []
-        for i, span in enumerate(given):
+        for i, span in enumerate(pairs):
             if self.document.doubtful((*at, i)):
                 continue
             first, last = span
@@ -239,31 +239,31 @@ class _Reader:
                 self.document.add("TGT005", (*at, i), message, "make one of them")
         return [(first, last) for first, last, _ in spans]
 
-    def _axis(self, at: Location, given: list[float]) -> Vector:
-        length = math.hypot(*given)
+    def _axis(self, at: Location, axis: list[float]) -> Vector:
+        length = math.hypot(*axis)
         if not length > SHORTEST:
-            self.document.add("TGT008", at, f"direction {given} has no length")
+            self.document.add("TGT008", at, f"direction {axis} has no length")
             return (0.0, 0.0, 1.0)
-        x, y, z = (value / length for value in given)
+        x, y, z = (value / length for value in axis)
         return (x, y, z)
 
     def _weights(
         self,
         at: Location,
-        given: float | WeightsModel,
+        model: float | WeightsModel,
         asked: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; those that are 1 throughout are left out."""
-        if not isinstance(given, WeightsModel):
-            if given == 0 and not self.document.doubtful(at):
+        if not isinstance(model, WeightsModel):
+            if model == 0 and not self.document.doubtful(at):
                 hint = "leave the goal out"
                 self.document.add("TGT002", at, "a weight of 0 asks nothing", hint)
-            if given == 1:
+            if model == 1:
                 return {}
-            return {part: Still((float(given),)) for part in PARTS}
+            return {part: Still((float(model),)) for part in PARTS}
         weights: dict[str, Value] = {}
         for part in PARTS:
-            weight = getattr(given, part)
+            weight = getattr(model, part)
             if weight is None:
                 continue
             if part not in asked:
@@ -274,10 +274,10 @@ class _Reader:
                 weights[part] = curve
         return weights
 
-    def _weight(self, at: Location, given: float | CurveModel) -> Value | None:
-        if not isinstance(given, CurveModel):
-            return Still((float(given),))
-        curve = self.values.curve(at, given, "weight")
+    def _weight(self, at: Location, model: float | CurveModel) -> Value | None:
+        if not isinstance(model, CurveModel):
+            return Still((float(model),))
+        curve = self.values.curve(at, model, "weight")
         if curve is not None and (curve.channel.values < 0).any():
             k = int(np.argmax(curve.channel.values[:, 0] < 0))
             message = f"weight {curve.channel.values[k, 0]:g} is less than 0"

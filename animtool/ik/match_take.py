@@ -186,13 +186,13 @@ def _track(
     rig: Rig,
     chain: IkChain,
     e: int,
-    found: Matched,
+    matched: Matched,
     maker: _Values,
 ) -> GoalTrack:
-    goal = found.goals[e]
+    goal = matched.goals[e]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
     for kind in goal.kinds:
-        rows = np.asarray(getattr(found.targets, kind.targets))[:, e]
+        rows = np.asarray(getattr(matched.targets, kind.targets))[:, e]
         name = f"{chain.name}_{kind.name}"
         values[kind.name] = maker.value(rows, name, rig.joints[rig.index(chain.tip)])
     return GoalTrack(

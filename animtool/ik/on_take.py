@@ -133,16 +133,16 @@ def solve_take(
     count, done = rounds(tracks), 0
     spent = 0.0
 
-    def bring(wanted: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
+    def bring(tracks: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
         def told(share: float) -> None:
             if progress is not None:
                 progress((done + share) / count)
 
-        return _solve_take(take, wanted, free, options, still, only, told)
+        return _solve_take(take, tracks, free, options, still, only, told)
 
-    def bring_take(wanted: TargetTracks, free: tuple[Take, ...]) -> Take:
+    def bring_take(tracks: TargetTracks, free: tuple[Take, ...]) -> Take:
         nonlocal done, spent
-        found = bring(wanted, free)
+        found = bring(tracks, free)
         done, spent = done + 1, spent + found.seconds
         return found.take
 

@@ -91,17 +91,17 @@ def gathered_take(
     local: LocalTransforms,
     tracks: TargetTracks,
     targets: Targets,
-    found: Sequence[SolvedPart],
+    parts: Sequence[SolvedPart],
 ) -> TakeIk:
     """Return a take with the poses that its parts were brought to."""
-    results = [one.result for one in found]
+    results = [one.result for one in parts]
     motion = take.motion
-    rig = found[0].part.rig
+    rig = parts[0].part.rig
     names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
     stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched)
     places, turns = local.translations[:, joints], local.rotations[:, joints]
-    for one in found:
+    for one in parts:
         span = one.part.frames
         rows, before = one.result.coordinates, one.part.coordinates
         locals_of_part = local_from_coordinates(one.part.rig, rows)
@@ -130,7 +130,7 @@ def gathered_take(
         tuple(status for one in results for status in one.statuses),
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
-        sum(one.seconds for one in found),
+        sum(one.seconds for one in parts),
         tuple(jump for one in results for jump in one.jumps),
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
     )

@@ -247,23 +247,23 @@ class ValueReader:
         return None if channel is None else Keyed(channel)
 
     def value(
-        self, at: Location, given: list[float] | str | ValueModel | None, key: str
+        self, at: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
         """Return a value; None where there is none, or a faulty one."""
-        if given is None or self.document.doubtful(at):
+        if model is None or self.document.doubtful(at):
             return None
-        if isinstance(given, str):
-            return self._rows(at, given, key)
-        if isinstance(given, ValueModel):
-            return self._moving(at, given, key)
+        if isinstance(model, str):
+            return self._rows(at, model, key)
+        if isinstance(model, ValueModel):
+            return self._moving(at, model, key)
         if key == "orientation":
-            return self._turn(at, given)
-        return Still(tuple(value * self.units.length for value in given))
+            return self._turn(at, model)
+        return Still(tuple(value * self.units.length for value in model))
 
-    def _turn(self, at: Location, given: list[float]) -> Still | None:
-        rotations, wrong = file_quaternions(np.array([given], np.float64))
+    def _turn(self, at: Location, numbers: list[float]) -> Still | None:
+        rotations, wrong = file_quaternions(np.array([numbers], np.float64))
         if wrong:
-            message = f"quaternion {given} has no length"
+            message = f"quaternion {numbers} has no length"
             self.document.add("TGT007", at, message)
             return None
         return Still(tuple(rotations[0].tolist()))

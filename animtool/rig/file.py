@@ -28,7 +28,7 @@ from animtool.units import LengthUnit, UpAxis
 def bind_of(
     document: Document,
     models: Mapping[str, PoseModel],
-    found: FileJoints,
+    read: FileJoints,
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
@@ -37,17 +37,17 @@ def bind_of(
     A joint that a mirror wrote has the reflection of the other's bind pose, unless
     the file gives it one of its own.
     """
-    joints = {joint.name: joint for joint in found.joints}
+    joints = {joint.name: joint for joint in read.joints}
     bind = dict(inherited)
     for name, model in models.items():
         if name not in joints:
             message = f"{name!r} is no joint"
-            if not found.unnamed:
+            if not read.unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
         bind[name] = _pose(document, name, model, joints[name], units)
-    bind |= _mirrored(found, bind, set(models))
+    bind |= _mirrored(read, bind, set(models))
     return {
         name: pose
         for name, pose in bind.items()
@@ -72,20 +72,20 @@ def _rest(joint: Joint) -> Pose:
 
 
 def _mirrored(
-    found: FileJoints, bind: Mapping[str, Pose], given: set[str]
+    joints: FileJoints, bind: Mapping[str, Pose], stated: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of joints that a mirror wrote, parents before children."""
     poses: dict[str, Pose] = {}
-    if not found.mirrored - given or not bind:
+    if not joints.mirrored - stated or not bind:
         return poses
     world: list[Transform] = []
-    places = {joint.name: i for i, joint in enumerate(found.joints)}
-    for joint in found.joints:
+    places = {joint.name: i for i, joint in enumerate(joints.joints)}
+    for joint in joints.joints:
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
-            joint.name in found.mirrored
-            and joint.name not in given
-            and joint.mirror in given
+            joint.name in joints.mirrored
+            and joint.name not in stated
+            and joint.mirror in stated
         ):
             source = bind[joint.mirror]
             poses[joint.name] = mirrored_pose(

@@ -201,13 +201,13 @@ def _note_off_middle(
     entry: _Entry,
     joint: Joint,
     parent_world: Transform,
-    made: list[Joint],
+    joints: list[Joint],
 ) -> None:
     """Note a pair below one joint that is not between left and right."""
     away = float(parent_world[0][0])
     if abs(away) <= OFF_MIDDLE:
         return
-    parent = made[joint.parent].name
+    parent = joints[joint.parent].name
     message = (
         f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but both "
         f"hang from {parent!r}, which is {length_text(abs(away), 4)} off it"
@@ -292,11 +292,11 @@ def _with_mimics(
     document: Document,
     models: list[JointModel],
     entries: dict[str, _Entry],
-    found: FileJoints,
+    read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with those that follow others, which must exist by now."""
-    joints = list(found.joints)
+    joints = list(read.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entries.items():
@@ -309,10 +309,10 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"{mimic.joint!r} is no joint"
-            if not found.unnamed:
+            if not read.unnamed:
                 document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
             continue
-        if mimic.joint in found.untyped:
+        if mimic.joint in read.untyped:
             continue
         if joints[leader].type not in scalar:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
@@ -325,7 +325,7 @@ def _with_mimics(
         followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
     _refuse_chains(document, entries, joints)
-    return replace(found, joints=tuple(joints))
+    return replace(read, joints=tuple(joints))
 
 
 def _refuse_chains(

@@ -62,7 +62,7 @@ def loop_source(
         else:
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
-    notices = [*stream.notices, *said_of(best, found=options.find)]
+    notices = [*stream.notices, *said_of(best, searched=options.find)]
     cycle = FoundCycle(best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)

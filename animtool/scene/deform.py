@@ -190,7 +190,7 @@ class PointStream:
     def _moved(
         self,
         mesh: int,
-        made: Iterator[Deformed],
+        deformed: Iterator[Deformed],
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[Deformed]:
@@ -199,18 +199,18 @@ class PointStream:
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
         done = 0
-        for part in made:
+        for part in deformed:
             frames = slice(done, done + len(part.points))
             yield displaced_points(part, points, frames, surface, times)
             done = frames.stop
 
     def _rounded(
-        self, mesh: int, codes: FloatArray, made: Iterator[Deformed], own: slice
+        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], own: slice
     ) -> Iterator[PointBlock]:
         """Yield the frames of a piece that count, rounded."""
         done = 0
         began = time.perf_counter()
-        for part in made:
+        for part in deformed:
             first, last = max(own.start - done, 0), max(own.stop - done, 0)
             kept = part.select(slice(first, last))
             at = codes[done + first : done + first + len(kept.points)]

@@ -423,20 +423,22 @@ class _SceneReader:
         path = referred_input(self.document, at, name, self.roots)
         return Path(name) if path is None else path
 
-    def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
-        return None if given is None else self.parsed(at, given, parse_rate)
+    def _rate(self, at: Location, rate: float | str | None) -> Fraction | None:
+        return None if rate is None else self.parsed(at, rate, parse_rate)
 
     def parsed(
-        self, at: Location, given: Any, parse: Callable[[Any], Value]
+        self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
         """Return a value; None, and a fault, where it is none."""
         try:
-            return parse(given)
+            return parse(value)
         except ValueError as error:
             self.document.add(getattr(error, "code", "SCN003"), at, str(error))
             return None
 
-    def _pass(self, at: Location, name: str, given: dict[str, Any]) -> ScenePass | None:
+    def _pass(
+        self, at: Location, name: str, values: dict[str, Any]
+    ) -> ScenePass | None:
         try:
             pass_ = find_pass(name)
         except AnimtoolError as error:
@@ -444,11 +446,11 @@ class _SceneReader:
             self.document.add(fault.code, at, fault.message, fault.hint)
             return None
         names = [field.name for field in fields(pass_.options)]
-        unknown = [key for key in given if key not in names]
+        unknown = [key for key in values if key not in names]
         for key in unknown:
             message = f"unknown option {key!r} of {name}"
             self.document.add("SCN001", (*at, key), message, nearest(key, names))
-        known = {key: value for key, value in given.items() if key in names}
+        known = {key: value for key, value in values.items() if key in names}
         try:
             options = TypeAdapter(pass_.options).validate_python(known)
         except ValidationError as error:
@@ -481,16 +483,16 @@ class _SceneReader:
         }
         return replace(options, **read), tuple(reader.files)
 
-    def _check(self, at: Location, found: Pass, options: Any) -> None:
+    def _check(self, at: Location, pass_: Pass, options: Any) -> None:
         """Note what is wrong with options whatever the take is."""
-        for option, check in found.checks(options).items():
+        for option, check in pass_.checks(options).items():
             try:
                 check()
             except OptionError as error:
                 for fault in error.faults:
                     place = (*at, option)
                     self.document.add(fault.code, place, fault.message, fault.hint)
-        for field in fields(found.options):
+        for field in fields(pass_.options):
             value = getattr(options, field.name)
             if isinstance(value, Path):
                 self.read_file((*at, field.name), str(value))

@@ -114,15 +114,15 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
 
 
 def _ordered(
-    stream: TakeStream, names: list[str], wanted: list[str], first: Rig
+    stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
     """Return a take with its joints in another order, that of a first rig."""
-    if names == wanted:
+    if names == order:
         return stream
     from animtool.usd.target import JointMap
 
     rig = stream.rig
-    source = np.array([names.index(name) for name in wanted], np.int64)
+    source = np.array([names.index(name) for name in order], np.int64)
     joints = tuple(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source.tolist(), first.joints, strict=True)

@@ -61,7 +61,7 @@ class UnknownTrack:
 
 
 def chosen_tracks(
-    wanted: TrackNames, names: NameMap
+    requested: TrackNames, names: NameMap
 ) -> tuple[Tracks, list[UnknownTrack]]:
     """Return what patterns choose of what two rigs have, and those that fit nothing.
 
@@ -72,7 +72,7 @@ def chosen_tracks(
     for kind in KINDS:
         there = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         known = {getattr(rig, kind)[i].name: i for i in there}
-        for pattern in getattr(wanted, kind):
+        for pattern in getattr(requested, kind):
             fitting = {i for name, i in known.items() if fnmatchcase(name, pattern)}
             if not fitting:
                 unknown.append(UnknownTrack(kind, pattern, list(known)))
@@ -82,22 +82,22 @@ def chosen_tracks(
     return _within(tracks, names), unknown
 
 
-def _add_driven(rig: Rig, found: dict[str, set[int]]) -> None:
+def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
     """Add what chosen controls drive, and what is driven by that."""
     indices = {
         kind.removesuffix("s"): {e.name: i for i, e in enumerate(getattr(rig, kind))}
         for kind in KINDS
     }
-    waiting = sorted(found["controls"])
+    waiting = sorted(chosen["controls"])
     while waiting:
         for drive in rig.controls[waiting.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
             index = indices[kind][name]
-            if kind == "control" and index not in found["controls"]:
+            if kind == "control" and index not in chosen["controls"]:
                 waiting.append(index)
-            found[f"{kind}s"].add(index)
+            chosen[f"{kind}s"].add(index)
 
 
 def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:

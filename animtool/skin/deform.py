@@ -298,7 +298,7 @@ def _velocities(points: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def displaced_points(
-    made: Deformed,
+    deformed: Deformed,
     points: Channel,
     frames: slice,
     surface: Surface | None,
@@ -310,7 +310,7 @@ def displaced_points(
     those of the faces elsewhere.
 
     Args:
-        made: The frames as joints have them.
+        deformed: The frames as joints have them.
         points: Where the points are, in more frames ``(F, V, 3)`` [m].
         frames: Which of those these are.
         surface: Its faces; None of strands.
@@ -327,18 +327,18 @@ def displaced_points(
     whole = points.select(slice(low, high)).dense()
     own = slice(frames.start - low, frames.stop - low)
     values = np.ascontiguousarray(whole[own])
-    velocities = made.velocities
+    velocities = deformed.velocities
     if times is not None:
         velocities = np.zeros_like(values)
         if len(whole) > 1:
             velocities = np.gradient(whole, times[low:high], axis=0)[own]
-    normals = made.normals
+    normals = deformed.normals
     if normals is not None and surface is not None:
-        differ = (values != made.points).any(axis=(1, 2))
+        differ = (values != deformed.points).any(axis=(1, 2))
         normals = normals.copy()
         normals[differ] = vertex_normals(surface, values[differ])
     return replace(
-        made,
+        deformed,
         points=values,
         extents=extents(values),
         normals=normals,

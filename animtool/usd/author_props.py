@@ -227,7 +227,7 @@ def _author_reference(spec: Any, reference: Reference, output: Path | None) -> N
 
 
 def _author_track(
-    spec: Any, track: Track, codes: FloatArray, found: Transforms, world: PropWorld
+    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, world: PropWorld
 ) -> None:
     types, unit = Sdf.ValueTypeNames, world.meters_per_unit
     # What is referred to has points in a unit of its own.
@@ -239,19 +239,19 @@ def _author_track(
         samples.add(codes, rows)
         samples.finish(rows[0])
 
-    if found.matrices is not None:
-        matrices = found.matrices.copy()
+    if sampled.matrices is not None:
+        matrices = sampled.matrices.copy()
         matrices[:, :3, 3] /= unit
         matrices[:, :3, :3] *= factor
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _matrix)
         author_order(spec, "xformOp:transform")
     elif track.placed:
-        author("xformOp:translate", types.Double3, found.translations / unit, vector)
-        author("xformOp:orient", types.Quatd, found.rotations, quaternion)
-        author("xformOp:scale", types.Double3, found.scales * factor, vector)
+        author("xformOp:translate", types.Double3, sampled.translations / unit, vector)
+        author("xformOp:orient", types.Quatd, sampled.rotations, quaternion)
+        author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
-    for one, values in zip(track.attributes, found.values, strict=True):
+    for one, values in zip(track.attributes, sampled.values, strict=True):
         own_type = types.Find(one.type_name)
         if one.width:
             make = _number if one.width == 1 else _numbers

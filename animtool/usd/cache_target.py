@@ -107,7 +107,7 @@ class CacheTarget:
 
 
 def open_cache_target(
-    rig: RigTarget, wanted: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
+    rig: RigTarget, counts: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
 ) -> CacheTarget:
     """Find the meshes and strands of a rig by the names that a cache has for them."""
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
@@ -115,7 +115,7 @@ def open_cache_target(
     root = UsdSkel.Root.Find(at).GetPrim()
     skinned = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
     faults, meshes, strands = [], [], []
-    for name, count in wanted.items():
+    for name, count in counts.items():
         if name not in skinned:
             continue
         mesh = UsdGeom.Mesh(skinned[name])
@@ -136,7 +136,7 @@ def open_cache_target(
         strands.append(_strands(basis_curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
-    missing = [name for name in wanted if name not in skinned]
+    missing = [name for name in counts if name not in skinned]
     missing += [name for name in curves if name not in matched]
     what = "meshes or strands of the take are not in the rig layer"
     notices = _notice("USD141", missing, what, "they are left out", rig.path)

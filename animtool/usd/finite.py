@@ -145,14 +145,14 @@ def _within(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse(
     values: npt.NDArray[Any],
-    made: npt.NDArray[Any],
+    narrow: npt.NDArray[Any],
     letter: str,
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
     """Name the first value whose number in the file would not be finite, if any is."""
     limit = _LIMITS[letter]
-    bad = np.argwhere(~(np.abs(made) <= limit))
+    bad = np.argwhere(~(np.abs(narrow) <= limit))
     if not len(bad):
         return
     place = tuple(bad[0].tolist())

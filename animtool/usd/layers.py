@@ -240,7 +240,7 @@ def attribute(
 
 def put_samples(
     layer: Any,
-    made: Any,
+    attr: Any,
     codes: npt.NDArray[np.floating[Any]],
     rows: IntArray,
     values: Sequence[Any],
@@ -252,13 +252,13 @@ def put_samples(
     Raises:
         OutputError: A value is not finite, or too large for its type (USD170).
     """
-    letter, labels = largest(made.typeName), Labels(str(made.path))
+    letter, labels = largest(attr.typeName), Labels(str(attr.path))
     for code, value in zip(codes[rows].tolist(), values, strict=True):
         if letter:
             check_value(value, letter, labels, code)
         if len(values) > 1:
-            layer.SetTimeSample(made.path, code, value)
-    made.default = values[0]
+            layer.SetTimeSample(attr.path, code, value)
+    attr.default = values[0]
 
 
 def relationship(spec: Any, name: str, *targets: str) -> None:

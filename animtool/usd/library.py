@@ -170,7 +170,7 @@ def check_library(
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
 
 
-def merged_library(path: Path, made: Any, paths: RigPaths, name: str) -> Any:
+def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     """Return a library with a take of another layer added, or replaced by it.
 
     Every other take, and what it selects, stays as it is.
@@ -185,10 +185,10 @@ def merged_library(path: Path, made: Any, paths: RigPaths, name: str) -> Any:
             if whole.GetPrimAtPath(spot) is None:
                 Sdf.CreatePrimInLayer(whole, spot)
         _make_variant(whole.GetPrimAtPath(model), name)
-        Sdf.CopySpec(made, animation, whole, animation)
-        Sdf.CopySpec(made, variant, whole, variant)
-    whole.startTimeCode = min(whole.startTimeCode, made.startTimeCode)
-    whole.endTimeCode = max(whole.endTimeCode, made.endTimeCode)
+        Sdf.CopySpec(layer, animation, whole, animation)
+        Sdf.CopySpec(layer, variant, whole, variant)
+    whole.startTimeCode = min(whole.startTimeCode, layer.startTimeCode)
+    whole.endTimeCode = max(whole.endTimeCode, layer.endTimeCode)
     return whole
 
 

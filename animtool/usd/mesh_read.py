@@ -355,14 +355,14 @@ def target_meshes(target: RigTarget) -> StageMeshes:
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
 
 
-def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
-    meshes, shapes, notices = read_meshes(skeleton, found, str(path))
-    strands = read_strands(skeleton, found, str(path))
-    rig = replace(found.rig, meshes=meshes, shapes=shapes, attach=strands)
+def _meshes(skeleton: Any, skeleton_rig: SkeletonRig, path: Path) -> StageMeshes:
+    meshes, shapes, notices = read_meshes(skeleton, skeleton_rig, str(path))
+    strands = read_strands(skeleton, skeleton_rig, str(path))
+    rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     spot = Spot.of(path, skeleton)
-    spot.refuse(bind_transforms(skeleton, found.tokens, skins=True))
+    spot.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit

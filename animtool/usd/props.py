@@ -93,28 +93,28 @@ class PropSource:
     shear: Callable[[], float]
 
 
-def open_prop(wanted: PropRequest, up: UpAxis) -> PropSource:
+def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
     """Open a prim whose transform and values are to be read over time.
 
     Its place is that in the world of its file: all operations of it and of the prims
     above come together. Units are metres, the up axis is that of the rig.
     """
-    with usd_errors(wanted.file):
-        stage = open_stage(wanted.file)
-        prim = find_prim(stage, wanted.prim)
+    with usd_errors(request.file):
+        stage = open_stage(request.file)
+        prim = find_prim(stage, request.prim)
         if prim is None:
-            message = f"{wanted.file.name} holds no prim {excerpt(wanted.prim)}"
+            message = f"{request.file.name} holds no prim {excerpt(request.prim)}"
             raise OptionError(
-                Fault("SCN048", message, hint=nearest_prim(stage, wanted.prim))
+                Fault("SCN048", message, hint=nearest_prim(stage, request.prim))
             )
-        return _opened(wanted, stage, prim, up)
+        return _opened(request, stage, prim, up)
 
 
-def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
+def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
     placed = bool(UsdGeom.Xformable(prim))
-    attributes = _attributes(prim, wanted)
+    attributes = _attributes(prim, request)
     if not placed and not attributes:
-        message = f"{wanted.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
+        message = f"{request.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
         hint = "attributes: names what to read of it"
         raise OptionError(Fault("SCN048", message, hint=hint))
     sampler = _Sampler(
@@ -124,18 +124,18 @@ def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSourc
         tuple(_described(attribute) for attribute in attributes),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_from_up(up, up_axis(stage)),
-        str(wanted.file),
+        str(request.file),
         placed,
     )
     sampler.settle()
     track = Track(
-        wanted.path,
+        request.path,
         sampler.at,
-        _type_name(prim, wanted),
+        _type_name(prim, request),
         placed,
         sampler.moves,
         sampler.described,
-        _reference(wanted, stage),
+        _reference(request, stage),
     )
     lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
     return PropSource(
@@ -149,31 +149,31 @@ def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSourc
     )
 
 
-def _type_name(prim: Any, wanted: PropRequest) -> str:
+def _type_name(prim: Any, request: PropRequest) -> str:
     """Return the type to write: that of a camera or light, else of a mere frame."""
     own = str(prim.GetTypeName())
     if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
         own = "Xform"
-    if wanted.reference is not None:
-        return "" if wanted.reference != wanted.file else str(prim.GetTypeName())
+    if request.reference is not None:
+        return "" if request.reference != request.file else str(prim.GetTypeName())
     return own
 
 
-def _reference(wanted: PropRequest, stage: Any) -> Reference | None:
-    if wanted.reference is None:
+def _reference(request: PropRequest, stage: Any) -> Reference | None:
+    if request.reference is None:
         return None
-    if wanted.reference == wanted.file:
+    if request.reference == request.file:
         unit = UsdGeom.GetStageMetersPerUnit(stage)
-        return Reference(str(wanted.file.resolve()), wanted.prim, unit)
-    other = open_stage(wanted.reference)
+        return Reference(str(request.file.resolve()), request.prim, unit)
+    other = open_stage(request.reference)
     if not other.GetDefaultPrim():
-        message = f"{wanted.reference.name} has no default prim to refer to"
+        message = f"{request.reference.name} has no default prim to refer to"
         raise OptionError(Fault("SCN048", message))
     unit = UsdGeom.GetStageMetersPerUnit(other)
-    return Reference(str(wanted.reference.resolve()), "", unit)
+    return Reference(str(request.reference.resolve()), "", unit)
 
 
-def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
+def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     """Return the attributes to read."""
     attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
@@ -181,21 +181,21 @@ def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
         always = {*_LENS, "clippingRange"}
         own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
         attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
-    for name in wanted.attributes:
+    for name in request.attributes:
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
             continue
         if name.startswith("xformOp"):
-            message = f"{name} of {wanted.prim} is of its place, which is read anyway"
+            message = f"{name} of {request.prim} is of its place, which is read anyway"
             faults.append(Fault("SCN049", message, hint="leave it out"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
             near = similar(name, names)
             hint = f"did you mean {near}?" if near else None
-            message = f"{wanted.prim} has no value of {excerpt(name)}"
+            message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
         elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
-            message = f"{name} of {wanted.prim} is a {attribute.GetTypeName()}"
+            message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are carried"
             faults.append(Fault("SCN049", message, hint=hint))
         else:
@@ -362,18 +362,18 @@ def _plain(scales: FloatArray) -> FloatArray:
     return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
 
 
-def _lasting(found: Transforms, count: int) -> Transforms:
+def _lasting(transforms: Transforms, count: int) -> Transforms:
     """Return one transform, and its values, as that of all times."""
 
     def all_times(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
 
     return Transforms(
-        all_times(found.translations),
-        all_times(found.rotations),
-        all_times(found.scales),
-        None if found.matrices is None else all_times(found.matrices),
-        tuple(map(all_times, found.values)),
+        all_times(transforms.translations),
+        all_times(transforms.rotations),
+        all_times(transforms.scales),
+        None if transforms.matrices is None else all_times(transforms.matrices),
+        tuple(map(all_times, transforms.values)),
     )
 
 

@@ -134,7 +134,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
 
 
 def _join_stored(
-    stream: TakeStream, skeleton: Any, found: SkeletonRig, path: Path
+    stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
     """Give the take's rig what the Skeleton's customData says of it beyond USD."""
     data = stored_data(skeleton.GetPrim())
@@ -145,7 +145,7 @@ def _join_stored(
     joined, notices = joined_rig(
         stream.rig,
         data,
-        found.tokens,
+        rig.tokens,
         array_value(skeleton.GetRestTransformsAttr()),
         array_value(skeleton.GetBindTransformsAttr()),
         path,

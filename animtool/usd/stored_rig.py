@@ -300,13 +300,13 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
 
 
 def _bind_poses(
-    skeleton: Any, found: SkeletonRig
+    skeleton: Any, of_skeleton: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
     """Return the local bind transforms that are not those of rest, and their scales.
 
     The scales ``(J, 3)`` are no part of the poses.
     """
-    rig = found.rig
+    rig = of_skeleton.rig
     world = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
@@ -329,10 +329,10 @@ def _bind_poses(
     return poses, scales
 
 
-def _scale_notice(found: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
+def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
     """Name the joints whose scale at rest or at bind time a rig does not hold."""
-    apart = np.abs(np.stack([found.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [found.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
+    apart = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is left out: {listed(names)}"

@@ -88,17 +88,17 @@ def reach(points: FloatArray) -> FloatArray:
 
 
 def point_errors(
-    points: FloatArray, truth: WorldTransforms, found: WorldTransforms
+    points: FloatArray, truth: WorldTransforms, reduced: WorldTransforms
 ) -> FloatArray:
     """Return the largest distance of a point of each joint ``(F, J)`` [m].
 
     Args:
         points: ``(J, P, 3)`` [m], in the joints' frames.
         truth: Where the joints were.
-        found: Where they are.
+        reduced: Where they are.
     """
     return _kernels.point_errors(
-        points, truth.positions, truth.linear, found.positions, found.linear
+        points, truth.positions, truth.linear, reduced.positions, reduced.linear
     )
 
 
@@ -130,12 +130,12 @@ class Budget:
         self.share = np.ones(len(self.share))
         self.fit()
 
-    def tighten(self, frames: ArrayLike, wanted: ArrayLike, *, spread: bool) -> None:
+    def tighten(self, frames: ArrayLike, factor: ArrayLike, *, spread: bool) -> None:
         """Fit the segments around some frames again, the others stay.
 
-        ``frames`` ``(N,)`` [frame], ``wanted`` ``(N,)``.
+        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
-        at, limits = np.asarray(frames), np.asarray(wanted) / self.tolerance
+        at, limits = np.asarray(frames), np.asarray(factor) / self.tolerance
         starts = self.keys.frames
         segment = np.searchsorted(starts, at, side="right") - 1
         segment = segment.clip(0, max(0, len(starts) - 2))

@@ -53,14 +53,14 @@ def check_bindings(subject: Subject) -> Iterator[Fault]:
 
 
 def _target(
-    relationship: Any, target: Any, found: Any, schema: Any, wanted: str
+    relationship: Any, target: Any, prim: Any, schema: Any, type_name: str
 ) -> Iterator[Fault]:
-    if not found:
+    if not prim:
         message = f"{target} is not there"
         yield finding("USD208", relationship.GetPath(), message)
-    elif not found.IsA(schema):
-        kind = found.GetTypeName() or "prim without a type"
-        message = f"{target} is a {kind}, not a {wanted}"
+    elif not prim.IsA(schema):
+        kind = prim.GetTypeName() or "prim without a type"
+        message = f"{target} is a {kind}, not a {type_name}"
         yield finding("USD208", relationship.GetPath(), message)
 
 
@@ -104,13 +104,13 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
 
 
 def _counts(
-    code: str, attr: Any, sampled: Sampled, wanted: int, noun: str
+    code: str, attr: Any, sampled: Sampled, expected: int, noun: str
 ) -> Iterator[Fault]:
-    wrong = sampled.counts != wanted
+    wrong = sampled.counts != expected
     if wrong.any():
         count = sampled.counts[np.flatnonzero(wrong)[0]]
         have = "no value" if count < 0 else counted(count, "value")
-        message = f"{have} for {wanted} {noun} {at_samples(sampled, wrong)}"
+        message = f"{have} for {expected} {noun} {at_samples(sampled, wrong)}"
         yield finding(code, attr.GetPath(), message)
 
 

@@ -130,10 +130,10 @@ def _named(layer: Any) -> str:
     return f" (in {layer.GetDisplayName()})"
 
 
-def _limited(found: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
     """Yield the findings on one prim, the last of many with how many more there are."""
-    for i, (path, message) in enumerate(found[:MAX_FINDINGS], 1):
-        rest = len(found) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+    for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
+        rest = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         more = f"; so are {rest} more values of this prim" if rest > 0 else ""
         yield finding("USD171", path, f"{message}{where}{more}")
 

@@ -81,7 +81,7 @@ def _own_joints(prim: Any) -> list[str]:
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
-def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> str:
+def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> str:
     """Return what does not fit of the counts; empty where all does."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
     kinds = indices.GetInterpolation(), weights.GetInterpolation()
@@ -93,10 +93,10 @@ def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> st
     if kinds[0] not in {"constant", "vertex"}:
         return f"interpolation {kinds[0]}; allowed: constant, vertex"
     rows = 1 if kinds[0] == "constant" else point_count(prim)
-    expected = found if rows is None else rows * sizes[0]
-    if found != expected or heavy != expected or found % max(sizes[0], 1):
+    expected = count if rows is None else rows * sizes[0]
+    if count != expected or heavy != expected or count % max(sizes[0], 1):
         amount = "" if rows is None else f" for {rows} x {sizes[0]}"
-        return f"{found} jointIndices and {heavy} jointWeights{amount}"
+        return f"{count} jointIndices and {heavy} jointWeights{amount}"
     return ""
 
 
@@ -237,24 +237,24 @@ def _finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
         yield finding("USD243", attr.GetPath(), message)
 
 
-def _normals(attr: Any, wanted: int) -> Iterator[Fault]:
+def _normals(attr: Any, expected: int) -> Iterator[Fault]:
     rows = _rows(attr)
-    if attr and attr.HasAuthoredValue() and len(rows) not in {0, wanted}:
-        message = f"{len(rows)} normalOffsets for {wanted} offsets"
+    if attr and attr.HasAuthoredValue() and len(rows) not in {0, expected}:
+        message = f"{len(rows)} normalOffsets for {expected} offsets"
         yield finding("USD242", attr.GetPath(), message)
     yield from _finite(attr, rows)
 
 
-def _inbetweens(steps: list[Any], wanted: int) -> Iterator[Fault]:
+def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
     taken: dict[float, str] = {}
     for step in steps:
         attr, weight = step.GetAttr(), step.GetWeight()
         rows = _rows(attr)
-        if len(rows) != wanted:
-            message = f"{len(rows)} offsets for {wanted}"
+        if len(rows) != expected:
+            message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _finite(attr, rows)
-        yield from _normals(step.GetNormalOffsetsAttr(), wanted)
+        yield from _normals(step.GetNormalOffsetsAttr(), expected)
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
             have = "no weight" if weight is None else f"weight {weight:g}"
             yield finding("USD244", attr.GetPath(), have)

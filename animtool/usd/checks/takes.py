@@ -236,13 +236,13 @@ def _values(
 
 
 def _motion(
-    found: SkeletonRig,
+    of_rig: SkeletonRig,
     joints: list[str],
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
     """Return T, R and S of every joint of a rig, and the weights; None if not sound."""
-    rig = found.rig
+    rig = of_rig.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
         not joints and weights is None
@@ -254,9 +254,9 @@ def _motion(
     rests = (
         rig.rest_translations / rig.meters_per_unit,
         rig.rest_rotations,
-        found.rest_scales,
+        of_rig.rest_scales,
     )
-    index = {token: i for i, token in enumerate(found.tokens)}
+    index = {token: i for i, token in enumerate(of_rig.tokens)}
     places = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
         among_rest(rest, row, places, frames)
@@ -298,25 +298,25 @@ def _range(
 
 
 def _influencing(
-    skeleton: Any, found: SkeletonRig, shared: _Shared
+    skeleton: Any, rig: SkeletonRig, shared: _Shared
 ) -> frozenset[str] | None:
     """Return the joints that move points, or have one below that does."""
     used: set[int] = set()
     skins = shared.skins.get(skeleton.GetPath())
     if not skins:
         return None
-    index = {token: i for i, token in enumerate(found.tokens)}
+    index = {token: i for i, token in enumerate(rig.tokens)}
     for binding, indices in skins:
-        own = tokens(binding.GetJointsAttr()) or found.tokens
+        own = tokens(binding.GetJointsAttr()) or rig.tokens
         used |= {
             index[own[i]] for i in _used(binding, indices, len(own)) if own[i] in index
         }
     for joint in sorted(used):
-        parent = found.rig.joints[joint].parent
+        parent = rig.rig.joints[joint].parent
         while parent >= 0 and parent not in used:
             used.add(parent)
-            parent = found.rig.joints[parent].parent
-    return frozenset(found.rig.joints[i].name for i in used)
+            parent = rig.rig.joints[parent].parent
+    return frozenset(rig.rig.joints[i].name for i in used)
 
 
 def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:

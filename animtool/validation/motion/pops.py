@@ -176,22 +176,22 @@ def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
 
 
 def _reported(
-    subject: MotionSubject, code: str, found: list[_Pops], hint: str
+    subject: MotionSubject, code: str, all_pops: list[_Pops], hint: str
 ) -> Iterator[Fault]:
     """Yield one fault for all jumps of a kind, which names the largest."""
-    found = [pops for pops in found if pops.flags.any()]
-    if not found:
+    all_pops = [pops for pops in all_pops if pops.flags.any()]
+    if not all_pops:
         return
-    pops = found[0]
+    pops = all_pops[0]
     step, column = pops.worst()
     joint = int(pops.joints[column])
     names = {
         subject.take.rig.joints[int(entry.joints[i])].name: None
-        for entry in found
+        for entry in all_pops
         for i in np.flatnonzero(entry.flags.any(axis=0))
     }
     name = subject.take.rig.joints[joint].name
-    steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in found])
+    steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in all_pops])
     often = len(np.unique(steps))
     message = (
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "

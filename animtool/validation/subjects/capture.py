@@ -74,22 +74,22 @@ def open_usd(path: Path) -> Opened:
     return Opened(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
-def _subject(path: Path, found: AnimationTake) -> MotionSubject:
+def _subject(path: Path, take: AnimationTake) -> MotionSubject:
     """Return a take of a layer; its faults are at its prim."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
         del joint, frame
-        return Fault(code, message, str(path), (), hint, where=found.path)
+        return Fault(code, message, str(path), (), hint, where=take.path)
 
     return MotionSubject(
-        found.take,
+        take.take,
         fault_at,
-        found.codes,
-        found.frame_range,
-        has_rest=found.has_rest,
-        influencing=found.influencing,
-        bind=found.bind,
-        shown_rate=found.shown_rate,
+        take.codes,
+        take.frame_range,
+        has_rest=take.has_rest,
+        influencing=take.influencing,
+        bind=take.bind,
+        shown_rate=take.shown_rate,
     )
