@@ -34,6 +34,6 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        wanted = ", ".join(map(str, shape))
-        raise ValueError(f"{name} must have shape ({wanted}), not {array.shape}")
+        expected = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
     return array

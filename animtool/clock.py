@@ -51,12 +51,12 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     >>> parse_timecode("01:00:00;00", Fraction(30000, 1001))
     Fraction(107892, 1)
     """
-    found = _LABEL.fullmatch(text.strip())
-    if found is None:
+    match = _LABEL.fullmatch(text.strip())
+    if match is None:
         message = f"{text!r} is no time code such as 01:00:00:00 or 01:00:00;02"
         raise ValueError(message)
-    count, drop = count_rate(rate), found[4] == ";"
-    hours, minutes, seconds, frames = (int(found[i]) for i in (1, 2, 3, 5))
+    count, drop = count_rate(rate), match[4] == ";"
+    hours, minutes, seconds, frames = (int(match[i]) for i in (1, 2, 3, 5))
     limits = (("hour", hours, 24), ("minute", minutes, 60), ("second", seconds, 60))
     for what, value, limit in (*limits, ("frame", frames, count)):
         if value >= limit:
@@ -69,7 +69,7 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
         raise ValueError(message)
     whole = 60 * hours + minutes
     labels = count * (60 * whole + seconds) + frames
-    return labels - left_out * (whole - whole // 10) + Fraction(found[6] or 0)
+    return labels - left_out * (whole - whole // 10) + Fraction(match[6] or 0)
 
 
 def seconds_between(

@@ -140,8 +140,8 @@ def _checkout(folder: Path) -> Path | None:
 def project_around(folder: Path, target: Path) -> Path | None:
     """Return the innermost folder with two paths in it; None where it is no project."""
     above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
-    found = next(above, None)
-    return found if found is not None and _may_be_project(found) else None
+    project = next(above, None)
+    return project if project is not None and _may_be_project(project) else None
 
 
 def _may_be_project(folder: Path) -> bool:

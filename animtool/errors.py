@@ -142,6 +142,12 @@ class OutputError(AnimtoolError):
     exit_code = ExitCode.MALFORMED
 
 
+class LockedError(OutputError):
+    """Another run holds the lock of what this one would write."""
+
+    exit_code = ExitCode.MALFORMED
+
+
 class OptionError(AnimtoolError):
     """An option, or a combination of options, makes no sense."""
 

@@ -38,9 +38,9 @@ class FileState:
             return None
 
     @classmethod
-    def of_stat(cls, found: os.stat_result) -> FileState:
+    def of_stat(cls, status: os.stat_result) -> FileState:
         """Return the state that the system reports of a file, or of a descriptor."""
-        return cls(found.st_size, found.st_mtime_ns, found.st_ino)
+        return cls(status.st_size, status.st_mtime_ns, status.st_ino)
 
 
 @dataclass(slots=True)
@@ -254,10 +254,10 @@ def open_input(
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable(path, reason) from error
     try:
-        found = os.fstat(handle)
-        _check_regular(path, found)
-        _check_size(path, found, max_bytes)
-        file = InputFile(path, handle, FileState.of_stat(found))
+        status = os.fstat(handle)
+        _check_regular(path, status)
+        _check_size(path, status, max_bytes)
+        file = InputFile(path, handle, FileState.of_stat(status))
     except BaseException:
         os.close(handle)
         raise
@@ -282,15 +282,15 @@ def too_large(
     return FormatError(Fault("IO010", message, str(path), (), hint))
 
 
-def _check_regular(path: Path, found: os.stat_result) -> None:
-    kind = stat.S_IFMT(found.st_mode)
+def _check_regular(path: Path, status: os.stat_result) -> None:
+    kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         raise unreadable(path, _KINDS.get(kind, "is a device, not a file"))
 
 
-def _check_size(path: Path, found: os.stat_result, limit: int | None) -> None:
-    if limit is not None and found.st_size > limit:
-        raise too_large(path, found.st_size, limit)
+def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:
+    if limit is not None and status.st_size > limit:
+        raise too_large(path, status.st_size, limit)
 
 
 def is_there(path: Path) -> bool:
@@ -310,8 +310,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     if missing is None or not missing.name:
         return None
     try:
-        with os.scandir(folder / missing.parent) as found:
-            names = sorted(entry.name for entry in islice(found, MAX_NAMES))
+        with os.scandir(folder / missing.parent) as entries:
+            names = sorted(entry.name for entry in islice(entries, MAX_NAMES))
     except OSError:
         return None
     folded = {name.casefold(): name for name in reversed(names)}

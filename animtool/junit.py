@@ -30,12 +30,12 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
     suite = ElementTree.Element("testsuite", name=name)
     for case in cases:
         _add(suite, case)
-    found = suite.findall
+    find_all = suite.findall
     suite.attrib |= {
         "tests": str(len(suite)),
-        "failures": str(len(found("testcase/failure"))),
-        "errors": str(len(found("testcase/error"))),
-        "skipped": str(len(found("testcase/skipped"))),
+        "failures": str(len(find_all("testcase/failure"))),
+        "errors": str(len(find_all("testcase/error"))),
+        "skipped": str(len(find_all("testcase/skipped"))),
     }
     root = ElementTree.Element("testsuites", name=name)
     root.append(suite)

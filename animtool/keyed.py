@@ -18,7 +18,7 @@ from animtool.similar import similar
 Choice = TypeVar("Choice", bound=StrEnum)
 
 
-def chosen(choices: type[Choice], given: str, option: str) -> Choice:
+def chosen(choices: type[Choice], word: str, option: str) -> Choice:
     """Return a choice by its word, or as it is (unknown: SCN025).
 
     >>> class Side(StrEnum):
@@ -27,11 +27,11 @@ def chosen(choices: type[Choice], given: str, option: str) -> Choice:
     <Side.LEFT: 'left'>
     """
     try:
-        return choices(given)
+        return choices(word)
     except ValueError as error:
         words = [str(choice) for choice in choices]
-        message = f"{option} is {excerpt(str(given))}; it is one of {', '.join(words)}"
-        near = similar(str(given), words)
+        message = f"{option} is {excerpt(str(word))}; it is one of {', '.join(words)}"
+        near = similar(str(word), words)
         hint = f"did you mean {near}?" if near else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error
 

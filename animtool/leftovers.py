@@ -60,19 +60,19 @@ class PlacedFile:
         Nothing happens where another process has replaced the file since. It may be
         called again.
         """
-        found = _found(self.final)
+        current = _found(self.final)
         kept = _found(self.old)
-        if kept is not None and (found is None or self._is_own(found)):
+        if kept is not None and (current is None or self._is_own(current)):
             self.old.replace(self.final)
         elif kept is not None:
             # The final name still has the old file, or a later one.
             self.old.unlink()
-        elif found is not None and self._is_own(found):
+        elif current is not None and self._is_own(current):
             self.final.unlink()
         self.temporary.unlink(missing_ok=True)
 
-    def _is_own(self, found: os.stat_result) -> bool:
-        return (found.st_ino, found.st_size, found.st_mtime_ns) == self.state
+    def _is_own(self, status: os.stat_result) -> bool:
+        return (status.st_ino, status.st_size, status.st_mtime_ns) == self.state
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ class Journal:
         try:
             for folder in folders:
                 own = [_plain(file) for file in files if file.final.parent == folder]
-                said = {"folders": [os.fspath(f) for f in folders], "files": own}
-                journal._write(folder, json.dumps(said).encode())
+                record = {"folders": [os.fspath(f) for f in folders], "files": own}
+                journal._write(folder, json.dumps(record).encode())
         except BaseException:
             journal.end()
             raise
@@ -242,10 +242,10 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
 
 def _owner_of(path: Path, process: int | None) -> bool:
     """Return whether a file is of a process of this host that is dead."""
-    found = _OWNER.match(path.name)
-    if found is None or found["host"] != _host():
+    match = _OWNER.match(path.name)
+    if match is None or match["host"] != _host():
         return False
-    number = int(found["process"])
+    number = int(match["process"])
     return number == process or (process is None and not is_running(number))
 
 
@@ -273,10 +273,10 @@ def is_running(process: int) -> bool:
 def _state(process: int) -> str:
     """Return the state of a process as Linux names it; empty where nothing says it."""
     try:
-        said = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
+        status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
     except OSError:
         return ""
-    return said.rpartition(")")[2].split()[0]
+    return status.rpartition(")")[2].split()[0]
 
 
 @cache

@@ -151,10 +151,10 @@ def with_written(
             default = usual if written is None else options[name].written
             more.append((name, written or hints[name], default))
         described = {"__module__": own.__module__, "__doc__": own.__doc__}
-        made: type[Record] = make_dataclass(
+        written_record: type[Record] = make_dataclass(
             own.__name__, more, bases=(own,), namespace=described, frozen=True
         )
-        return made
+        return written_record
 
     return add
 
@@ -180,8 +180,8 @@ def _arguments(records: tuple[Any, ...]) -> tuple[dict[str, str], re.Pattern[str
             if described.kind == "choice":
                 files = described.scene.choices if described.scene else ()
                 for choice in (*described.choices, *files):
-                    for said in (f"{flag} {choice}", f"--{choice}"):
-                        names.setdefault(said, f'{name}="{choice}"')
+                    for spelling in (f"{flag} {choice}", f"--{choice}"):
+                        names.setdefault(spelling, f'{name}="{choice}"')
             if word and not word.startswith("("):
                 names.setdefault(described.flag, f"{name}{value}")
     flags = "|".join(map(re.escape, sorted(names, key=len, reverse=True)))

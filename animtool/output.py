@@ -117,14 +117,14 @@ def check_outputs(
     _refuse_inputs(targets, inputs)
     _refuse_twice(targets)
     there: list[Path] = []
-    for found in targets:
-        take_back(found.final.parent)
-        if found.path.exists():
+    for place in targets:
+        take_back(place.final.parent)
+        if place.path.exists():
             if not overwrite:
-                there.append(found.path)
-            elif not os.access(found.path, os.W_OK):
+                there.append(place.path)
+            elif not os.access(place.path, os.W_OK):
                 message = "cannot be written: it is read-only"
-                raise OutputError(Fault("OUT002", message, str(found.path)))
+                raise OutputError(Fault("OUT002", message, str(place.path)))
     if there:
         hint = "--overwrite replaces it"
         if len(there) == len(outputs):
@@ -132,7 +132,7 @@ def check_outputs(
         raise OptionError(
             [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
         )
-    finals = {found.final for found in targets}
+    finals = {place.final for place in targets}
     _free.set(_free.get() - finals if overwrite else _free.get() | finals)
 
 
@@ -171,22 +171,22 @@ def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
         # What leads nowhere is said when it is read.
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             taken[name_key(path.resolve())] = path
-    for found in targets:
-        other = taken.get(name_key(found.final))
-        if other is not None and _is_one(found.final, other):
+    for place in targets:
+        other = taken.get(name_key(place.final))
+        if other is not None and _is_one(place.final, other):
             message = "is an input of this very command"
             hint = "name another -o"
-            raise OptionError(Fault("OUT003", message, str(found.path), (), hint))
+            raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
 
 
 def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
     """Refuse two outputs that are one file, on this disk or on others."""
     names: dict[str, Path] = {}
-    for found in targets:
-        first = names.setdefault(name_key(found.final), found.path)
-        if first is not found.path:
+    for place in targets:
+        first = names.setdefault(name_key(place.final), place.path)
+        if first is not place.path:
             message = f"and {str(first)!r} would be one file"
-            fault = Fault("OUT007", message, str(found.path), (), "rename one")
+            fault = Fault("OUT007", message, str(place.path), (), "rename one")
             raise OptionError(fault)
 
 

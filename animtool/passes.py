@@ -235,10 +235,10 @@ def find_pass(name: str) -> Pass:
     """
     if name in PASSES:
         return cast(Pass, load_object(PASSES[name]))
-    found = plugin_points(PLUGIN_GROUP)
-    if name in found:
-        return load_plugin(found[name], Pass, "SCN011")
-    allowed = sorted({*PASSES, *found})
+    points = plugin_points(PLUGIN_GROUP)
+    if name in points:
+        return load_plugin(points[name], Pass, "SCN011")
+    allowed = sorted({*PASSES, *points})
     near = similar(name, allowed)
     hint = f"did you mean {near}?" if near else None
     message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
@@ -264,14 +264,14 @@ def listed_passes() -> list[ListedPass]:
     sources = {name: "animtool" for name in sorted(PASSES)}
     for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
         sources.setdefault(name, point.value)
-    found = []
+    passes = []
     for name, source in sources.items():
         try:
             loaded = find_pass(name)
-            found.append(ListedPass(name, source, loaded.scope, loaded.summary))
+            passes.append(ListedPass(name, source, loaded.scope, loaded.summary))
         except OptionError as error:
-            found.append(ListedPass(name, source, None, error.faults[0].message))
-    return found
+            passes.append(ListedPass(name, source, None, error.faults[0].message))
+    return passes
 
 
 def sees_tracks(pass_: Pass) -> bool:

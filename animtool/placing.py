@@ -47,7 +47,7 @@ def target(path: Path) -> Target:
             (OUT002).
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         if path.is_symlink():
             message = "is a link to a file that does not exist"
@@ -62,7 +62,7 @@ def target(path: Path) -> Target:
         raise output_error(path, error) from error
     except ValueError as error:
         raise output_error(path, "its name has a NUL byte") from error
-    _check_kind(path, found)
+    _check_kind(path, status)
     return Target(path, path.resolve())
 
 
@@ -75,12 +75,12 @@ _KINDS = {
 }
 
 
-def _check_kind(path: Path, found: os.stat_result) -> None:
+def _check_kind(path: Path, status: os.stat_result) -> None:
     """Refuse to replace what is not a file."""
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise OutputError(Fault("OUT002", "is a folder", str(path), (), "name a file"))
-    if not stat.S_ISREG(found.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
         message = f"is {kind}, not a file"
         raise OutputError(Fault("OUT005", message, str(path), (), "name a file"))
 
@@ -97,15 +97,15 @@ class Whole:
 
     def seal(self) -> None:
         """Flush it to the disk, with the mode and the owner of what it replaces."""
-        found = None
+        status = None
         with contextlib.suppress(FileNotFoundError):
-            found = self.final.lstat()
-            _check_kind(self.path, found)
+            status = self.final.lstat()
+            _check_kind(self.path, status)
         try:
             handle = os.open(self.temporary, os.O_RDWR)
             try:
-                if found is not None and os.name != "nt":
-                    _inherit(handle, found)
+                if status is not None and os.name != "nt":
+                    _inherit(handle, status)
                 os.fsync(handle)
                 own = os.fstat(handle)
             finally:
@@ -143,14 +143,14 @@ class Whole:
             self.temporary.unlink(missing_ok=True)
 
 
-def _inherit(handle: int, found: os.stat_result) -> None:
+def _inherit(handle: int, status: os.stat_result) -> None:
     """Give an open file the mode of another, and its owner as far as permitted."""
     own = os.fstat(handle)
-    if (own.st_uid, own.st_gid) != (found.st_uid, found.st_gid):
+    if (own.st_uid, own.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
-            os.fchown(handle, found.st_uid, found.st_gid)
+            os.fchown(handle, status.st_uid, status.st_gid)
     # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
-    mode = stat.S_IMODE(found.st_mode) & 0o777
+    mode = stat.S_IMODE(status.st_mode) & 0o777
     if stat.S_IMODE(own.st_mode) != mode:
         os.fchmod(handle, mode)
 

@@ -70,19 +70,19 @@ def json_printed(
     return _ESCAPED.sub(_escape_json, text)
 
 
-def _escape(found: re.Match[str]) -> str:
-    code = ord(found[0])
-    if found[0] in _SHORT:
-        return _SHORT[found[0]]
+def _escape(match: re.Match[str]) -> str:
+    code = ord(match[0])
+    if match[0] in _SHORT:
+        return _SHORT[match[0]]
     if code < 0x100:
         return f"\\x{code:02x}"
     return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
-def _escape_json(found: re.Match[str]) -> str:
-    if found[0] == "\n":
+def _escape_json(match: re.Match[str]) -> str:
+    if match[0] == "\n":
         return "\n"
-    return json.dumps(found[0])[1:-1] if found[0] != "#" else "\\u0023"
+    return json.dumps(match[0])[1:-1] if match[0] != "#" else "\\u0023"
 
 
 # Least number that a unit is used for, the unit, and its name.

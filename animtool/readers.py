@@ -118,8 +118,8 @@ def find_reader(path: Path) -> Reader:
     suffix = path.suffix.lower()
     if suffix in READERS:
         return READERS[suffix]
-    found = plugin_points(PLUGIN_GROUP)
-    point = found.get(suffix.removeprefix("."))
+    points = plugin_points(PLUGIN_GROUP)
+    point = points.get(suffix.removeprefix("."))
     if point is not None:
         return load_plugin(point, Reader, "IO003")
     there = is_there(path)
@@ -128,7 +128,7 @@ def find_reader(path: Path) -> Reader:
         raise unreadable(path, reason)
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"
-    allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(found))])
+    allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(points))])
     hint = f"allowed: {allowed}"
     if suffix in TIMELINE_SUFFIXES:
         message = "is a timeline, and no take is read from it"
@@ -165,7 +165,7 @@ def listed_readers() -> list[ListedReader]:
     >>> listed_readers()[0].suffix
     '.bvh'
     """
-    found = [
+    readers = [
         ListedReader(suffix, "animtool", _opens(reader), reader.about)
         for suffix, reader in READERS.items()
     ]
@@ -178,8 +178,8 @@ def listed_readers() -> list[ListedReader]:
             opens, about = _opens(reader), reader.about
         except OptionError as error:
             about = error.faults[0].message
-        found.append(ListedReader(f".{name}", point.value, opens, about))
-    return found
+        readers.append(ListedReader(f".{name}", point.value, opens, about))
+    return readers
 
 
 def _opens(reader: Reader) -> tuple[str, ...]:

@@ -112,11 +112,11 @@ def own_rules() -> Mapping[str, Rule]:
 @cache
 def replaced_codes() -> Mapping[str, tuple[str, ...]]:
     """Return the codes of earlier versions, and those that say the same now."""
-    found: dict[str, tuple[str, ...]] = {}
+    current: dict[str, tuple[str, ...]] = {}
     for rule in own_rules().values():
         for old in rule.replaces:
-            found[old] = (*found.get(old, ()), rule.code)
-    return found
+            current[old] = (*current.get(old, ()), rule.code)
+    return current
 
 
 def finding(
@@ -138,9 +138,9 @@ def finding(
 
 @cache
 def _own_rule(code: str) -> Rule:
-    found = read_page(code)
-    assert found is not None, code
-    return found[0]
+    page = read_page(code)
+    assert page is not None, code
+    return page[0]
 
 
 def _parsed(text: str) -> tuple[Rule, str]:
@@ -178,11 +178,11 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     rules = dict(own_rules())
     broken: list[Fault] = []
     for point in _points():
-        found = _loaded(point)
-        if isinstance(found, Rule):
-            rules[found.code] = found
+        loaded = _loaded(point)
+        if isinstance(loaded, Rule):
+            rules[loaded.code] = loaded
         else:
-            broken.append(found)
+            broken.append(loaded)
     return rules, tuple(broken)
 
 
@@ -190,11 +190,11 @@ def listed_rules() -> list[ListedRule]:
     """Return the rules of plug-ins, loaded."""
     listed = []
     for point in _points():
-        found = _loaded(point)
-        if isinstance(found, Rule):
-            kind, about = ", ".join(sorted(found.kinds)), found.title
+        loaded = _loaded(point)
+        if isinstance(loaded, Rule):
+            kind, about = ", ".join(sorted(loaded.kinds)), loaded.title
         else:
-            kind, about = "", found.message
+            kind, about = "", loaded.message
         listed.append(ListedRule(point.name, point.value, kind, about))
     return listed
 

@@ -99,8 +99,8 @@ class PassScores:
     @property
     def worse(self) -> list[Score]:
         """The scores above what a good result has, the worst first."""
-        found = [score for score in self.scores if score.excess > 1.0]
-        return sorted(found, key=lambda score: -score.excess)
+        worse = [score for score in self.scores if score.excess > 1.0]
+        return sorted(worse, key=lambda score: -score.excess)
 
     def as_dict(self) -> dict[str, object]:
         """Return them as plain values."""
@@ -119,5 +119,5 @@ def badness(scores: Iterable[PassScores]) -> list[float]:
     >>> badness([PassScores((score,))])
     [3.0]
     """
-    found = [score.excess for one in scores for score in one.scores]
-    return sorted(found, reverse=True)
+    excesses = [score.excess for one in scores for score in one.scores]
+    return sorted(excesses, reverse=True)

@@ -130,7 +130,7 @@ class Shot:
 
     def as_dict(self) -> dict[str, object]:
         """Return the shot as plain values for a JSON report."""
-        found: dict[str, object] = {
+        values: dict[str, object] = {
             "name": self.name,
             "start": self.start,
             "end": self.end,
@@ -140,12 +140,12 @@ class Shot:
             "tail": self.tail,
         }
         if self.fps is not None:
-            found |= {"fps": float(self.fps), "rate": str(self.fps)}
+            values |= {"fps": float(self.fps), "rate": str(self.fps)}
         if self.places_media:
             first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
-            found |= {"media_in": float(first), "media_out": float(last)}
-            found["speed"] = float(self.speed)
-        return found
+            values |= {"media_in": float(first), "media_out": float(last)}
+            values["speed"] = float(self.speed)
+        return values
 
     def names(self) -> dict[str, str]:
         """Return the shot's frames and times by the names that scenes use.
@@ -154,7 +154,7 @@ class Shot:
         >>> names["begin"], names["first"], names["last"], names["end"]
         ('1001', '1009', '1056', '1064')
         """
-        found = {
+        values = {
             "first": str(self.cut_in),
             "last": str(self.cut_out),
             "begin": str(self.start),
@@ -167,9 +167,9 @@ class Shot:
         }
         if self.places_media:
             first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
-            found["media_in"] = f"{float(first):.12g}"
-            found["media_out"] = f"{float(last):.12g}"
-        return found
+            values["media_in"] = f"{float(first):.12g}"
+            values["media_out"] = f"{float(last):.12g}"
+        return values
 
 
 def frames_within(seconds: Fraction, fps: Fraction) -> int:

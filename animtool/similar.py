@@ -27,8 +27,8 @@ def similar(name: str, names: Iterable[str], cutoff: float = 0.6) -> str | None:
     if len(near) > MAX_COMPARED:
         pairs = _pairs(name)
         near.sort(key=lambda known: len(pairs & _pairs(known)), reverse=True)
-    found = get_close_matches(name, near[:MAX_COMPARED], 1, cutoff)
-    return found[0] if found else None
+    matches = get_close_matches(name, near[:MAX_COMPARED], 1, cutoff)
+    return matches[0] if matches else None
 
 
 def distinct(names: Iterable[str]) -> list[str]:

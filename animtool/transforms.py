@@ -94,8 +94,8 @@ class Track:
 
     def at(self, times: FloatArray) -> Transforms:
         """Return the thing at times ``(F,)``, signs of rotations continuous."""
-        found = self.sample(times)
-        return replace(found, rotations=so3.align_signs(found.rotations))
+        transforms = self.sample(times)
+        return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
 def turned_track(track: Track, turn: FloatArray) -> Track:
@@ -103,15 +103,15 @@ def turned_track(track: Track, turn: FloatArray) -> Track:
     matrix = so3.to_matrix(turn)
 
     def sample(times: FloatArray) -> Transforms:
-        found = track.sample(times)
-        matrices = found.matrices
+        transforms = track.sample(times)
+        matrices = transforms.matrices
         if matrices is not None:
             matrices = matrices.copy()
             matrices[:, :3] = matrix @ matrices[:, :3]
         return replace(
-            found,
-            translations=so3.rotate(turn, found.translations),
-            rotations=so3.multiply(turn, found.rotations),
+            transforms,
+            translations=so3.rotate(turn, transforms.translations),
+            rotations=so3.multiply(turn, transforms.rotations),
             matrices=matrices,
         )
 

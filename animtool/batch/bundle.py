@@ -75,7 +75,7 @@ def mean_seconds(path: Path) -> float:
     """Return what an item took, by a JSON report of a batch [s] (else BAT037)."""
     try:
         items = list_in(json_of_file(path, MAX_REPORT), "items")
-        made = [
+        seconds = [
             number_in(item, "seconds")
             for item in map(object_of, items)
             if text_in(item, "status") == Status.DONE
@@ -84,15 +84,15 @@ def mean_seconds(path: Path) -> float:
         hint = "animtool batch JOB --items 1-20 --force --format json writes one"
         message = f"is no report of a batch: {error}"
         raise FormatError(Fault("BAT037", message, str(path), (), hint)) from error
-    if not made:
+    if not seconds:
         hint = "--force makes also what is up to date"
         fault = Fault("BAT037", "reports no item that was made", str(path), (), hint)
         raise FormatError(fault)
-    return min(sum(made) / len(made), MAX_SECONDS)
+    return min(sum(seconds) / len(seconds), MAX_SECONDS)
 
 
 def chunk_size(
-    items: int, seconds: float | None = None, wanted: float = TASK_SECONDS
+    items: int, seconds: float | None = None, span: float = TASK_SECONDS
 ) -> int:
     """Return how many items of some seconds [s] each make a task of those wanted [s].
 
@@ -101,7 +101,7 @@ def chunk_size(
     """
     if seconds is None:
         return min(CHUNK, items)
-    return max(1, min(items, round(wanted / max(seconds, 1e-6))))
+    return max(1, min(items, round(span / max(seconds, 1e-6))))
 
 
 def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> Bundle:

@@ -203,10 +203,10 @@ class _Reader:
 
     def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
         """Return what ``metadata.animtool`` of a clip or the timeline says."""
-        found, faults = cut_metadata(schema.metadata, named, rate=rate)
+        metadata, faults = cut_metadata(schema.metadata, named, rate=rate)
         for message, hint in faults:
             self.fault("BAT047", message, hint)
-        return found
+        return metadata
 
     def rate(self, timeline: Any) -> Fraction:
         """Return the rate of its shots: stated, asked for, or that of most clips."""
@@ -265,8 +265,8 @@ class _Reader:
         from animtool.clock import MAX_FRAMES
 
         clip, named = entry.clip, entry.named
-        found = self.medium(clip, named)
-        if found is None:
+        medium = self.medium(clip, named)
+        if medium is None:
             return
         try:
             start, seconds, media_fps = shown_span(clip)
@@ -283,7 +283,7 @@ class _Reader:
         if shot.speed <= 0:
             message = f"{named} plays at {float(shot.speed):g} times its speed"
             hint = "only forward motion is baked: render the clip's media as it plays, "
-            hint += f"or leave it out with --exclude {found.path}"
+            hint += f"or leave it out with --exclude {medium.path}"
             self.fault("BAT044", message, hint)
             return
         if shot.end - shot.start >= MAX_FRAMES:
@@ -297,7 +297,7 @@ class _Reader:
             **shot.names(),
             **_media_names(shot, media_fps),
         }
-        self.found.shots.append(Cut(found, names, shot))
+        self.found.shots.append(Cut(medium, names, shot))
 
     def shot(
         self,
@@ -369,16 +369,16 @@ class _Reader:
             self.note("BAT043", f"{named} is in transitions: {more} are taken too")
         return before, after
 
-    def name(self, wanted: str, named: str) -> str:
+    def name(self, shot: str, named: str) -> str:
         """Return a name that is legal, and of no shot before."""
-        legal = _LEGAL.sub("_", wanted).strip("_-")[:MAX_NAME] or "shot"
+        legal = _LEGAL.sub("_", shot).strip("_-")[:MAX_NAME] or "shot"
         name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
             number += 1
             name = f"{legal}_{number}"
         self.taken[name.casefold()] = 1
         self.taken[legal.casefold()] = number
-        if name != wanted:
+        if name != shot:
             self.note("BAT046", f"{named} is the shot {name}")
         return name
 
@@ -392,9 +392,9 @@ def _is_file(path: Path) -> bool | None:
         return None
 
 
-def _first(*given: int | None) -> int:
+def _first(*start: int | None) -> int:
     """Return the first that is stated."""
-    return next(value for value in given if value is not None)
+    return next(value for value in start if value is not None)
 
 
 def _media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:

@@ -220,8 +220,8 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         check_suffix(Path(pattern))
 
 
-def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
-    paths = [file.path for file in found]
+def _recipe(spec: BatchSpec, files: Sequence[FoundFile]) -> Recipe:
+    paths = [file.path for file in files]
     kinds = {(path.suffix.lower(), is_named(path, "scene")): path for path in paths}
     return Recipe(spec.scene, dict(spec.variables), spec.options, tuple(kinds.values()))
 
@@ -258,10 +258,10 @@ class _Items:
         if spec.output is not None:
             paths = frozenset({"parent", *spec.variables})
             outputs = NamedOutputs(spec.output, spec.folder, paths)
-        made = itertools.product(self.shots, spec.rows)
+        pairs = itertools.product(self.shots, spec.rows)
         items = [
             self._item(number, shot, row, outputs)
-            for number, (shot, row) in enumerate(made, 1)
+            for number, (shot, row) in enumerate(pairs, 1)
         ]
         if self.faults:
             raise OptionError(self.faults[:MAX_FAULTS])
@@ -336,9 +336,9 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
 
 def _cuts(spec: BatchSpec) -> CutList:
     """Return what items are made of: clips of a timeline, or the inputs."""
-    found, left_out = _found(spec)
+    cuts, left_out = _found(spec)
     if spec.cuts is None:
-        return CutList([Cut(file) for file in found])
+        return CutList([Cut(file) for file in cuts])
     options, start = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
@@ -349,7 +349,7 @@ def _cuts(spec: BatchSpec) -> CutList:
         message = f"start is {float(start):g}, and shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
-    return read_cuts(spec.cuts, found, CutOptions(spec.handles, first, fps), left_out)
+    return read_cuts(spec.cuts, cuts, CutOptions(spec.handles, first, fps), left_out)
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
@@ -399,7 +399,7 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
 
 
 def _meant(
-    folder: Path, given: Sequence[str], suffixes: Sequence[str]
+    folder: Path, inputs: Sequence[str], suffixes: Sequence[str]
 ) -> Iterator[FoundFile]:
-    for text in given:
+    for text in inputs:
         yield from files_meant(os.fspath(folder / text), suffixes)

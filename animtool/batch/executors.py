@@ -128,10 +128,10 @@ def find_executor(name: str) -> Executor:
     """
     if name in EXECUTORS:
         return EXECUTORS[name]
-    found = plugin_points(PLUGIN_GROUP)
-    if name in found:
-        return load_plugin(found[name], Executor, "BAT032")
-    hint = nearest(name, sorted({*EXECUTORS, *found}))
+    points = plugin_points(PLUGIN_GROUP)
+    if name in points:
+        return load_plugin(points[name], Executor, "BAT032")
+    hint = nearest(name, sorted({*EXECUTORS, *points}))
     message = f"no executor is named {excerpt(name)}"
     raise OptionError(Fault("BAT030", message, hint=hint))
 
@@ -152,7 +152,7 @@ def listed_executors() -> list[ListedExecutor]:
     >>> [entry.name for entry in listed_executors()][:3]
     ['dask', 'processes', 'serial']
     """
-    found = [
+    executors = [
         ListedExecutor(name, "animtool", True, entry.about)
         for name, entry in EXECUTORS.items()
     ]
@@ -163,8 +163,8 @@ def listed_executors() -> list[ListedExecutor]:
             about, loads = find_executor(name).about, True
         except OptionError as error:
             about, loads = error.faults[0].message, False
-        found.append(ListedExecutor(name, point.value, loads, about))
-    return found
+        executors.append(ListedExecutor(name, point.value, loads, about))
+    return executors
 
 
 # A scheduler that has not answered by then is not there [s].
@@ -203,12 +203,12 @@ def dask(work: Work) -> Iterator[Outcome]:
 def _address(path: Path) -> str:
     """Return the address that a scheduler has written to a file."""
     try:
-        found = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
+        address = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
     except RecordError as error:
         raise _unreachable(str(path), error) from error
-    if not ADDRESS.fullmatch(found):
-        raise _unreachable(str(path), RecordError(f"{excerpt(found)} is no address"))
-    return found
+    if not ADDRESS.fullmatch(address):
+        raise _unreachable(str(path), RecordError(f"{excerpt(address)} is no address"))
+    return address
 
 
 def _outcomes(work: Work, address: str) -> Iterator[Outcome]:
@@ -315,17 +315,17 @@ class _Watch:
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.about, "its scheduler is gone", hint)
         try:
-            found = int(sum(self.client.nthreads(callback_timeout=TIMEOUT).values()))
+            count = int(sum(self.client.nthreads(callback_timeout=TIMEOUT).values()))
         except (OSError, RuntimeError):
             # The client looks for its scheduler again, and closes where it is gone.
-            found = 0
+            count = 0
         now = time.monotonic()
-        if found:
+        if count:
             self._seen = now
         elif now - self._seen > WORKERLESS:
             why = f"it has had no worker for {WORKERLESS:g} s"
             raise _unusable(self.about, why, hint)
-        return found
+        return count
 
 
 def _sent(name: str) -> Callable[[bytes], Outcome]:
@@ -400,9 +400,9 @@ class _WorkerProcesses:
             process.end()
 
 
-def _differences(wanted: Mapping[str, str], found: Mapping[str, str]) -> str:
+def _differences(expected: Mapping[str, str], actual: Mapping[str, str]) -> str:
     return ", ".join(
-        f"{name} {found.get(name) or 'none'} for {wanted.get(name) or 'none'}"
-        for name in sorted({*wanted, *found})
-        if wanted.get(name) != found.get(name)
+        f"{name} {actual.get(name) or 'none'} for {expected.get(name) or 'none'}"
+        for name in sorted({*expected, *actual})
+        if expected.get(name) != actual.get(name)
     )

@@ -182,15 +182,15 @@ AT = ("variants",)
 
 
 def rows_of_document(
-    document: Document, given: Any, taken: Collection[str]
+    document: Document, variants: Any, taken: Collection[str]
 ) -> Variants | None:
     """Return the table of values in a batch file; None, and its faults, without one."""
     reader = _Reader(document, taken)
     before = len(document.faults)
-    if isinstance(given, list):
-        table = reader.rows(given)
+    if isinstance(variants, list):
+        table = reader.rows(variants)
     else:
-        columns = reader.columns(given)
+        columns = reader.columns(variants)
         # Of faulty values not all are there.
         table = None if len(document.faults) > before else reader.combined(columns)
     return None if len(document.faults) > before or document.doubtful(AT) else table
@@ -200,12 +200,12 @@ class _Reader:
     def __init__(self, document: Document, taken: Collection[str]) -> None:
         self.document, self.taken = document, taken
 
-    def columns(self, given: Mapping[str, Any]) -> dict[str, list[str]]:
+    def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
         """Return the values of each column."""
-        self._check_names(AT, list(given))
+        self._check_names(AT, list(table))
         return {
             name: list(self._values((*AT, name), entry))
-            for name, entry in given.items()
+            for name, entry in table.items()
         }
 
     def combined(self, columns: Mapping[str, list[str]]) -> Variants | None:
@@ -216,17 +216,17 @@ class _Reader:
             self.document.add("BAT065", AT, str(error))
             return None
 
-    def rows(self, given: list[Mapping[str, Any]]) -> Variants | None:
+    def rows(self, table: list[Mapping[str, Any]]) -> Variants | None:
         """Return the rows of a list."""
-        if len(given) > MAX_VARIANTS:
-            self.document.add("BAT065", AT, f"{len(given)} variants: {TOO_MANY}")
+        if len(table) > MAX_VARIANTS:
+            self.document.add("BAT065", AT, f"{len(table)} variants: {TOO_MANY}")
             return None
-        first = list(given[0])
+        first = list(table[0])
         self._check_names((*AT, 0), first)
         if not first:
             self.document.add("BAT061", (*AT, 0), "a row has no values")
         rows = []
-        for i, entry in enumerate(given):
+        for i, entry in enumerate(table):
             if set(entry) != set(first):
                 odd = ", ".join(sorted(set(entry) ^ set(first)))
                 message = f"the columns are not those of the first row: {odd}"
@@ -240,15 +240,15 @@ class _Reader:
         for i, message in name_problems(names, self.taken):
             self.document.add("BAT063", (*at, names[i]), message)
 
-    def _values(self, at: Location, given: Any) -> Iterator[str]:
+    def _values(self, at: Location, values: Any) -> Iterator[str]:
         """Yield the values of a column."""
-        if isinstance(given, list):
-            for i in range(len(given)):
-                yield self._value((*at, i), given)
+        if isinstance(values, list):
+            for i in range(len(values)):
+                yield self._value((*at, i), values)
             return
         try:
-            if isinstance(given, RangeModel):
-                ends = {"start": given.start, "stop": given.stop, "step": given.step}
+            if isinstance(values, RangeModel):
+                ends = {"start": values.start, "stop": values.stop, "step": values.step}
                 yield from range_values(
                     *(
                         value_text(self.document, (*at, key), value)
@@ -256,7 +256,7 @@ class _Reader:
                     )
                 )
             else:
-                yield from values_of_text(given)
+                yield from values_of_text(values)
         except ValueError as error:
             self.document.add("BAT064", at, str(error))
 
@@ -382,21 +382,21 @@ class _BatchReader:
         )
 
     def parsed(
-        self, at: Location, given: Any, parse: Callable[[Any], Made]
+        self, at: Location, text: Any, parse: Callable[[Any], Made]
     ) -> Made | None:
         """Return a value; None, and a fault, where it is none."""
-        if given is None:
+        if text is None:
             return None
         try:
-            return parse(given)
+            return parse(text)
         except ValueError as error:
             self.document.add(getattr(error, "code", "BAT002"), at, str(error))
             return None
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        found = self._input(at, name)
-        return Path(name) if found is None else found
+        path = self._input(at, name)
+        return Path(name) if path is None else path
 
     def _input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None, and a fault, where it is refused or missing."""

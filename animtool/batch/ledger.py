@@ -33,7 +33,7 @@ from animtool.batch.records import (
     whole_in,
 )
 from animtool.batch.spec import place_of
-from animtool.errors import Fault, OutputError, excerpt
+from animtool.errors import Fault, LockedError, OutputError, excerpt
 from animtool.files import FileState
 from animtool.leftovers import is_running
 from animtool.output import replacing
@@ -59,14 +59,14 @@ class Failures:
 
 def read_failures(path: Path) -> Failures:
     """Return which items failed; none where there is no file."""
-    reader, found = LineReader(path, HEAD), dict[str, str]()
+    reader, messages = LineReader(path, HEAD), dict[str, str]()
     for line in reader.lines():
         try:
-            found[text_in(line, "item")] = text_in(line, "why")
+            messages[text_in(line, "item")] = text_in(line, "why")
         except RecordError as error:
             reader.damaged[reader.number] = str(error)
     notice = reader.notice()
-    return Failures(found, reader.length, () if notice is None else (notice,))
+    return Failures(messages, reader.length, () if notice is None else (notice,))
 
 
 def add_failure(path: Path, key: str, why: str, length: int) -> int:
@@ -137,15 +137,15 @@ class _Files:
 
     def others(self) -> list[_Files]:
         """Return those of every part that left some."""
-        found = sorted(path.stem for path in self.parts.glob("*.lock"))
-        return [_Files(self.folder, self.name, part) for part in found]
+        stems = sorted(path.stem for path in self.parts.glob("*.lock"))
+        return [_Files(self.folder, self.name, part) for part in stems]
 
     def overlaps(self, other: _Files) -> bool:
         """Return whether two parts have items in common."""
         ranges = [_PART.fullmatch(files.part) for files in (self, other)]
         if not all(ranges):
             return False
-        (a, b), (c, d) = (map(int, found.groups()) for found in ranges if found)
+        (a, b), (c, d) = (map(int, bounds.groups()) for bounds in ranges if bounds)
         return a <= d and c <= b
 
 
@@ -167,13 +167,13 @@ def _read(files: _Files) -> tuple[History, _Own]:
     history, own = History(), _Own()
     whole = files.whole()
     for source in (whole, *whole.others()):
-        made = read_manifest(source.named(".jsonl"))
+        manifest = read_manifest(source.named(".jsonl"))
         failures = read_failures(source.named(".failed.jsonl"))
-        history.made.join(made)
+        history.made.join(manifest)
         history.failed |= failures.why
-        history.damaged += [*made.damaged, *failures.damaged]
+        history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
-            own = _Own(made, failures.length)
+            own = _Own(manifest, failures.length)
     return history, own
 
 
@@ -203,12 +203,12 @@ class Ledger:
             self._grown = True
             self.history.made.known.update(new)
 
-    def made(self, made: ItemRecord) -> None:
+    def made(self, record: ItemRecord) -> None:
         """Note an item that was made."""
-        self._writer.add(made)
+        self._writer.add(record)
         self._grown = True
-        self.history.made.add(made)
-        self.history.failed.pop(made.key, None)
+        self.history.made.add(record)
+        self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, why: str) -> None:
         """Note an item that failed."""
@@ -221,19 +221,19 @@ class Ledger:
         """Close the files, as they are."""
         self._closing.close()
 
-    def settle(self, wanted: Callable[[ItemRecord], bool]) -> None:
+    def settle(self, keep: Callable[[ItemRecord], bool]) -> None:
         """Write records of the whole anew, those of its parts taken in."""
         self.close()
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
             return
-        made = self.history.made
-        kept = [item for item in made.items.values() if wanted(item)]
+        manifest = self.history.made
+        kept = [item for item in manifest.items.values() if keep(item)]
         recorded = {output.path for item in kept for output in item.outputs}
         root = self._files.folder.parent
         known = [
             name
-            for name in sorted(made.known | recorded)
+            for name in sorted(manifest.known | recorded)
             if name in recorded or FileState.of(place_of(name, root)) is not None
         ]
         rewrite_manifest(self._files.named(".jsonl"), kept, known)
@@ -280,7 +280,7 @@ def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
     except Timeout as error:
         message = f"another run of this batch goes on: {_owner(files)}"
         hint = "wait for it to end, or end it"
-        raise OutputError(Fault("BAT010", message, str(path), (), hint)) from error
+        raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
         # The second is of disks that have no locks.
         fault = output_error(path, error).faults[0]
@@ -315,8 +315,8 @@ def _owner(files: _Files) -> str:
 
     unknown = "of a process that has not said which"
     try:
-        found = json_of_file(files.named(".owner"), MAX_OWNER)
-        process, host = whole_in(found, "process", 1, 2**31), text_in(found, "host")
+        owner = json_of_file(files.named(".owner"), MAX_OWNER)
+        process, host = whole_in(owner, "process", 1, 2**31), text_in(owner, "host")
     except RecordError:
         return unknown
     if host == platform.node() and not is_running(process):

@@ -126,10 +126,10 @@ def _numbered(
         raise RecordError("'inputs' is empty")
     for number in numbers:
         # A truth value, and a float, can be equal to an int.
-        found = files.get(number) if type(number) is int else None
-        if found is None:
+        file = files.get(number) if type(number) is int else None
+        if file is None:
             raise RecordError("an input has no record")
-        yield found
+        yield file
 
 
 def digest_of(value: object) -> str:
@@ -177,17 +177,17 @@ class Manifest:
     # Warnings of lines that cannot be used.
     damaged: list[Fault] = field(default_factory=list)
 
-    def add(self, made: ItemRecord) -> None:
+    def add(self, record: ItemRecord) -> None:
         """Note an item that was made; of two of one key the younger counts."""
-        before = self.items.get(made.key)
-        if before is None or before.at <= made.at:
-            self.items[made.key] = made
-        self.known.update(output.path for output in made.outputs)
+        before = self.items.get(record.key)
+        if before is None or before.at <= record.at:
+            self.items[record.key] = record
+        self.known.update(output.path for output in record.outputs)
 
     def join(self, other: Manifest) -> None:
         """Note what another manifest says."""
-        for made in other.items.values():
-            self.add(made)
+        for record in other.items.values():
+            self.add(record)
         self.known |= other.known
         self.damaged += other.damaged
 
@@ -252,10 +252,10 @@ class ManifestWriter(LineWriter):
         some = (known[i : i + CLAIMED] for i in range(0, len(known), CLAIMED))
         self.write({"known": part} for part in some)
 
-    def add(self, made: ItemRecord) -> None:
+    def add(self, record: ItemRecord) -> None:
         """Add an item."""
-        new = list(self._numbered(made.inputs))
-        self.write([*new, made.as_dict(self._files)])
+        new = list(self._numbered(record.inputs))
+        self.write([*new, record.as_dict(self._files)])
 
     def _numbered(self, records: Iterable[FileRecord]) -> Iterator[dict[str, object]]:
         """Give files numbers, and yield the lines of those that had none."""
@@ -275,5 +275,5 @@ def rewrite_manifest(
         ManifestWriter(temporary, Manifest()) as writer,
     ):
         writer.claim(known)
-        for made in items:
-            writer.add(made)
+        for record in items:
+            writer.add(record)

@@ -39,7 +39,7 @@ class Overridden:
 
 def overridden(
     overrides: Sequence[Override],
-    found: Sequence[FoundFile],
+    files: Sequence[FoundFile],
     folder: Path,
     suffixes: Sequence[str],
     path: Path | None,
@@ -48,13 +48,13 @@ def overridden(
 
     Args:
         overrides: In order.
-        found: The inputs.
+        files: The inputs.
         folder: Where names of inputs start.
         suffixes: How names of inputs end.
         path: The batch file.
     """
     place = Places()
-    places = {place(file.path): file.path for file in found}
+    places = {place(file.path): file.path for file in files}
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for i, override in enumerate(overrides):

@@ -102,10 +102,10 @@ class Planner:
             if failed is not None:
                 return Decision(item, Reason.FAILED, failed)
             return Decision(item, Reason.NEW)
-        found = self._compared(item, record)
-        if found.due and failed is not None:
+        decision = self._compared(item, record)
+        if decision.due and failed is not None:
             return Decision(item, Reason.FAILED, failed)
-        return found
+        return decision
 
     def _compared(self, item: Item, record: ItemRecord) -> Decision:
         if record.how != self.how(item):

@@ -155,8 +155,8 @@ class _Pool:
             for worker in self.workers
             for key in (worker.connection, worker.process.sentinel)
         }
-        told = wait(list(watched), self._time_left())
-        for worker in dict.fromkeys(watched[cast(Any, key)] for key in told):
+        ready = wait(list(watched), self._time_left())
+        for worker in dict.fromkeys(watched[cast(Any, key)] for key in ready):
             yield from self._heard(worker)
         for worker in list(self.workers):
             waited = time.perf_counter() - worker.began

@@ -43,7 +43,7 @@ INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 _PLACES = frozenset({"input", "folder"})
 
 
-def input_names(found: FoundFile) -> dict[str, str]:
+def input_names(file: FoundFile) -> dict[str, str]:
     """Return what the names stand for that every input has.
 
     ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
@@ -55,12 +55,12 @@ def input_names(found: FoundFile) -> dict[str, str]:
     >>> names["name"], names["parent"], names["stem"]
     ('walk.clip.yaml', 'a', 'walk')
     """
-    path = found.path
+    path = file.path
     return {
         "input": path.absolute().as_posix(),
         "folder": path.parent.absolute().as_posix(),
         "name": path.name,
-        "parent": path.parent.relative_to(found.base).as_posix(),
+        "parent": path.parent.relative_to(file.base).as_posix(),
         "stem": source_stem(path),
     }
 
@@ -191,9 +191,9 @@ class PathRule:
 def read_rules(path: Path) -> list[PathRule]:
     """Return the rules of a file; none of one without any (malformed: BAT038)."""
     try:
-        found = json_of_file(path, MAX_BYTES)
+        plain = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
-        given = list_in(found, key) if key in found else ()
+        given = list_in(plain, key) if key in plain else ()
         return [_rule(object_of(rule)) for rule in given]
     except RecordError as error:
         message = f"is no file of path mapping rules: {error}"

@@ -36,10 +36,10 @@ def _refused(name: str) -> NoReturn:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    values = dict(pairs)
+    if len(values) < len(pairs):
         raise RecordError("a key is there twice")
-    return found
+    return values
 
 
 _PLAIN = json.JSONDecoder(parse_constant=_refused)
@@ -183,25 +183,25 @@ class LineReader:
             self.number += 1
             self.length += length
             try:
-                found = self._parsed(line, length)
+                record = self._parsed(line, length)
             except RecordError as error:
                 self.damaged[self.number] = str(error)
             else:
-                yield found
+                yield record
 
     def _head(self, file: IO[bytes]) -> None:
         """Read the first line; of a file that has none, nothing is read."""
-        wanted = _line_text(self.head).encode()
+        expected = _line_text(self.head).encode()
         line = file.readline(MAX_LINE)
         # What a writer was killed in the middle of; other files are not written over.
-        if len(line) < len(wanted) and wanted.startswith(line):
+        if len(line) < len(expected) and expected.startswith(line):
             return
         try:
-            found = json_object(line)
+            head = json_object(line)
         except RecordError:
-            found = {}
-        if found != self.head or not line.endswith(b"\n"):
-            raise self._foreign(found)
+            head = {}
+        if head != self.head or not line.endswith(b"\n"):
+            raise self._foreign(head)
         self.length, self.number = len(line), 1
 
     def _parsed(self, line: bytes, length: int) -> dict[str, Any]:
@@ -210,12 +210,12 @@ class LineReader:
             raise RecordError(f"is longer than {MAX_LINE} bytes")
         body, end = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
         summed = end == _ending(body)
-        found = json_object(line, unique=not summed)
+        record = json_object(line, unique=not summed)
         self._summed |= summed
-        if not summed and (self._summed or "crc" in found):
+        if not summed and (self._summed or "crc" in record):
             raise RecordError("is not what was written")
-        found.pop("crc", None)
-        return found
+        record.pop("crc", None)
+        return record
 
     def notice(self) -> Fault | None:
         """Return a warning of lines that are damaged; None where none is."""
@@ -231,12 +231,12 @@ class LineReader:
     def _unreadable(self, why: str) -> FormatError:
         return FormatError(Fault("BAT011", f"cannot be read: {why}", str(self.path)))
 
-    def _foreign(self, found: Line) -> FormatError:
+    def _foreign(self, line: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
         message = f"is no {kind} file of {version}"
-        said = found.get(kind)
-        if isinstance(said, str) and said != version:
-            message = f"is of version {said[:40]!r}, and {version} is known"
+        stated = line.get(kind)
+        if isinstance(stated, str) and stated != version:
+            message = f"is of version {stated[:40]!r}, and {version} is known"
         hint = "remove it, and everything is made anew"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 

@@ -62,7 +62,7 @@ class ItemReport:
     def as_dict(self) -> dict[str, object]:
         """Return it as plain values."""
         files = self.item.files
-        found: dict[str, object] = {
+        report: dict[str, object] = {
             "item": self.item.number,
             "input": str(self.item.found.path),
             **({"values": dict(self.item.values)} if self.item.values else {}),
@@ -73,24 +73,24 @@ class ItemReport:
             "reason": str(self.reason),
         }
         if self.item.shot is not None:
-            found["shot"] = self.item.shot.as_dict()
+            report["shot"] = self.item.shot.as_dict()
         if self.detail:
-            found["detail"] = self.detail
+            report["detail"] = self.detail
         if self.status in {Status.DONE, Status.FAILED}:
-            found["seconds"] = round(self.seconds, 6)
+            report["seconds"] = round(self.seconds, 6)
         if self.measured is not None:
-            found["samples"] = self.measured.samples
-            found["error"] = {
+            report["samples"] = self.measured.samples
+            report["error"] = {
                 "meters": self.measured.error,
                 "joint": self.measured.joint,
             }
         if self.scores:
-            found["scores"] = [one.as_dict() for one in self.scores]
+            report["scores"] = [one.as_dict() for one in self.scores]
         if self.faults:
-            found["faults"] = [fault.as_dict() for fault in self.faults]
+            report["faults"] = [fault.as_dict() for fault in self.faults]
         if self.notices:
-            found["notices"] = [notice.as_dict() for notice in self.notices]
-        return found
+            report["notices"] = [notice.as_dict() for notice in self.notices]
+        return report
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +118,8 @@ class BatchReport:
     @property
     def slowest(self) -> list[ItemReport]:
         """The items that took longest, longest first."""
-        made = [report for report in self.items if report.status is Status.DONE]
-        return sorted(made, key=lambda report: -report.seconds)[:NAMED]
+        done = [report for report in self.items if report.status is Status.DONE]
+        return sorted(done, key=lambda report: -report.seconds)[:NAMED]
 
     @property
     def worst(self) -> list[ItemReport]:
@@ -130,16 +130,16 @@ class BatchReport:
     @property
     def scored(self) -> list[ItemReport]:
         """The items whose passes have scores, the worst first."""
-        found = [report for report in self.items if report.scores]
-        return sorted(found, key=lambda report: badness(report.scores), reverse=True)
+        scored = [report for report in self.items if report.scores]
+        return sorted(scored, key=lambda report: badness(report.scores), reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return what is said of items, each once, with the items that it is of."""
-        found: dict[Fault, list[ItemReport]] = {}
+        reports: dict[Fault, list[ItemReport]] = {}
         for report in self.items:
             for notice in report.notices:
-                found.setdefault(notice, []).append(report)
-        return found
+                reports.setdefault(notice, []).append(report)
+        return reports
 
     def warned(self) -> list[ItemReport]:
         """Return the items about which there are warnings."""
@@ -179,13 +179,19 @@ def junit_report(reports: Sequence[ItemReport]) -> str:
 def _case(report: ItemReport) -> JunitCase:
     name = str(report.item.output)
     odd = [n for n in report.notices if n.severity is not Severity.NOTE]
-    said = "\n".join(map(str, odd))
+    listed_faults = "\n".join(map(str, odd))
     if report.status is Status.FAILED:
         first = report.faults[0]
         text = "\n".join(map(str, report.faults))
         return JunitCase(
-            name, "failure", first.code, first.message, text, said, report.seconds
+            name,
+            "failure",
+            first.code,
+            first.message,
+            text,
+            listed_faults,
+            report.seconds,
         )
     if report.status is Status.DONE:
-        return JunitCase(name, said=said, seconds=report.seconds)
+        return JunitCase(name, said=listed_faults, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

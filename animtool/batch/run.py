@@ -85,8 +85,8 @@ def run_batch(
         NothingFoundError: There is no input (BAT005).
         OptionError: Outputs clash (OUT007), are inputs (OUT003), or exist and were
             made by nobody here (OUT001); or an option makes no sense.
-        OutputError: Another run goes on (BAT010), or a folder cannot be written to
-            (OUT002, BAT012).
+        LockedError: Another run goes on (BAT010).
+        OutputError: A folder cannot be written to (OUT002, BAT012).
     """
     began = time.perf_counter()
     options, listener = options or RunOptions(), listener or Listener()
@@ -268,10 +268,10 @@ class _Run:
         self.found[item.number] = report
         self.listener.ended(report)
 
-    def wanted(self, made: ItemRecord) -> bool:
+    def wanted(self, record: ItemRecord) -> bool:
         """Return whether a record is of interest: its output is there, or to be."""
         return any(
-            place_of(file.path, self.batch.root).exists() for file in made.outputs
+            place_of(file.path, self.batch.root).exists() for file in record.outputs
         )
 
     def reports(self) -> Iterator[ItemReport]:

@@ -35,10 +35,10 @@ def _pass_scores(plain: Mapping[str, Any]) -> PassScores:
 
 
 def _some(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
-    found = list_in(plain, key)
-    if not found:
+    entries = list_in(plain, key)
+    if not entries:
         raise RecordError(f"{key!r} is empty")
-    return found
+    return entries
 
 
 def _score(plain: Mapping[str, Any]) -> Score:

@@ -43,8 +43,8 @@ def parse_bytes(text: str) -> int:
     >>> parse_bytes("1.5GB"), parse_bytes("2 KiB")
     (1500000000, 2048)
     """
-    found = _SIZE.fullmatch(text.strip())
-    size = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    match = _SIZE.fullmatch(text.strip())
+    size = float(match[1]) * _UNITS[match[2]] if match else 0.0
     if not 1 <= size <= MAX_BYTES:
         raise ValueError(f"{excerpt(text)} is no size such as 2GB or 512MiB")
     return int(size)
@@ -131,17 +131,17 @@ def made_by() -> dict[str, str]:
 
     from animtool.plugins import plugin_points
 
-    found = {}
+    versions = {}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = ""
+            versions[name] = ""
     for group in GROUPS:
         for point in plugin_points(group).values():
             if point.dist is not None:
-                found[point.dist.name] = point.dist.version
-    return found
+                versions[point.dist.name] = point.dist.version
+    return versions
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,18 +109,18 @@ def cut_metadata(
     names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
     if not isinstance(given, Mapping):
         return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     faults = []
     for key, value in given.items():
         if key not in names:
             faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
             continue
         try:
-            found[key] = parse_rate(value) if key == "fps" else _whole(key, value)
+            values[key] = parse_rate(value) if key == "fps" else _whole(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a number such as {EXAMPLES[key]}"
             faults.append((f"{where}: {key}: {error}", hint))
-    return CutMetadata(**found), faults
+    return CutMetadata(**values), faults
 
 
 EXAMPLES = {"start_frame": "1001", "handles": "8", "fps": "24 or 24000/1001"}
@@ -159,7 +159,7 @@ def read_timeline(path: Path) -> Any:
         raise OptionError(Fault("BAT040", message, hint=hint)) from error
     check_text(path)
     try:
-        found = otio.adapters.read_from_file(str(path))
+        timeline = otio.adapters.read_from_file(str(path))
     except MemoryError:
         raise
     except Exception as error:
@@ -168,12 +168,12 @@ def read_timeline(path: Path) -> Any:
         known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
         hint = f"there are adapters for {', '.join(known)}"
         raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
-    if not isinstance(found, otio.schema.Timeline):
-        message = f"is a {type(found).__name__}, and no timeline"
+    if not isinstance(timeline, otio.schema.Timeline):
+        message = f"is a {type(timeline).__name__}, and no timeline"
         raise FormatError(Fault("BAT041", message, str(path)))
-    if found.tracks is None:
+    if timeline.tracks is None:
         raise FormatError(Fault("BAT041", "has no tracks", str(path)))
-    return found
+    return timeline
 
 
 def media_path(url: str, folder: Path) -> Path:

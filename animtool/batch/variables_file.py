@@ -22,15 +22,15 @@ def value_text(document: Document, at: Location, value: Value) -> str:
 
 
 def variables_of_document(
-    document: Document, at: Location, given: Mapping[str, Value]
+    document: Document, at: Location, own: Mapping[str, Value]
 ) -> dict[str, str]:
     """Return the values of variables as text; names that are none are faults."""
-    for name in given:
+    for name in own:
         if not is_variable_name(name):
             message = f"{name!r} is no name of a variable"
             hint = "letters, digits and _ make one, and no digit begins it"
             document.add("BAT002", (*at, name), message, hint)
-    return {name: value_text(document, (*at, name), v) for name, v in given.items()}
+    return {name: value_text(document, (*at, name), v) for name, v in own.items()}
 
 
 class OverrideModel(FileModel):

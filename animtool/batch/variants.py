@@ -94,14 +94,14 @@ def values_of_text(text: str) -> list[str]:
     """
     values: list[str] = []
     for part in (part.strip() for part in text.split(",")):
-        found = _RANGE.fullmatch(part)
-        if found is None:
+        match = _RANGE.fullmatch(part)
+        if match is None:
             problem = value_problem(part)
             if problem is not None:
                 raise ValueError(problem)
             values.append(part)
         else:
-            values += range_values(found["first"], found["last"], found["step"] or "1")
+            values += range_values(match["first"], match["last"], match["step"] or "1")
         if len(values) > MAX_VARIANTS:
             raise ValueError(f"more values: {TOO_MANY}")
     return values

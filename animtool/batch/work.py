@@ -131,7 +131,7 @@ class Maker:
 
     def _inputs(self, inputs: Inputs, at: int) -> tuple[FileRecord, ...]:
         """Return records of the files that were looked at, in order of their names."""
-        found = []
+        records = []
         for path, state in sorted(inputs.states.items()):
             known = None if state is None else self._digests.get(state)
             name = named_from(path, self.root)
@@ -140,10 +140,10 @@ class Maker:
                 # Of a younger one the same state may mean another content later.
                 if state is not None and state.changed < at:
                     self._digests[state] = known
-            found.append(known)
+            records.append(known)
         # What was read again for its digest is still what was read first.
         inputs.check()
-        return tuple(found)
+        return tuple(records)
 
     def _output(self, path: Path) -> FileRecord:
         return record_of(path, named_from(path, self.root), FileState.of(path))
@@ -151,9 +151,9 @@ class Maker:
 
 def _measured(reports: Sequence[OutputReport]) -> Measured:
     """Return what was measured of all outputs: every sample, the largest error."""
-    found = [_one_measured(report) for report in reports]
-    worst = max(found, key=lambda one: one.error)
-    return Measured(sum(one.samples for one in found), worst.error, worst.joint)
+    measured = [_one_measured(report) for report in reports]
+    worst = max(measured, key=lambda one: one.error)
+    return Measured(sum(one.samples for one in measured), worst.error, worst.joint)
 
 
 def _one_measured(report: OutputReport) -> Measured:
@@ -274,10 +274,10 @@ def _limit_memory(memory: int) -> None:
     if mapped is not None:
         with contextlib.suppress(OSError, ValueError):
             most = resource.getrlimit(resource.RLIMIT_AS)[1]
-            wanted = mapped + memory
+            limit = mapped + memory
             if most != resource.RLIM_INFINITY:
-                wanted = min(wanted, most)
-            resource.setrlimit(resource.RLIMIT_AS, (wanted, most))
+                limit = min(limit, most)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, most))
 
 
 def mapped_bytes() -> int | None:

@@ -107,7 +107,7 @@ Examples:
 @common_options
 @click.pass_obj
 def bake(
-    console: Console, /, sources: Sequence[Path], output: Path | None, **given: Any
+    console: Console, /, sources: Sequence[Path], output: Path | None, **params: Any
 ) -> None:
     """Bake SOURCE, a scene, clip, BVH or USD file, to a USD animation that plays.
 
@@ -120,47 +120,47 @@ def bake(
     The summary says what was written and the error made: the largest distance
     between a joint's position in float64 and in the float32 values of the file.
     """
-    to_stdout = goes_to_stdout(output, given)
-    _check_usage(given)
-    sources, output = bake_shot(console, sources, output, given)
-    if output is None and len(sources) > 1 and not given["table"]:
+    to_stdout = goes_to_stdout(output, params)
+    _check_usage(params)
+    sources, output = bake_shot(console, sources, output, params)
+    if output is None and len(sources) > 1 and not params["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
-    opened = opened_sources(sources, dict(given["variables"]))
-    opened = until_pass(opened, given["until"])
-    if given["plan"]:
-        _plan(console, opened, None if to_stdout else output, given)
+    opened = opened_sources(sources, dict(params["variables"]))
+    opened = until_pass(opened, params["until"])
+    if params["plan"]:
+        _plan(console, opened, None if to_stdout else output, params)
         return
-    if given["table"]:
-        _measure(console, opened, output, given)
+    if params["table"]:
+        _measure(console, opened, output, params)
         return
     scene = only_scene(opened)
     if scene is not None:
-        _check_library(scene, given)
+        _check_library(scene, params)
         from animtool.scene.outputs import is_several
 
-        if given["stats"]:
+        if params["stats"]:
             scene.meter.start()
         if is_several(scene):
-            _several(console, scene, output, given)
+            _several(console, scene, output, params)
             return
     path = None if to_stdout else output or default_bake_output(opened[0])
-    _one(console, opened, path, given)
+    _one(console, opened, path, params)
 
 
-def _check_usage(given: dict[str, Any]) -> None:
+def _check_usage(params: dict[str, Any]) -> None:
     """Refuse options that exclude each other."""
-    if given["split"] and given["form"] == "layer":
+    if params["split"] and params["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
-    if given["plan"] and given["table"]:
+    if params["plan"] and params["table"]:
         raise click.UsageError("--plan and --table write nothing: give one.")
-    refuse_alone(given)
-    if given["stats"] and (given["plan"] or given["table"]):
+    refuse_alone(params)
+    if params["stats"] and (params["plan"] or params["table"]):
         raise click.UsageError("--stats measures a bake: no --plan or --table.")
 
 
-def _check_library(scene: Scene, given: dict[str, Any]) -> None:
+def _check_library(scene: Scene, params: dict[str, Any]) -> None:
     """Refuse to skip a library, to which a take is added."""
-    if given["skip_existing"] and any(
+    if params["skip_existing"] and any(
         output.bake.form == "library" for output in scene.outputs
     ):
         message = (
@@ -173,7 +173,7 @@ def _plan(
     console: Console,
     opened: Sequence[Path | Scene],
     output: Path | None,
-    given: dict[str, Any],
+    params: dict[str, Any],
 ) -> None:
     """Print what a bake would do."""
     from animtool.cli.plan_summary import steps_json, steps_text
@@ -182,8 +182,8 @@ def _plan(
     scene = only_scene(opened)
     if output is None and (scene is None or scene.output is None):
         output = default_bake_output(opened[0])
-    steps = bake_steps(opened, output, bake_options_record(given))
-    if given["report_format"] == "json":
+    steps = bake_steps(opened, output, bake_options_record(params))
+    if params["report_format"] == "json":
         console.result_json(steps_json(steps))
         return
     console.result(*steps_text(steps))
@@ -193,53 +193,55 @@ def _one(
     console: Console,
     opened: Sequence[Path | Scene],
     path: Path | None,
-    given: dict[str, Any],
+    params: dict[str, Any],
 ) -> None:
     """Bake sources to one output; no path is stdout."""
     if path is not None and skipped(
-        console, "bake", given, path, lambda: _outputs(opened, path, given)
+        console, "bake", params, path, lambda: _outputs(opened, path, params)
     ):
         return
     from animtool.scene.bake import bake as run_bake
 
-    options = bake_options_record(given)
+    options = bake_options_record(params)
     names = [s.name if isinstance(s, Path) else s.path.name for s in opened]
     label = names[0] if len(names) == 1 else f"{len(names)} takes"
     shown = console.progress(f"bake {label}", stdout=path is None)
     with all_named(), shown as progress:
         report = run_bake(opened, path, options, progress=progress)
-    _say_reports(console, [report], only_scene(opened), given, several=False)
+    _say_reports(console, [report], only_scene(opened), params, several=False)
 
 
 def _outputs(
-    sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
+    sources: Sequence[Path | Scene], path: Path, params: dict[str, Any]
 ) -> Sequence[Path]:
     from animtool.scene.reading import bake_outputs
 
-    return bake_outputs(sources, path, bake_options_record(given))
+    return bake_outputs(sources, path, bake_options_record(params))
 
 
 def _several(
-    console: Console, scene: Scene, output: Path | None, given: dict[str, Any]
+    console: Console, scene: Scene, output: Path | None, params: dict[str, Any]
 ) -> None:
     """Bake a scene to the outputs that it names."""
     from animtool.scene.outputs import bake_scene, scene_files
 
     if output is not None:
         raise click.UsageError("The scene names its outputs: no -o.")
-    options = bake_options_record(given)
-    if skipped(console, "bake", given, scene.path, lambda: scene_files(scene, options)):
+    options = bake_options_record(params)
+    if skipped(
+        console, "bake", params, scene.path, lambda: scene_files(scene, options)
+    ):
         return
     with all_named(), console.progress(f"bake {scene.path.name}") as progress:
         reports = bake_scene(scene, options, progress=progress)
-    _say_reports(console, reports, scene, given, several=True)
+    _say_reports(console, reports, scene, params, several=True)
 
 
 def _say_reports(
     console: Console,
     reports: Sequence[BakeReport | ConvertReport],
     scene: Scene | None,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
     *,
     several: bool,
 ) -> None:
@@ -254,8 +256,8 @@ def _say_reports(
     # What the sources and passes say stands in every report.
     console.faults(dict.fromkeys(notices) if several else notices)
     stages = [] if scene is None else scene.meter.stages
-    if given["report_format"] == "json":
-        costs = {"stats": stats_json(stages, reports)} if given["stats"] else {}
+    if params["report_format"] == "json":
+        costs = {"stats": stats_json(stages, reports)} if params["stats"] else {}
         written = [output_json(report) for report in reports]
         whole = {"bake": "animtool/1", "written": written} if several else written[0]
         console.result_json({**whole, **costs})
@@ -265,7 +267,7 @@ def _say_reports(
     for report in () if several else reports:
         for line in bake_details(cast("BakeReport", report)):
             console.detail(line)
-    if given["stats"]:
+    if params["stats"]:
         _say(console, stats_text(stages, reports))
 
 
@@ -278,29 +280,29 @@ def _measure(
     console: Console,
     sources: Sequence[Path | Scene],
     output: Path | None,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
 ) -> None:
     """Measure time against error, print it, and draw it where that is asked for."""
     if output is not None:
         raise click.UsageError("--table writes no file: no -o.")
     if len(sources) > 1:
         raise click.UsageError("--table measures one SOURCE.")
-    plot, source = given["plot"], sources[0]
+    plot, source = params["plot"], sources[0]
     inputs = [source] if isinstance(source, Path) else source.inputs
-    check_plot(plot, inputs, overwrite=given["overwrite"])
+    check_plot(plot, inputs, overwrite=params["overwrite"])
     scene = only_scene(sources)
     if scene is not None:
         from animtool.scene.simulation_table import simulates
 
         if simulates(scene):
-            panels = _simulation_table(console, scene, given)
+            panels = _simulation_table(console, scene, params)
             draw(console, panels, plot)
             return
-    draw(console, _bake_table(console, source, given), plot)
+    draw(console, _bake_table(console, source, params), plot)
 
 
 def _simulation_table(
-    console: Console, scene: Scene, given: Mapping[str, Any]
+    console: Console, scene: Scene, params: Mapping[str, Any]
 ) -> Callable[[], list[Panel]]:
     """Measure what a scene simulates, print it, and return what draws it."""
     from animtool.cli.simulation_summary import (
@@ -311,9 +313,9 @@ def _simulation_table(
     from animtool.scene.simulation_table import simulation_table
 
     with console.progress(f"measure {scene.path.name}") as progress:
-        table = simulation_table(scene, bake_options_record(given), progress=progress)
+        table = simulation_table(scene, bake_options_record(params), progress=progress)
     console.faults(table.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(simulation_table_json(table))
     else:
         console.result(*simulation_table_text(table))
@@ -321,20 +323,20 @@ def _simulation_table(
 
 
 def _bake_table(
-    console: Console, source: Path | Scene, given: Mapping[str, Any]
+    console: Console, source: Path | Scene, params: Mapping[str, Any]
 ) -> Callable[[], list[Panel]]:
     """Measure rates and tolerances, print it, and return what draws it."""
     from animtool.cli.summary import table_json, table_text
     from animtool.preview.work_precision import bake_panels
     from animtool.scene.table import bake_table
 
-    options = bake_options_record(given)
+    options = bake_options_record(params)
     if options.deform:
         raise click.UsageError("--table measures joints, not --deform.")
     name = source.name if isinstance(source, Path) else source.path.name
     with console.progress(f"measure {name}") as progress:
         table = bake_table(source, options, progress=progress)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(table_json(table))
     else:
         console.result(*table_text(table))

@@ -116,19 +116,19 @@ bake_options = stacked(
 )
 
 
-def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
+def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(given, "prim_path", "rig", "clamp", "take")
+    source = source_options_record(params, "prim_path", "rig", "clamp", "take")
     # --take names one of the source, not the one that is written.
-    values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
-    values["form"] = "split" if given["split"] else values["form"]
-    return BakeOptions(source=source, shot=given["shot"], **values)
+    values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
+    values["form"] = "split" if params["split"] else values["form"]
+    return BakeOptions(source=source, shot=params["shot"], **values)
 
 
 def timeline_shot(
     console: Console,
     path: Path | None,
-    given: dict[str, Any],
+    params: dict[str, Any],
     start: Fraction | None,
     fps: Fraction | None = None,
 ) -> Cut | None:
@@ -137,32 +137,32 @@ def timeline_shot(
 
     if path is None or not is_timeline(path):
         for name in ("shot", "handles"):
-            if given[name] is not None:
+            if params[name] is not None:
                 message = f"--{name} is for motion of a timeline, such as edit.otio."
                 raise click.UsageError(message)
         return None
-    if given["table"]:
+    if params["table"]:
         raise click.UsageError("--table measures a take: name the media, not the cut.")
     if start is not None and start.denominator != 1:
         raise click.UsageError(f"--start {start}: a shot begins at a whole frame.")
     from animtool.batch.cuts import CutOptions, read_cut
 
-    options = CutOptions(given["handles"], None if start is None else int(start), fps)
-    found = read_cut(path, given["shot"], options)
-    console.faults(found.notices)
-    if not found.shots:
+    options = CutOptions(params["handles"], None if start is None else int(start), fps)
+    cuts = read_cut(path, params["shot"], options)
+    console.faults(cuts.notices)
+    if not cuts.shots:
         from animtool.errors import Fault, FormatError
 
         hint = f"animtool batch {path} TAKES finds media by the names of clips"
         raise FormatError(Fault("BAT042", "the shot has no media", str(path), (), hint))
-    return found.shots[0]
+    return cuts.shots[0]
 
 
 def bake_shot(
     console: Console,
     sources: Sequence[Path],
     output: Path | None,
-    given: dict[str, Any],
+    params: dict[str, Any],
 ) -> tuple[Sequence[Path], Path | None]:
     """Return sources and output, those of the shot where the source is a timeline.
 
@@ -173,9 +173,9 @@ def bake_shot(
     path = next(filter(is_timeline, sources), None)
     if path is not None and len(sources) > 1:
         raise click.UsageError("A timeline is baked alone: give one SOURCE.")
-    cut = timeline_shot(console, path, given, given["start"], given["fps"])
+    cut = timeline_shot(console, path, params, params["start"], params["fps"])
     if cut is None:
         return sources, output
-    given |= {"shot": cut.shot, "start": None}
+    params |= {"shot": cut.shot, "start": None}
     name = cut.names["shot"]
     return [cut.found.path], output or sources[0].with_name(f"{name}.usdc")

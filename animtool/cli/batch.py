@@ -50,12 +50,12 @@ class _Numbers:
 
 
 def _numbers(text: str) -> _Numbers:
-    found = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
-    if found is None:
+    match = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
+    if match is None:
         message = f"{text!r} is neither a number nor a range such as 1-20 or 1+20"
         raise ValueError(message)
-    first, last = int(found[1]), int(found[3] or found[1])
-    if found[2] == "+":
+    first, last = int(match[1]), int(match[3] or match[1])
+    if match[2] == "+":
         return _Numbers(first, first + last - 1, open=True)
     return _Numbers(first, last)
 
@@ -212,7 +212,7 @@ Examples:
 )
 @common_options
 @click.pass_obj
-def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
+def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     """Bake many files, on every core, and only what is not done yet.
 
     JOB is a batch file; INPUT is a file, a folder, a glob ("**" is any folders), or -
@@ -238,51 +238,51 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
         shown_progress,
     )
 
-    if given["fail_fast"] and given["max_failures"] not in {None, 1}:
+    if params["fail_fast"] and params["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: give one.")
-    varied = given["table"] is not None or given["columns"]
-    if not inputs and given["cuts"] is None and not (varied and given["scene"]):
+    varied = params["table"] is not None or params["columns"]
+    if not inputs and params["cuts"] is None and not (varied and params["scene"]):
         raise click.UsageError("Give a batch file, inputs, or --cut.")
-    openjd = given["lines"] == "openjd"
-    if openjd and given["report_format"] != "text":
+    openjd = params["lines"] == "openjd"
+    if openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
     with openjd_failure(asked=openjd):
-        found = find_batch(_spec(inputs, given))
-    console.faults(found.notices)
-    numbers = given["numbers"]
+        batch_found = find_batch(_spec(inputs, params))
+    console.faults(batch_found.notices)
+    numbers = params["numbers"]
     options = RunOptions(
-        given["jobs"],
-        given["executor"],
-        None if numbers is None else numbers.among(len(found.items)),
-        given["dry_run"],
-        given["force"],
-        given["verify"],
-        given["retry_failed"],
-        1 if given["fail_fast"] else given["max_failures"],
-        given["overwrite"],
+        params["jobs"],
+        params["executor"],
+        None if numbers is None else numbers.among(len(batch_found.items)),
+        params["dry_run"],
+        params["force"],
+        params["verify"],
+        params["retry_failed"],
+        1 if params["fail_fast"] else params["max_failures"],
+        params["overwrite"],
     )
-    lines = given["report_format"] == "jsonl"
+    lines = params["report_format"] == "jsonl"
     try:
         with (
             openjd_failure(asked=openjd),
             shown_progress(console, lines=lines) as listener,
         ):
-            told = openjd_lines(listener) if openjd else listener
-            report = run_batch(found, options, told)
+            listening = openjd_lines(listener) if openjd else listener
+            report = run_batch(batch_found, options, listening)
     except (KeyboardInterrupt, TerminatedError):
         console.say("what was made is recorded; the same command goes on with the rest")
         raise
-    _tell(console, report, given, _Repeat(inputs, given))
-    if given["junit"] is not None:
+    _tell(console, report, params, _Repeat(inputs, params))
+    if params["junit"] is not None:
         from animtool.batch.report import junit_report
         from animtool.output import check_outputs, write_parts
 
-        check_outputs([given["junit"]], [], overwrite=True)
-        write_parts(given["junit"], [junit_report(report.items).encode()])
+        check_outputs([params["junit"]], [], overwrite=True)
+        write_parts(params["junit"], [junit_report(report.items).encode()])
     click.get_current_context().exit(int(report.exit_code))
 
 
-def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
+def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     """Return what is asked for: what a batch file says, and what comes before it."""
     from animtool.batch.spec import BatchSpec
 
@@ -292,40 +292,40 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     if jobs:
         from animtool.batch.file import load_batch
 
-        spec = load_batch(Path(jobs[0]), of_shots=given["cuts"] is not None)
+        spec = load_batch(Path(jobs[0]), of_shots=params["cuts"] is not None)
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
-    if given["path_mapping"] is not None:
+    if params["path_mapping"] is not None:
         from animtool.batch.recipe import mapped_spec, read_rules
 
-        spec = mapped_spec(spec, read_rules(given["path_mapping"]))
+        spec = mapped_spec(spec, read_rules(params["path_mapping"]))
     here = Path.cwd()
-    if given["output"] is not None:
-        output = given["output"]
+    if params["output"] is not None:
+        output = params["output"]
         if jobs:
             # A path has no slash at its end, which says that it is a folder.
             slash = "/" if output.endswith("/") else ""
             output = f"{here / output}{slash}"
         spec = replace(spec, output=output, roots=())
-    if given["scene"] is not None:
-        spec = replace(spec, scene=given["scene"])
-    spec = with_variants(with_cuts(spec, given), given)
-    excluded = tuple(str(here / text) if jobs else text for text in given["exclude"])
+    if params["scene"] is not None:
+        spec = replace(spec, scene=params["scene"])
+    spec = with_variants(with_cuts(spec, params), params)
+    excluded = tuple(str(here / text) if jobs else text for text in params["exclude"])
     limits = replace(
         spec.limits,
         **{
-            name: given[option]
+            name: params[option]
             for name, option in (("seconds", "time_limit"), ("memory", "memory_limit"))
-            if given[option] is not None
+            if params[option] is not None
         },
     )
-    names = dict(given["variables"])
+    names = dict(params["variables"])
     overrides = tuple(one.without(names) for one in spec.overrides)
-    if given["strict"]:
+    if params["strict"]:
         spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
         spec,
-        name=given["name"] or spec.name,
+        name=params["name"] or spec.name,
         exclude=(*spec.exclude, *excluded),
         variables={**spec.variables, **names},
         overrides=overrides,
@@ -336,8 +336,8 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
 class _Repeat:
     """The command that makes one item again."""
 
-    def __init__(self, inputs: tuple[str, ...], given: dict[str, Any]) -> None:
-        self._inputs, self._given = inputs, given
+    def __init__(self, inputs: tuple[str, ...], params: dict[str, Any]) -> None:
+        self._inputs, self._given = inputs, params
 
     def command(self, report: ItemReport) -> str:
         given, item = self._given, report.item
@@ -365,7 +365,7 @@ class _Repeat:
 
 
 def _tell(
-    console: Console, report: BatchReport, given: dict[str, Any], repeat: _Repeat
+    console: Console, report: BatchReport, params: dict[str, Any], repeat: _Repeat
 ) -> None:
     from animtool.cli.batch_progress import (
         batch_text,
@@ -373,21 +373,21 @@ def _tell(
         report_json,
     )
 
-    form = given["report_format"]
+    form = params["report_format"]
     if form == "json":
         console.result_json(report_json(report, repeat.command))
     elif form == "jsonl":
-        if given["dry_run"]:
+        if params["dry_run"]:
             for entry in report.items:
                 console.result_json(entry.as_dict(), line=True)
         summary = {k: v for k, v in report.as_dict().items() if k != "items"}
         console.result_json(summary, line=True)
-    elif given["dry_run"]:
+    elif params["dry_run"]:
         for line in planned_text(report):
             console.result(line)
     console.faults(report.notices)
     _tell_notices(console, report)
-    for line in batch_text(report, dry=given["dry_run"]):
+    for line in batch_text(report, dry=params["dry_run"]):
         console.say(line)
     for entry in report.failed:
         console.error(f"{entry.item.label} failed")

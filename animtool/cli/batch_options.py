@@ -50,33 +50,33 @@ variant_options = stacked(
 )
 
 
-def with_cuts(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
+def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the cut list that a command line names, if it names one."""
-    if given["cuts"] is not None:
-        spec = replace(spec, cuts=given["cuts"])
-    if given["handles"] is not None:
-        spec = replace(spec, handles=given["handles"])
+    if params["cuts"] is not None:
+        spec = replace(spec, cuts=params["cuts"])
+    if params["handles"] is not None:
+        spec = replace(spec, handles=params["handles"])
     return spec
 
 
-def variant_words(given: Mapping[str, Any]) -> list[str]:
+def variant_words(params: Mapping[str, Any]) -> list[str]:
     """Return the options as they were given."""
-    words = [] if given["table"] is None else ["--variants", str(given["table"])]
-    for text in given["columns"]:
+    words = [] if params["table"] is None else ["--variants", str(params["table"])]
+    for text in params["columns"]:
         words += ["--vary", text]
     return words
 
 
-def with_variants(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
+def with_variants(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the variants of a command line, if it has some."""
-    if given["table"] is not None and given["columns"]:
+    if params["table"] is not None and params["columns"]:
         raise click.UsageError("--variants and --vary both give values: give one.")
-    if given["table"] is not None:
+    if params["table"] is not None:
         from animtool.batch.variants import read_variants
 
-        return replace(spec, variants=read_variants(given["table"]))
-    if given["columns"]:
+        return replace(spec, variants=read_variants(params["table"]))
+    if params["columns"]:
         from animtool.batch.variants import variants_of_texts
 
-        return replace(spec, variants=variants_of_texts(given["columns"]))
+        return replace(spec, variants=variants_of_texts(params["columns"]))
     return spec

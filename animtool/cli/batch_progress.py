@@ -52,8 +52,9 @@ def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
 
 def _error_text(entry: ItemReport) -> str:
     assert entry.measured is not None
-    found = entry.measured
-    return f"{entry.item.output} {length_text(found.error, 2)} (joint {found.joint!r})"
+    measured = entry.measured
+    error = length_text(measured.error, 2)
+    return f"{entry.item.output} {error} (joint {measured.joint!r})"
 
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:
@@ -218,11 +219,11 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
     def drawn() -> RenderableType:
         if not shown.due:
             return Text()
-        told = f"{shown.ended_items} of {shown.due}"
-        told += f", {shown.failed} failed" if shown.failed else ""
+        caption = f"{shown.ended_items} of {shown.due}"
+        caption += f", {shown.failed} failed" if shown.failed else ""
         head = Table.grid(padding=(0, 1))
         bar = ProgressBar(shown.due, shown.ended_items, width=WIDTH)
-        head.add_row(bar, Text(told))
+        head.add_row(bar, Text(caption))
         rows = Table.grid(padding=(0, 1))
         for name, began in list(shown.running.values()):
             rows.add_row(

@@ -20,8 +20,8 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.documents.names import is_named
-from animtool.scene.options import KEY_TOLERANCE
 
 
 @click.command(
@@ -64,7 +64,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def convert(console: Console, /, source: Path, output: Path, **given: Any) -> None:
+def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Convert SOURCE to OUTPUT: BVH, USD and clips to BVH, USD or a clip.
 
     A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
@@ -76,56 +76,56 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     from animtool.scene.convert import convert as run_convert
     from animtool.scene.convert import convert_outputs
 
-    of_rig = is_named(source, "rig") or is_named(output, "rig") or given["physics"]
+    of_rig = is_named(source, "rig") or is_named(output, "rig") or params["physics"]
     outputs = convert_outputs(output)
     if of_rig:
         from animtool.scene.convert_rig import rig_outputs
 
-        outputs = rig_outputs(output, physics=given["physics"])
-    if skipped(console, "convert", given, output, lambda: outputs):
+        outputs = rig_outputs(output, physics=params["physics"])
+    if skipped(console, "convert", params, output, lambda: outputs):
         return
     if of_rig:
-        _rig(console, source, output, given)
+        _rig(console, source, output, params)
         return
-    options = source_options_record(given, "take", prim_path=given["prim_path"])
+    options = source_options_record(params, "take", prim_path=params["prim_path"])
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,
             output,
             options,
-            overwrite=given["overwrite"],
-            strict=given["strict"],
-            reduce=given["reduce"],
-            reduce_at=given["reduce_at"],
-            base=given["base"],
+            overwrite=params["overwrite"],
+            strict=params["strict"],
+            reduce=params["reduce"],
+            reduce_at=params["reduce_at"],
+            base=params["base"],
             progress=progress,
         )
     console.faults(report.notices)
     from animtool.cli.summary import convert_json, convert_text
 
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(convert_json(report))
         return
     for line in convert_text(report):
         console.say(line)
 
 
-def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
+def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:
     from animtool.errors import counted
     from animtool.scene.convert_rig import convert_rig
 
     for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps", "take"):
-        if given[name]:
+        if params[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is for motion, not for a rig.")
     with all_named():
         report = convert_rig(
             source,
             output,
-            prim_path=given["prim_path"],
-            physics=given["physics"],
-            overwrite=given["overwrite"],
-            strict=given["strict"],
+            prim_path=params["prim_path"],
+            physics=params["physics"],
+            overwrite=params["overwrite"],
+            strict=params["strict"],
         )
     console.faults(report.notices)
     counts = {
@@ -134,7 +134,7 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
         "shapes": report.shapes,
         "controls": report.controls,
     }
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(
             {
                 "convert": "animtool/1",
@@ -146,12 +146,12 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
         )
         return
     nouns = [("joint", ""), ("mesh", "meshes"), ("shape", ""), ("control", "")]
-    said = ", ".join(
+    summary = ", ".join(
         counted(count, *noun)
         for noun, count in zip(nouns, counts.values(), strict=True)
         if count
     )
-    console.say(f"{', '.join(map(str, report.outputs))}: {said}")
+    console.say(f"{', '.join(map(str, report.outputs))}: {summary}")
     if report.physics is not None:
         joints = counted(report.physics, "joint")
         console.say(f"  {joints} as UsdPhysics has them")

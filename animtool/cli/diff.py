@@ -82,7 +82,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
+def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
     Weights of blend shapes are compared too. Of USD files without a character the
@@ -93,60 +93,65 @@ def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     from animtool.report.compare import compare
     from animtool.scene.sources import is_usd
 
-    found: Any = None
+    difference: Any = None
     if is_usd(first) and is_usd(second):
         from animtool.report.compare_points import compare_points
 
-        found = compare_points(first, second)
-    if found is not None:
-        same = found.within(given["tol"], given["tol_degrees"])
-        text, notices = _points_text(found), []
+        difference = compare_points(first, second)
+    if difference is not None:
+        same = difference.within(params["tol"], params["tol_degrees"])
+        text, notices = _points_text(difference), []
     else:
-        found = compare(first, second, *_options(first, second, given))
-        same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
-        text, notices = _text(found), found.notices
-    if given["report_format"] == "json":
-        values = {"diff": "animtool/1", "same": same, **asdict(found)}
+        difference = compare(first, second, *_options(first, second, params))
+        same = difference.within(
+            params["tol"], params["tol_degrees"], params["tol_weight"]
+        )
+        text, notices = _text(difference), difference.notices
+    if params["report_format"] == "json":
+        values = {"diff": "animtool/1", "same": same, **asdict(difference)}
         if "notices" in values:
             values["notices"] = [notice.as_dict() for notice in notices]
         console.result_json(values)
     else:
-        text += [f"  {line}" for line in found.mismatches]
-        text += [f"  note: {line}" for line in found.notes]
+        text += [f"  {line}" for line in difference.mismatches]
+        text += [f"  note: {line}" for line in difference.notes]
         console.result(*text, "same" if same else "different")
         console.faults(notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
 
 
-def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
+def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     """Return what each file is: options of both where they fit, then its own."""
     from animtool.scene.sources import fitting_options
 
-    shared = source_options_record(given, "take", prim_path=given["prim_path"])
+    shared = source_options_record(params, "take", prim_path=params["prim_path"])
     options = []
     for path, side in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")
-        own = {n: v for n in names if (v := given[f"{n}_{side}"]) is not None}
+        own = {n: v for n in names if (v := params[f"{n}_{side}"]) is not None}
         options.append(replace(fitting_options(shared, path, [first, second]), **own))
     return options
 
 
-def _text(found: TakeDifference) -> list[str]:
+def _text(difference: TakeDifference) -> list[str]:
     """Return what was compared, and the largest differences."""
     from animtool.clock import frame_label
 
-    compared = [counted(found.joints, "joint"), counted(found.frames, "frame")]
-    if found.shapes:
-        compared.insert(1, counted(found.shapes, "shape"))
+    compared = [
+        counted(difference.joints, "joint"),
+        counted(difference.frames, "frame"),
+    ]
+    if difference.shapes:
+        compared.insert(1, counted(difference.shapes, "shape"))
     lines = [f"{', '.join(compared)} compared"]
     for kind in _KINDS:
-        largest = getattr(found, kind)
+        largest = getattr(difference, kind)
         line = f"  {kind:<12}{_size(kind, largest.value)}"
         if largest.value:
             line += f"  joint {largest.joint!r}, time code {frame_label(largest.code)}"
         lines.append(line)
-    if found.shapes:
-        weight = found.weight
+    if difference.shapes:
+        weight = difference.weight
         line = f"  {'weight':<12}{plain(weight.value)}"
         if weight.value:
             line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
@@ -154,19 +159,22 @@ def _text(found: TakeDifference) -> list[str]:
     return lines
 
 
-def _points_text(found: PointsDifference) -> list[str]:
+def _points_text(difference: PointsDifference) -> list[str]:
     """Return what was compared of points, and the largest differences."""
     from animtool.clock import frame_label
 
-    prims, samples = counted(found.prims, "prim"), counted(found.samples, "sample")
+    prims, samples = (
+        counted(difference.prims, "prim"),
+        counted(difference.samples, "sample"),
+    )
     lines = [f"{prims}, {samples} compared"]
     sizes = {
-        "points": length_text(found.points.value),
-        "orientations": f"{plain(found.orientations.value)} deg",
-        "scales": plain(found.scales.value),
+        "points": length_text(difference.points.value),
+        "orientations": f"{plain(difference.orientations.value)} deg",
+        "scales": plain(difference.scales.value),
     }
     for kind, size in sizes.items():
-        largest = getattr(found, kind)
+        largest = getattr(difference, kind)
         line = f"  {kind:<14}{size}"
         if largest.value:
             line += f"  {largest.prim!r}, point {largest.point}"

@@ -34,9 +34,9 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
     rules = [find_rule(code) for code in codes]
     if not codes:
-        found, broken = all_rules()
+        known, broken = all_rules()
         console.faults(broken)
-        rules = [found[code] for code in sorted(found)]
+        rules = [known[code] for code in sorted(known)]
     if report_format == "json":
         entries = [_entry(rule, page_text(rule.code)) for rule in rules]
         console.result_json({"explain": "animtool/1", "rules": entries})

@@ -171,73 +171,73 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def ik(console: Console, /, **given: Any) -> None:
+def ik(console: Console, /, **params: Any) -> None:
     """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
 
     RIG is a rig file, USD file or BVH. The targets file says which effectors are to be
     where, frame by frame; limits of joints are kept. What is not reached is named, with
     how far it is off; without -o that is all. --match writes such a file from poses.
     """
-    if given["match"]:
-        if given["plot"] is not None:
+    if params["match"]:
+        if params["plot"] is not None:
             raise click.UsageError("--match measures nothing: no --plot.")
-        _match(console, given, _source(given))
+        _match(console, params, _source(params))
         return
-    _check(given)
-    cut = timeline_shot(console, given["start"], given, given["first_code"])
+    _check(params)
+    cut = timeline_shot(console, params["start"], params, params["first_code"])
     if cut is not None:
-        given |= {"start": cut.found.path, "shot": cut.shot, "first_code": None}
-    as_json = given["report_format"] == "json"
-    output = given["output"]
-    to_stdout = goes_to_stdout(output, given)
-    if given["table"]:
+        params |= {"start": cut.found.path, "shot": cut.shot, "first_code": None}
+    as_json = params["report_format"] == "json"
+    output = params["output"]
+    to_stdout = goes_to_stdout(output, params)
+    if params["table"]:
         if output is not None:
             raise click.UsageError("--table writes no file: no -o.")
-        if given["strict"]:
+        if params["strict"]:
             message = "--table measures, and its rows miss by design: no --strict."
             raise click.UsageError(message)
-        _table(console, given, as_json=as_json)
+        _table(console, params, as_json=as_json)
         return
     if (output is not None and not to_stdout) and skipped(
-        console, "ik", given, output, lambda: _outputs(given)
+        console, "ik", params, output, lambda: _outputs(params)
     ):
         return
     from animtool.scene.ik import MissedGoalsError, run_ik
 
-    label = f"ik {given['targets'].name}"
+    label = f"ik {params['targets'].name}"
     with all_named(), console.progress(label, stdout=to_stdout) as progress:
         try:
-            report = run_ik(_job(given, to_stdout), progress=progress)
+            report = run_ik(_job(params, to_stdout), progress=progress)
         except MissedGoalsError as error:
             _say(console, error.report, as_json=as_json, faults=False)
             raise
     _say(console, report, as_json=as_json)
 
 
-def _match(console: Console, given: dict[str, Any], source: Any) -> None:
+def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     """Write the targets of a take, and say what they are."""
-    _check_match(given)
-    as_json = given["report_format"] == "json"
-    output = given["output"]
-    if skipped(console, "ik", given, output, lambda: [output]):
+    _check_match(params)
+    as_json = params["report_format"] == "json"
+    output = params["output"]
+    if skipped(console, "ik", params, output, lambda: [output]):
         return
     from animtool.cli.ik_summary import match_json, match_text
     from animtool.scene.ik_match import MatchJob, run_match
 
-    pose = given["pose"]
+    pose = params["pose"]
     job = MatchJob(
-        rig=given["rig"],
-        take=given["start"],
+        rig=params["rig"],
+        take=params["start"],
         output=output,
         source=source,
-        chains=names_of(given["chains"]),
+        chains=names_of(params["chains"]),
         pose=pose is not None,
         frame=None if isinstance(pose, str) else pose,
-        reduce=given["reduce"],
-        overwrite=given["overwrite"],
-        strict=given["strict"],
+        reduce=params["reduce"],
+        overwrite=params["overwrite"],
+        strict=params["strict"],
     )
-    with console.progress(f"match {given['start'].name}") as progress:
+    with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
     console.faults(report.notices)
     if as_json:
@@ -249,33 +249,33 @@ def _match(console: Console, given: dict[str, Any], source: Any) -> None:
         console.detail(f"{stage}: {seconds:.3f} s")
 
 
-def _check_match(given: dict[str, Any]) -> None:
+def _check_match(params: dict[str, Any]) -> None:
     """Refuse what a match lacks, and what it would not heed."""
     for name, what in (("start", "--clip"), ("output", "-o")):
-        if given[name] is None:
+        if params[name] is None:
             raise click.UsageError(f"--match wants {what}.")
-    if str(given["output"]) == "-":
+    if str(params["output"]) == "-":
         raise click.UsageError("--match writes a targets file, not to stdout.")
     context = click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     for option in context.command.params:
         name = option.name or ""
-        idle = name in given and name not in _HEEDED
+        idle = name in params and name not in _HEEDED
         if idle and context.get_parameter_source(name) is not default:
             raise click.UsageError(f"{option.opts[-1]} does nothing for --match.")
 
 
-def _check(given: dict[str, Any]) -> None:
-    if given["targets"] is None:
+def _check(params: dict[str, Any]) -> None:
+    if params["targets"] is None:
         raise click.UsageError("Give --targets, or --match to write some.")
-    refuse_alone(given)
-    if given["chains"] is not None:
+    refuse_alone(params)
+    if params["chains"] is not None:
         raise click.UsageError("--chains is for --match.")
 
 
-def _source(given: dict[str, Any]) -> Any:
+def _source(params: dict[str, Any]) -> Any:
     """Return what the start is."""
-    return source_options_record(given, "prim_path", "take", shot=given["shot"])
+    return source_options_record(params, "prim_path", "take", shot=params["shot"])
 
 
 def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:
@@ -292,79 +292,79 @@ def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -
         console.detail(line)
 
 
-def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
+def _table(console: Console, params: dict[str, Any], *, as_json: bool) -> None:
     from animtool.cli.ik_summary import ik_table_json, ik_table_text
     from animtool.preview.work_precision import ik_panels
     from animtool.scene.ik_table import ik_table
 
-    named = (given["rig"], given["targets"], given["start"])
+    named = (params["rig"], params["targets"], params["start"])
     inputs = [path for path in named if path is not None]
-    check_plot(given["plot"], inputs, overwrite=given["overwrite"])
-    with console.progress(f"measure {given['targets'].name}") as progress:
-        table = ik_table(_job(given, False), progress=progress)
+    check_plot(params["plot"], inputs, overwrite=params["overwrite"])
+    with console.progress(f"measure {params['targets'].name}") as progress:
+        table = ik_table(_job(params, False), progress=progress)
     if as_json:
         console.result_json(ik_table_json(table))
     else:
         console.result(*ik_table_text(table))
-    draw(console, lambda: ik_panels(table, given["targets"].name), given["plot"])
+    draw(console, lambda: ik_panels(table, params["targets"].name), params["plot"])
 
 
-def _outputs(given: dict[str, Any]) -> Sequence[Path]:
+def _outputs(params: dict[str, Any]) -> Sequence[Path]:
     from animtool.scene.ik import ik_outputs
 
-    return ik_outputs(_job(given, False))
+    return ik_outputs(_job(params, False))
 
 
-def _job(given: dict[str, Any], to_stdout: bool) -> Any:
+def _job(params: dict[str, Any], to_stdout: bool) -> Any:
     from animtool.scene.ik import IkJob
 
-    pose, degrees = given["pose"], given["tol_degrees"]
+    pose, degrees = params["pose"], params["tol_degrees"]
     return IkJob(
-        rig=given["rig"],
-        targets=given["targets"],
-        start=given["start"],
-        source=_source(given),
+        rig=params["rig"],
+        targets=params["targets"],
+        start=params["start"],
+        source=_source(params),
         pose=pose is not None,
         frame=None if pose == FIRST else pose,
-        options=TakeOptions(**read_values(TakeOptions, given)),
-        tolerance=given["tol"],
+        options=TakeOptions(**read_values(TakeOptions, params)),
+        tolerance=params["tol"],
         angle_tolerance=None if degrees is None else math.radians(degrees),
-        strict=given["strict"],
-        output=None if to_stdout else given["output"],
+        strict=params["strict"],
+        output=None if to_stdout else params["output"],
         to_stdout=to_stdout,
-        bake=_bake_options(given, to_stdout),
+        bake=_bake_options(params, to_stdout),
     )
 
 
-def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
+def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
     """Return how outputs are written."""
-    output = given["output"]
+    output = params["output"]
     flags = {
-        "--split": given["split"],
-        "--rig-layer": given["rig_layer"],
-        "--force-fit": given["force_fit"],
-        "--prim-path": given["prim_path"],
-        "--start": given["first_code"],
-        "--sparse": given["sparse"],
+        "--split": params["split"],
+        "--rig-layer": params["rig_layer"],
+        "--force-fit": params["force_fit"],
+        "--prim-path": params["prim_path"],
+        "--start": params["first_code"],
+        "--sparse": params["sparse"],
     }
-    if given["reduce"] is not None and output is None:
+    if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce is for an output: give -o.")
-    wanted = [flag for flag, value in flags.items() if value]
+    flags_given = [flag for flag, value in flags.items() if value]
     from animtool.scene.options import BakeOptions
     from animtool.scene.sources import is_usd
 
-    if wanted and output is None:
-        raise click.UsageError(f"{wanted[0]} is for an output: give -o.")
-    if wanted and not to_stdout and not is_usd(output):
-        raise click.UsageError(f"{wanted[0]} is for USD, and {output} is none.")
+    if flags_given and output is None:
+        raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
+    if flags_given and not to_stdout and not is_usd(output):
+        raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
     return BakeOptions(
-        form="split" if given["split"] else None,
-        rig_layer=given["rig_layer"],
-        force_fit=given["force_fit"],
-        prim_path=given["prim_path"],
-        start=given["first_code"],
-        sparse=given["sparse"],
-        shot=given["shot"],
-        reduce=given["reduce"],
-        overwrite=given["overwrite"],
+        form="split" if params["split"] else None,
+        rig_layer=params["rig_layer"],
+        force_fit=params["force_fit"],
+        prim_path=params["prim_path"],
+        start=params["first_code"],
+        sparse=params["sparse"],
+        shot=params["shot"],
+        reduce=params["reduce"],
+        overwrite=params["overwrite"],
     )

@@ -39,7 +39,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
+def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd.
 
     Of a USD file without a character: its meshes, curves and particles. Of a rig file
@@ -54,35 +54,35 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     used: set[str] = set()
     for path in files:
         try:
-            described.append(_described(path, given, used))
+            described.append(_described(path, params, used))
         except AnimtoolError as error:
             if console.debug:
                 raise
             errors.append(error)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         files_json = [found.as_dict() for found, _ in described]
         console.result_json({"info": "animtool/1", "files": files_json})
     else:
-        for found, said in described:
-            console.result(*said(found))
+        for found, description in described:
+            console.result(*description(found))
             console.faults(found.notices)
     for one in errors:
         console.faults(one.faults)
     code = max((int(one.exit_code) for one in errors), default=0)
-    if given["variables"] and not code:
-        check_given(dict(given["variables"]), used)
+    if params["variables"] and not code:
+        check_given(dict(params["variables"]), used)
     click.get_current_context().exit(code)
 
 
 def _described(
-    path: Path, given: dict[str, Any], used: set[str]
+    path: Path, params: dict[str, Any], used: set[str]
 ) -> tuple[Any, Callable[[Any], list[str]]]:
     """Return what a file holds, and what says it in words."""
     from animtool.cli import info_summary
     from animtool.scene.sources import SourceOptions, is_usd
 
     if is_named(path, "scene"):
-        return _scene(path, given, used), info_summary.scene_text
+        return _scene(path, params, used), info_summary.scene_text
     if is_named(path, "rig"):
         return _rig(path), info_summary.rig_text
     if is_named(path, "targets"):
@@ -92,22 +92,22 @@ def _described(
     from animtool.report.describe import describe
 
     if not is_usd(path):
-        return describe(path, source_options_record(given)), info_summary.take_text
-    if given["prim_path"] is None and given["take"] is None:
+        return describe(path, source_options_record(params)), info_summary.take_text
+    if params["prim_path"] is None and params["take"] is None:
         from animtool.usd.simulated_read import describe_points
 
         points = describe_points(path)
         if points is not None:
             return points, info_summary.points_text
-    options = SourceOptions(prim_path=given["prim_path"], take=given["take"])
+    options = SourceOptions(prim_path=params["prim_path"], take=params["take"])
     return describe(path, options), info_summary.take_text
 
 
-def _scene(path: Path, given: dict[str, Any], used: set[str]) -> Any:
+def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:
     from animtool.report.describe_scene import describe_scene
     from animtool.scene.file import load_scene
 
-    scene = load_scene(path, dict(given["variables"]))
+    scene = load_scene(path, dict(params["variables"]))
     used |= scene.variables
     return describe_scene(scene)
 

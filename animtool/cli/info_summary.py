@@ -26,29 +26,31 @@ MAX_PRIMS = 20
 _WORDS = {"": "over", "BasisCurves": "curves", "PointInstancer": "copies"}
 
 
-def targets_text(found: TargetsDescription) -> list[str]:
+def targets_text(described: TargetsDescription) -> list[str]:
     """Return the lines on a targets file."""
-    rate = f" at {found.fps}" if found.fps else ""
+    rate = f" at {described.fps}" if described.fps else ""
     lines = [
-        f"{found.path}: targets, {counted(len(found.goals), 'goal')}",
-        f"  frames    {span_label(found.first, found.last)}{rate}",
+        f"{described.path}: targets, {counted(len(described.goals), 'goal')}",
+        f"  frames    {span_label(described.first, described.last)}{rate}",
     ]
-    for goal in found.goals:
+    for goal in described.goals:
         spans = [span_label(first, last) for first, last in goal.held]
         held = f", held {listed(spans)}" if spans else ""
         lines.append(f"  goal      {goal.effector}: {', '.join(goal.asks)}{held}")
     return lines
 
 
-def rig_text(found: RigDescription) -> list[str]:
+def rig_text(described: RigDescription) -> list[str]:
     """Return the lines on a rig."""
-    types = ", ".join(f"{count} {kind}" for kind, count in found.joints.items())
+    types = ", ".join(f"{count} {kind}" for kind, count in described.joints.items())
     lines = [
-        f"{found.path}: rig {found.name!r}",
-        f"  joints    {sum(found.joints.values())}: {types}; {found.limited} limited",
-        f"  size      {plain(found.size, 4)} {found.units} at rest, {found.up} up",
+        f"{described.path}: rig {described.name!r}",
+        f"  joints    {sum(described.joints.values())}: {types}; "
+        f"{described.limited} limited",
+        f"  size      {plain(described.size, 4)} {described.units} at rest, "
+        f"{described.up} up",
     ]
-    for mesh in found.meshes:
+    for mesh in described.meshes:
         skin = "follows no joint"
         if mesh.method is not None:
             skin = f"{mesh.method} skin on {counted(mesh.joints, 'joint')}, "
@@ -57,63 +59,67 @@ def rig_text(found: RigDescription) -> list[str]:
             f"  mesh      {mesh.name}: {counted(mesh.points, 'point')}, "
             f"{counted(mesh.faces, 'face')}, {skin}, {counted(mesh.shapes, 'shape')}"
         )
-    if found.shapes:
-        arkit = f", {found.arkit} of ARKit's 52" if found.arkit else ""
-        lines.append(f"  shapes    {found.shapes}, {found.combined} combined{arkit}")
+    if described.shapes:
+        arkit = f", {described.arkit} of ARKit's 52" if described.arkit else ""
+        lines.append(
+            f"  shapes    {described.shapes}, {described.combined} combined{arkit}"
+        )
     others = {
-        "control": found.controls,
-        "chain": found.ik,
-        "attachment": found.attach,
-        "collider": found.colliders,
+        "control": described.controls,
+        "chain": described.ik,
+        "attachment": described.attach,
+        "collider": described.colliders,
     }
-    said = ", ".join(counted(count, name) for name, count in others.items() if count)
-    return [*lines, f"  and       {said or 'nothing else'}"]
+    counts = ", ".join(counted(count, name) for name, count in others.items() if count)
+    return [*lines, f"  and       {counts or 'nothing else'}"]
 
 
-def take_text(found: TakeDescription) -> list[str]:
+def take_text(described: TakeDescription) -> list[str]:
     """Return the lines on a take."""
-    moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
+    moving = ", ".join(f"{count} {kind}" for kind, count in described.animated.items())
     channels = ""
-    if found.channels is not None:
-        channels = f", {counted(found.channels, 'channel')}"
-    roots = listed(found.roots, 4)
-    every = "" if found.step == 1 else f", one every {found.step} time codes"
-    notices = counted(len(found.notices), "notice")
-    moving += f" joints of {found.joints}"
+    if described.channels is not None:
+        channels = f", {counted(described.channels, 'channel')}"
+    roots = listed(described.roots, 4)
+    every = "" if described.step == 1 else f", one every {described.step} time codes"
+    notices = counted(len(described.notices), "notice")
+    moving += f" joints of {described.joints}"
     shapes: list[str] = []
     takes: list[str] = []
-    if found.shapes:
-        count = counted(len(found.moving_shapes), "shape")
-        moving += f", {count} of {found.shapes}"
-    if found.moving_shapes:
-        shapes = [f"  shapes    {listed(found.moving_shapes, 12)}"]
-    if found.takes:
-        names = listed(found.takes, 40)
-        takes = [f"  takes     {names}; this is {found.take!r}, --take reads another"]
+    if described.shapes:
+        count = counted(len(described.moving_shapes), "shape")
+        moving += f", {count} of {described.shapes}"
+    if described.moving_shapes:
+        shapes = [f"  shapes    {listed(described.moving_shapes, 12)}"]
+    if described.takes:
+        names = listed(described.takes, 40)
+        takes = [
+            f"  takes     {names}; this is {described.take!r}, --take reads another"
+        ]
     return [
-        f"{found.path}: {found.format}",
+        f"{described.path}: {described.format}",
         *takes,
-        f"  joints    {found.joints} below {roots}{channels}"
-        if found.joints
+        f"  joints    {described.joints} below {roots}{channels}"
+        if described.joints
         else "  joints    none: blend shapes alone",
-        f"  frames    {found.frames} at {rate_label(found.fps)}, "
-        f"{plain(float(found.duration), 4)} s, time codes "
-        f"{span_label(found.start, found.end)}{every}",
-        *_shot_lines(found.shot),
+        f"  frames    {described.frames} at {rate_label(described.fps)}, "
+        f"{plain(float(described.duration), 4)} s, time codes "
+        f"{span_label(described.start, described.end)}{every}",
+        *_shot_lines(described.shot),
         f"  animated  {moving}; the rest never move",
         *shapes,
-        *_prim_lines(found.points),
-        *_capture_lines(found),
-        f"  bounds    {_corners(found.bounds)} {found.units}, {found.up} up"
-        if found.joints
-        else f"  space     {found.units}, {found.up} up",
-        f"  odd       {notices if found.notices else 'nothing'}",
+        *_prim_lines(described.points),
+        *_capture_lines(described),
+        f"  bounds    {_corners(described.bounds)} {described.units}, {described.up} up"
+        if described.joints
+        else f"  space     {described.units}, {described.up} up",
+        f"  odd       {notices if described.notices else 'nothing'}",
     ]
 
 
-def _capture_lines(found: TakeDescription) -> list[str]:
+def _capture_lines(described: TakeDescription) -> list[str]:
     """Return the lines on a take of a person."""
-    capture = found.capture
+    capture = described.capture
     if capture is None:
         return []
     feet = ", ".join(
@@ -124,9 +130,9 @@ def _capture_lines(found: TakeDescription) -> list[str]:
         f"{plain(capture.speed_mean, 3)} m/s, {plain(capture.speed_max, 3)} at most"
     )
     lines = [f"  feet      stand: {feet}", f"  speed     {speeds}"]
-    if found.cycle is not None:
-        cycle = found.cycle
-        period = (cycle.last - cycle.first) / float(found.fps * found.step)
+    if described.cycle is not None:
+        cycle = described.cycle
+        period = (cycle.last - cycle.first) / float(described.fps * described.step)
         lines.append(
             f"  cycle     {plain(period, 4)} s, frames {cycle.first:g} to "
             f"{cycle.last:g}; its ends differ by {percent(cycle.share)} of what moves"
@@ -149,25 +155,25 @@ def _shot_lines(shot: dict[str, object] | None) -> list[str]:
     ]
 
 
-def points_text(found: PointsDescription) -> list[str]:
+def points_text(described: PointsDescription) -> list[str]:
     """Return the lines on a file of points."""
     types = listed(
-        [f"{count} {name or 'over'}" for name, count in found.types.items()], 12
+        [f"{count} {name or 'over'}" for name, count in described.types.items()], 12
     )
     lines = [
-        f"{found.path}: {found.format} without a Skeleton",
+        f"{described.path}: {described.format} without a Skeleton",
         f"  prims     {types}",
-        f"  frames    {found.frames} at {rate_label(found.fps)}, "
-        f"{plain(float(found.duration), 4)} s, time codes "
-        f"{span_label(found.start, found.end)}",
-        *_prim_lines(found.prims),
-        f"  space     {found.units}, {found.up} up",
+        f"  frames    {described.frames} at {rate_label(described.fps)}, "
+        f"{plain(float(described.duration), 4)} s, time codes "
+        f"{span_label(described.start, described.end)}",
+        *_prim_lines(described.prims),
+        f"  space     {described.units}, {described.up} up",
     ]
-    for chunk in found.chunks:
+    for chunk in described.chunks:
         missing = f", not there: {listed(chunk.missing)}" if chunk.missing else ""
         files = counted(len(chunk.files), "file")
         lines.append(f"  chunks    {chunk.name} of {chunk.path}: {files}{missing}")
-    odd = counted(len(found.notices), "notice") if found.notices else "nothing"
+    odd = counted(len(described.notices), "notice") if described.notices else "nothing"
     return [*lines, f"  odd       {odd}"]
 
 
@@ -206,27 +212,28 @@ def _corners(bounds: tuple[list[float], list[float]]) -> str:
     return " to ".join("(" + ", ".join(plain(x, 4) for x in c) + ")" for c in bounds)
 
 
-def scene_text(found: SceneDescription) -> list[str]:
+def scene_text(described: SceneDescription) -> list[str]:
     """Return the lines on a scene."""
-    sources = listed(found.sources) or "none: it is simulated"
-    lines = [f"{found.path}: scene", f"  source    {sources}"]
-    if found.rig is not None:
-        lines.append(f"  rig       {found.rig}")
+    sources = listed(described.sources) or "none: it is simulated"
+    lines = [f"{described.path}: scene", f"  source    {sources}"]
+    if described.rig is not None:
+        lines.append(f"  rig       {described.rig}")
     lines += [
-        f"  beside    {prop.prim} of {prop.file} at {prop.path}" for prop in found.props
+        f"  beside    {prop.prim} of {prop.file} at {prop.path}"
+        for prop in described.props
     ]
-    if found.passes:
-        names = listed([entry.name for entry in found.passes], 40)
+    if described.passes:
+        names = listed([entry.name for entry in described.passes], 40)
         lines.append(f"  passes    {names}")
-    lines += [_system_line(system) for system in found.systems]
+    lines += [_system_line(system) for system in described.systems]
     frames = "those of the source"
-    if found.first is not None:
-        frames = f"{found.first} to {found.last}"
-    rate = f" at {found.rate} fps" if found.rate else ""
+    if described.first is not None:
+        frames = f"{described.first} to {described.last}"
+    rate = f" at {described.rate} fps" if described.rate else ""
     lines.append(f"  frames    {frames}{rate}")
-    if found.variables:
-        lines.append(f"  variables {listed(found.variables, 40)}")
-    return lines + [_output_line(output) for output in found.outputs]
+    if described.variables:
+        lines.append(f"  variables {listed(described.variables, 40)}")
+    return lines + [_output_line(output) for output in described.outputs]
 
 
 def _system_line(system: SystemDescription) -> str:

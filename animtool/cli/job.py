@@ -64,7 +64,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def job(console: Console, /, batch_file: Path, **given: Any) -> None:
+def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     """Write a batch as an Open Job Description bundle, for a render farm.
 
     JOB is a batch file. Its items are found and its outputs checked now; a task of the
@@ -83,21 +83,21 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
 
     if not is_named(batch_file, "batch"):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
-    spec = load_batch(batch_file, of_shots=given["cuts"] is not None)
-    found = find_batch(with_cuts(spec, given))
-    console.faults(found.notices)
-    check_places(found)
-    costs = given["costs"]
+    spec = load_batch(batch_file, of_shots=params["cuts"] is not None)
+    found_batch = find_batch(with_cuts(spec, params))
+    console.faults(found_batch.notices)
+    check_places(found_batch)
+    costs = params["costs"]
     seconds = None if costs is None else mean_seconds(costs)
-    count = len(found.items)
-    chunk = given["chunk"] or chunk_size(count, seconds, given["task_seconds"])
-    cuts = Cuts(given["cuts"], given["handles"])
-    bundle = batch_bundle(found, batch_file, min(chunk, count), cuts)
-    files = write_bundle(bundle, given["output"], overwrite=given["overwrite"])
+    count = len(found_batch.items)
+    chunk = params["chunk"] or chunk_size(count, seconds, params["task_seconds"])
+    cuts = Cuts(params["cuts"], params["handles"])
+    bundle = batch_bundle(found_batch, batch_file, min(chunk, count), cuts)
+    files = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
     values = [f"{name}={value}" for name, value in bundle.values.items()]
     command = ["openjd", "run", str(files[0]), "--step", "Settle"]
     command += ["--run-dependencies", *(part for v in values for part in ("-p", v))]
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(
             {
                 "job": "animtool/1",
@@ -110,7 +110,7 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
         )
         return
     console.say(
-        f"{given['output']}: {bundle.items} items, {bundle.chunk} a task, "
+        f"{params['output']}: {bundle.items} items, {bundle.chunk} a task, "
         f"{bundle.tasks} tasks"
     )
     console.say(f"  here: {shlex.join(command)}")

@@ -48,7 +48,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
+def loop(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
     """Find the cycle of the take of SOURCE, and repeat it without a seam.
 
     The best cycle between --first and --last is taken; where both are given, they are
@@ -58,10 +58,10 @@ def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -
     from animtool.scene.cycle import loop_source
 
     if output is not None and skipped(
-        console, "loop", given, output, lambda: convert_outputs(output)
+        console, "loop", params, output, lambda: convert_outputs(output)
     ):
         return
-    values = read_values(LoopOptions, given)
+    values = read_values(LoopOptions, params)
     for end in ("first", "last"):
         values[end] = None if values[end] is None else float(values[end])
     find = values["first"] is None or values["last"] is None
@@ -70,14 +70,14 @@ def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -
             source,
             output,
             LoopOptions(find=find, **values),
-            source_options_record(given, "prim_path", "take"),
-            overwrite=given["overwrite"],
-            strict=given["strict"],
+            source_options_record(params, "prim_path", "take"),
+            overwrite=params["overwrite"],
+            strict=params["strict"],
             progress=progress,
         )
     notices = cycle.notices if report is None else report.notices
     console.faults(notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(
             {
                 "loop": "animtool/1",
@@ -92,11 +92,11 @@ def loop(console: Console, /, source: Path, output: Path | None, **given: Any) -
             }
         )
         return
-    found = cycle.found
+    best = cycle.found
     console.say(
-        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {found.first:g} to "
-        f"{found.last:g}; its ends differ by {length_text(found.apart)}, "
-        f"{percent(found.share)} of what moves"
+        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {best.first:g} to "
+        f"{best.last:g}; its ends differ by {length_text(best.apart)}, "
+        f"{percent(best.share)} of what moves"
     )
     if report is not None:
         from animtool.cli.summary import convert_text

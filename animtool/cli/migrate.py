@@ -31,7 +31,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def migrate(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
+def migrate(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
     """Rewrite rig, clip and scene FILES of older versions as the newest, in place.
 
     Files of the newest version are left alone, but for keys that have a new name. Where
@@ -42,13 +42,13 @@ def migrate(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     from animtool.documents.migrate import migrate as run_migrate
     from animtool.errors import ExitCode
 
-    check = given["check"]
+    check = params["check"]
     plans = run_migrate(
-        files, overwrite=given["overwrite"], check=check, strict=given["strict"]
+        files, overwrite=params["overwrite"], check=check, strict=params["strict"]
     )
     for plan in plans:
         console.faults(plan.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         entries = [_entry(plan, written=plan.needed and not check) for plan in plans]
         console.result_json({"migrate": "animtool/1", "files": entries})
     else:

@@ -74,8 +74,11 @@ def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None
         return
     options = CleanOptions(**read_values(CleanOptions, given))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
-    wanted = {"root_drift": given["drift"] == "remove", "feet": given["feet"] == "hold"}
-    for name in (name for name, on in wanted.items() if on):
+    settings = {
+        "root_drift": given["drift"] == "remove",
+        "feet": given["feet"] == "hold",
+    }
+    for name in (name for name, on in settings.items() if on):
         passes.append((find_pass(name), find_pass(name).options()))
     with all_named(), console.progress(f"clean {source.name}") as progress:
         report = convert_passed(

@@ -129,9 +129,9 @@ TOLERANCE = Parsed("tolerance", _tolerance)
 
 
 def _set(name: str, value: Any) -> Callable[..., None]:
-    def apply(ctx: click.Context, _: click.Parameter, given: Any) -> None:
+    def apply(ctx: click.Context, _: click.Parameter, chosen: Any) -> None:
         console = ctx.find_object(Console)
-        if console is not None and given:
+        if console is not None and chosen:
             setattr(console, name, value)
 
     return apply
@@ -302,23 +302,23 @@ def record_option(
     )
 
 
-def read_values(record: type, given: Mapping[str, Any]) -> dict[str, Any]:
+def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of a record that a command line has."""
     return {
-        name: read_value(found, given[name])
-        for name, found in options_of(record).items()
-        if name in given
+        name: read_value(option, params[name])
+        for name, option in options_of(record).items()
+        if name in params
     }
 
 
-def read_value(option: Option, given: Any) -> Any:
+def read_value(option: Option, value: Any) -> Any:
     """Return a value of the command line as records have it."""
-    if given is None:
+    if value is None:
         return None
     if option.kind == "switch" and option.choices:
-        return given == option.choices[1]
+        return value == option.choices[1]
     read = _READ.get(option.kind)
-    return given if read is None else read(given)
+    return value if read is None else read(value)
 
 
 _READ: dict[str, Callable[[Any], Any]] = {
@@ -378,12 +378,12 @@ def listed_paths(texts: Iterable[str]) -> Iterator[str]:
 
 
 def source_options_record(
-    given: Mapping[str, Any], *names: str, **values: Any
+    params: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
     """Return what a BVH leaves open, more options by name, and values as they are."""
     read = {
-        name: read_value(found, given[_SOURCE_NAMES.get(name, name)])
-        for name, found in options_of(SourceOptions).items()
+        name: read_value(option, params[_SOURCE_NAMES.get(name, name)])
+        for name, option in options_of(SourceOptions).items()
         if name in {"unit", "up", "fps", *names}
     }
     return SourceOptions(**read, **values)

@@ -41,30 +41,30 @@ def all_named() -> Iterator[None]:
 def skipped(
     console: Console,
     command: str,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
     output: Path,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
     """Return whether ``--skip-existing`` leaves everything as it is, and say so."""
-    if not given["skip_existing"]:
+    if not params["skip_existing"]:
         return False
-    if given["overwrite"]:
+    if params["overwrite"]:
         raise click.UsageError(
             "--overwrite replaces outputs and --skip-existing keeps them: give one."
         )
     if not all(path.exists() for path in outputs()):
         return False
     console.say(f"{output} exists: skipped")
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json({command: "animtool/1", "skipped": str(output)})
     return True
 
 
-def goes_to_stdout(output: Path | None, given: Mapping[str, Any]) -> bool:
+def goes_to_stdout(output: Path | None, params: Mapping[str, Any]) -> bool:
     """Return whether the output is ``-``."""
     if str(output) != "-":
         return False
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         raise click.UsageError("-o - and --format json both want stdout.")
     return True
 
@@ -78,9 +78,9 @@ plot_option = click.option(
 )
 
 
-def refuse_alone(given: dict[str, Any]) -> None:
+def refuse_alone(params: dict[str, Any]) -> None:
     """Refuse ``--plot`` without a table."""
-    if given["plot"] is not None and not given["table"]:
+    if params["plot"] is not None and not params["table"]:
         raise click.UsageError("--plot draws what --table measures: give both.")
 
 

@@ -76,16 +76,18 @@ _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 def _characters_text(mesh: MeshReport) -> str:
     """Return how characters were written."""
-    made = mesh.written.characters
-    assert made is not None
-    kept = f"{made.samples / made.frames:.0%}" if made.frames else "none"
+    characters = mesh.written.characters
+    assert characters is not None
+    kept = (
+        f"{characters.samples / characters.frames:.0%}" if characters.frames else "none"
+    )
     return (
         f"{counted(mesh.written.samples, 'frame')}, "
         f"{duration_text(_milliseconds(mesh) / 1e3)} a frame\n"
-        f"      {made.own} with an animation of their own, {kept} of poses written: "
-        f"joints within {length_text(made.error, 2)}, standing feet "
-        f"{length_text(made.slide, 2)}\n"
-        f"      {made.shared} with a part in an animation of who stands"
+        f"      {characters.own} with an animation of their own, {kept} of poses "
+        f"written: joints within {length_text(characters.error, 2)}, standing feet "
+        f"{length_text(characters.slide, 2)}\n"
+        f"      {characters.shared} with a part in an animation of who stands"
     )
 
 
@@ -95,8 +97,8 @@ def _milliseconds(mesh: MeshReport) -> float:
 
 def _characters_json(mesh: MeshReport) -> dict[str, object]:
     """Return how characters were written; nothing of other meshes."""
-    made = mesh.written.characters
-    return {} if made is None else {"characters": asdict(made)}
+    characters = mesh.written.characters
+    return {} if characters is None else {"characters": asdict(characters)}
 
 
 def mesh_json(take: TakeReport) -> list[dict[str, object]]:
@@ -185,7 +187,7 @@ def stats_json(
     stages: Sequence[StageCost], reports: Sequence[BakeReport | ConvertReport]
 ) -> list[dict[str, object]]:
     """Return what stages and outputs cost as plain values."""
-    found: list[dict[str, object]] = [
+    stats: list[dict[str, object]] = [
         {
             "stage": stage.name,
             "where": stage.where,
@@ -197,8 +199,8 @@ def stats_json(
     ]
     for report in reports:
         name, seconds, error = _output(report)
-        found.append({"output": name, "seconds": seconds, "error": error})
-    return found
+        stats.append({"output": name, "seconds": seconds, "error": error})
+    return stats
 
 
 def _output(

@@ -46,11 +46,11 @@ def plugins(console: Console, /, report_format: str) -> None:
         "rules": ("rule", listed_rules(), lambda e: e.kind),
     }
     if report_format == "json":
-        found = {
+        plugins_by_point = {
             name: [_renamed(entry, key) for entry in entries]
             for name, (key, entries, _) in listed.items()
         }
-        console.result_json({"plugins": "animtool/1", **found})
+        console.result_json({"plugins": "animtool/1", **plugins_by_point})
         return
     for _, entries, kind in listed.values():
         for entry in entries:

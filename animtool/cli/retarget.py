@@ -86,7 +86,7 @@ Examples:
 @common_options
 @click.pass_obj
 def retarget(
-    console: Console, /, source: Path, output: Path | None, **given: Any
+    console: Console, /, source: Path, output: Path | None, **params: Any
 ) -> None:
     """Bring the take of SOURCE, a BVH, USD or clip file, onto another rig.
 
@@ -94,36 +94,36 @@ def retarget(
     Rest poses are aligned, legs scale the way, limits are kept, and feet stay where
     they stand. Without -o the report is all.
     """
-    to_stdout = goes_to_stdout(output, given)
+    to_stdout = goes_to_stdout(output, params)
     from animtool.scene.options import BakeOptions
     from animtool.scene.retarget import RetargetJob, retarget_outputs, run_retarget
 
     job = RetargetJob(
         source,
-        given["rig"],
-        source_options_record(given, "prim_path", "take"),
-        RetargetOptions(**read_values(RetargetOptions, given)),
+        params["rig"],
+        source_options_record(params, "prim_path", "take"),
+        RetargetOptions(**read_values(RetargetOptions, params)),
         None if to_stdout else output,
         to_stdout,
-        given["write_map"],
+        params["write_map"],
         BakeOptions(
-            form="split" if given["split"] else None,
-            rig_layer=given["rig_layer"],
-            force_fit=given["force_fit"],
-            prim_path=given["prim_path"],
-            reduce=given["reduce"],
-            overwrite=given["overwrite"],
-            strict=given["strict"],
+            form="split" if params["split"] else None,
+            rig_layer=params["rig_layer"],
+            force_fit=params["force_fit"],
+            prim_path=params["prim_path"],
+            reduce=params["reduce"],
+            overwrite=params["overwrite"],
+            strict=params["strict"],
         ),
     )
     if job.output is not None and skipped(
-        console, "retarget", given, job.output, lambda: retarget_outputs(job)
+        console, "retarget", params, job.output, lambda: retarget_outputs(job)
     ):
         return
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
         report = run_retarget(job, progress=progress)
     console.faults(report.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(retarget_json(report))
         return
     for line in retarget_text(report, MAX_NAMED if console.verbosity <= 0 else None):

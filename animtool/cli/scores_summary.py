@@ -46,21 +46,21 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
     """Yield the lines of the pass of a name and place."""
     from animtool.batch.recipe import values_text
 
-    found = [
+    table_rows = [
         (entry, one)
         for entry in items
         for one in entry.scores
         if (one.pass_name, one.where) == place
     ]
-    names = [score.name for score in found[0][1].scores]
+    names = [score.name for score in table_rows[0][1].scores]
     rows = [("  item", *names, "above usual")]
-    for entry, one in found[:MAX_ROWS]:
+    for entry, one in table_rows[:MAX_ROWS]:
         texts = {score.name: score.text for score in one.scores}
         worse = ", ".join(score.name for score in one.worse)
         label = f"  {entry.item.output}{values_text(entry.item.values)}"
         rows.append((label, *(texts.get(name, "") for name in names), worse))
     yield f"{place[0]} ({place[1]}), the worst first:"
     yield from columns(rows, {0, len(names) + 1})
-    if len(found) > MAX_ROWS:
-        rest = counted(len(found) - MAX_ROWS, "item")
+    if len(table_rows) > MAX_ROWS:
+        rest = counted(len(table_rows) - MAX_ROWS, "item")
         yield f"  {rest} more, which are better; --format json has all"

@@ -133,15 +133,15 @@ def _status(row: TrialRow) -> str:
 
 def _left_out(part: TrialTable) -> list[str]:
     """Return why methods are not for it, each reason once."""
-    found: dict[str, dict[str, None]] = {}
+    causes: dict[str, dict[str, None]] = {}
     for row in part.rows:
         if row.status is None:
             method = row.setting.method
             reason = row.reason.removeprefix(method).strip()
-            found.setdefault(reason, {})[method] = None
+            causes.setdefault(reason, {})[method] = None
     return [
         f"left out: {listed(list(methods))}: {reason}"
-        for reason, methods in found.items()
+        for reason, methods in causes.items()
     ]
 
 
@@ -153,11 +153,11 @@ def _advice(part: TrialTable) -> list[str]:
         return []
     if better is None:
         return ["  nothing tried is as exact and much faster than the file's own"]
-    said = listed([f"{name}: {value}" for name, value in _keys(better.setting)])
+    settings = listed([f"{name}: {value}" for name, value in _keys(better.setting)])
     if chosen.error is None:
-        return [f"  the file's own does not work; {said} does"]
+        return [f"  the file's own does not work; {settings} does"]
     share = better.seconds / chosen.seconds
-    return [f"  {said} is as exact in {share:.0%} of the time"]
+    return [f"  {settings} is as exact in {share:.0%} of the time"]
 
 
 def _keys(setting: Setting) -> list[tuple[str, str]]:
@@ -178,14 +178,14 @@ def simulation_table_json(table: SimulationTable) -> dict[str, object]:
 
 
 def _part_json(part: TrialTable) -> dict[str, object]:
-    found = part.reference
+    compared = part.reference
     reference = None
-    if found is not None:
+    if compared is not None:
         reference = {
-            **_setting_json(found.setting),
-            "error": _distances_json(found.error),
-            "order": found.order,
-            "sensitive": found.sensitive,
+            **_setting_json(compared.setting),
+            "error": _distances_json(compared.error),
+            "order": compared.order,
+            "sensitive": compared.sensitive,
         }
     return {
         "name": part.name,

@@ -17,7 +17,7 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
-    from animtool.clip.reduction import Reduction
+    from animtool.clip.reduction.keys import Reduction
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
@@ -226,7 +226,7 @@ def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
 def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
     """Return what became of one source."""
     written = take.written
-    found: dict[str, object] = {
+    values: dict[str, object] = {
         "source": str(take.source),
         "source_frames": take.source_frames,
         "source_rate": str(take.source_fps),
@@ -235,11 +235,11 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         **({"props": written.props} if written.props else {}),
     }
     if "fit" in take.details:
-        found["fit"] = take.details["fit"]
+        values["fit"] = take.details["fit"]
     if written.name:
-        found = {
+        values = {
             "take": written.name,
-            **found,
+            **values,
             "samples": written.samples,
             "start": float(written.first),
             "end": float(written.last),
@@ -248,12 +248,12 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             "error": _error_json(report, take),
         }
     if take.meshes:
-        found["meshes"] = mesh_json(take)
+        values["meshes"] = mesh_json(take)
     if take.simulated:
-        found["simulated"] = take.simulated
-    found |= _scores_json(take.scores)
+        values["simulated"] = take.simulated
+    values |= _scores_json(take.scores)
     if take.thinned is not None:
-        found["reduction"] = {
+        values["reduction"] = {
             "samples": take.thinned.samples,
             "kept": len(take.thinned.kept),
             "error": {
@@ -264,7 +264,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             "weight_error": take.thinned.weight_error,
         }
     if written.curves:
-        found["curves"] = [
+        values["curves"] = [
             {
                 "control": curve.name,
                 "knots": curve.knots,
@@ -274,7 +274,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             }
             for curve in written.curves
         ]
-    return found
+    return values
 
 
 def output_text(report: BakeReport | ConvertReport) -> list[str]:
@@ -302,8 +302,8 @@ def convert_text(report: ConvertReport) -> list[str]:
     lines += _shot_text(report)
     lines += [f"  {line}" for line in scores_text(report.scores)]
     if report.reduction is not None:
-        made = _reduction_text(report.reduction, report.frames)
-        lines += [f"  {line}" for line in made]
+        reduction = _reduction_text(report.reduction, report.frames)
+        lines += [f"  {line}" for line in reduction]
     return lines + [f"  {line}" for line in channel_lines(report)]
 
 
@@ -368,23 +368,25 @@ def channels_json(report: ConvertReport) -> dict[str, object]:
     }
 
 
-def _reduction_text(found: Reduction, frames: int) -> list[str]:
+def _reduction_text(reduction: Reduction, frames: int) -> list[str]:
     """Return what a reduction came to, and its error where there is one."""
-    keys = counted(found.keys, "key")
-    if not found.samples:
-        made = f"{keys}, for what is not at rest" if found.keys else "no keys"
-        lines = [f"nothing moves: {made}"]
+    keys = counted(reduction.keys, "key")
+    if not reduction.samples:
+        text = f"{keys}, for what is not at rest" if reduction.keys else "no keys"
+        lines = [f"nothing moves: {text}"]
     else:
         lines = [
-            f"{counted(found.samples, 'sample')} of what moves became {keys}: "
-            f"{found.samples_per_key:.3g} a key"
+            f"{counted(reduction.samples, 'sample')} of what moves became {keys}: "
+            f"{reduction.samples_per_key:.3g} a key"
         ]
     where = ""
-    if found.error:
-        where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
-    lines.append(f"largest error: {length_text(found.error)}{where}")
-    if found.weight_error:
-        lines.append(f"largest error of a shape's weight: {plain(found.weight_error)}")
+    if reduction.error:
+        where = f" (joint {reduction.joint!r}, frame {reduction.frame + 1} of {frames})"
+    lines.append(f"largest error: {length_text(reduction.error)}{where}")
+    if reduction.weight_error:
+        lines.append(
+            f"largest error of a shape's weight: {plain(reduction.weight_error)}"
+        )
     return lines
 
 

@@ -74,7 +74,7 @@ Examples:
 )
 @common_options
 @click.pass_obj
-def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
+def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None:
     """Check rigs, clips, scenes, BVH and USD files, and say what to do.
 
     PATHS are files, folders, globs ("**" is any folders) or - for a list on stdin,
@@ -86,29 +86,29 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     """
     from animtool.validation.run import find_files
 
-    options = ValidateOptions(**read_values(ValidateOptions, given)).resolved()
-    _check_fix(given)
+    options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
+    _check_fix(params)
     files = find_files(listed_paths(paths))
-    if given["diff"]:
-        _show_difference(console, files, options, given)
+    if params["diff"]:
+        _show_difference(console, files, options, params)
         return
-    if given["output_file"] is not None:
+    if params["output_file"] is not None:
         from animtool.output import check_outputs
 
-        check_outputs([given["output_file"]], files, overwrite=True)
-    if given["fix"]:
-        found = _fixed(console, files, options, given)
+        check_outputs([params["output_file"]], files, overwrite=True)
+    if params["fix"]:
+        report = _fixed(console, files, options, params)
     else:
-        found = _checked(files, options)
-    _say(console, found, given)
+        report = _checked(files, options)
+    _say(console, report, params)
 
 
-def _check_fix(given: Mapping[str, Any]) -> None:
+def _check_fix(params: Mapping[str, Any]) -> None:
     """Refuse options of `--fix` without it, or that `--diff` cannot follow."""
-    named = "-o" if given["output"] is not None else "--overwrite"
-    if given["output"] is None and not given["overwrite"]:
+    named = "-o" if params["output"] is not None else "--overwrite"
+    if params["output"] is None and not params["overwrite"]:
         return
-    if not given["fix"] or given["diff"]:
+    if not params["fix"] or params["diff"]:
         raise click.UsageError(f"{named} is for --fix, which writes.")
 
 
@@ -127,22 +127,22 @@ def _fixed(
     console: Console,
     files: Sequence[Path],
     options: ValidateOptions,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
 ) -> Report:
     """Mend files, and return what is left."""
     from animtool.validation.fixes.run import fix_copy, fix_files
 
-    overwrite = given["overwrite"]
-    if given["output"] is None:
+    overwrite = params["overwrite"]
+    if params["output"] is None:
         fixes = fix_files(files, options, overwrite=overwrite)
     elif len(files) == 1:
-        fixes = fix_copy(files[0], given["output"], options, overwrite=overwrite)
+        fixes = fix_copy(files[0], params["output"], options, overwrite=overwrite)
     else:
         raise click.UsageError(f"-o is for one USD file, not {len(files)} files.")
     for note in fixes.notes:
         console.say(note)
-    for fault, said in fixes.report.mended:
-        console.say(f"{fault.path}: {fault.code} mended: {said}")
+    for fault, remedy in fixes.report.mended:
+        console.say(f"{fault.path}: {fault.code} mended: {remedy}")
     for fault, reason in fixes.left:
         console.say(f"{fault.path}: {fault.code} not mended: {reason}")
     return fixes.report
@@ -152,10 +152,10 @@ def _show_difference(
     console: Console,
     files: Sequence[Path],
     options: ValidateOptions,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
 ) -> None:
     """Print what `--fix` would change; ends with 1 where that is something."""
-    if given["report_format"] != "text" or given["output_file"] is not None:
+    if params["report_format"] != "text" or params["output_file"] is not None:
         raise click.UsageError("--diff writes a diff, not a report: no --format.")
     from animtool.errors import ExitCode
     from animtool.validation.fixes.run import plan_files
@@ -164,34 +164,34 @@ def _show_difference(
 
     report = validate_files(files, options)
     console.faults(report.broken)
-    code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
+    code = report.exit_code(strict=params["strict"], exit_zero=params["exit_zero"])
     for plan in plan_files(report, options):
         if not plan.mended:
             continue
         console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
-        if code is ExitCode.OK and not given["exit_zero"]:
+        if code is ExitCode.OK and not params["exit_zero"]:
             code = ExitCode.FINDINGS
     console.say(summary(report))
     click.get_current_context().exit(int(code))
 
 
-def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
+def _say(console: Console, report: Report, params: Mapping[str, Any]) -> None:
     """Write the report where it is wanted, and end as it says."""
     from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    text = written(report, given["report_format"], whole=console.verbosity > 0)
-    if given["output_file"] is None:
+    text = written(report, params["report_format"], whole=console.verbosity > 0)
+    if params["output_file"] is None:
         console.document(text)
     else:
         from animtool.output import write_parts
 
         # Names of files may hold bytes that are no text.
-        write_parts(given["output_file"], [text.encode("utf-8", "replace")])
-    if given["output_file"] is not None or given["report_format"] != "text":
+        write_parts(params["output_file"], [text.encode("utf-8", "replace")])
+    if params["output_file"] is not None or params["report_format"] != "text":
         console.say(summary(report))
-    code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
+    code = report.exit_code(strict=params["strict"], exit_zero=params["exit_zero"])
     click.get_current_context().exit(int(code))

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel
 from animtool.clip.schema import CurveModel, KeyModel
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
 from animtool.errors import counted
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.joint_entries import UNIT_LENGTH
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
@@ -159,15 +160,15 @@ class ChannelReader:
         inner = interps[:-1]
         for k, key in enumerate(model.keys):
             before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
-            for name, given, props, wanted in (
+            for name, given, props, expected in (
                 ("in", key.in_, before, _HANDLED),
                 ("out", key.out, behind, _HANDLED),
                 ("tcb", key.tcb, before + behind, {Interp.TCB}),
             ):
-                if given is not None and props and not wanted & {*props}:
+                if given is not None and props and not expected & {*props}:
                     kinds = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' does nothing, beside it is {kinds}"
-                    hint = f"it is for {' and '.join(sorted(wanted))}"
+                    hint = f"it is for {' and '.join(sorted(expected))}"
                     self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
         segments = interps[:-1] or interps
         named = "parametrization" in model.model_fields_set
@@ -185,8 +186,8 @@ class ChannelReader:
                 row = row * 3
             if len(row) != width:
                 place = (*at, "keys", k, "v")
-                wanted = "1 is" if width == 1 else f"{width} are"
-                message = f"{counted(len(row), 'number')} where {wanted} wanted"
+                expected = "1 is" if width == 1 else f"{width} are"
+                message = f"{counted(len(row), 'number')} where {expected} wanted"
                 self.document.add("CLIP007", place, message)
                 continue
             rows.append(row)
@@ -207,11 +208,11 @@ class ChannelReader:
         if width == 4:
             usual, none = Tangent(model.tangents), [0.0] * (1 + width)
             return usual, none, usual, none
-        found: list[tuple[Tangent, list[float]]] = []
+        sides: list[tuple[Tangent, list[float]]] = []
         for name, given in (("in", key.in_), ("out", key.out)):
             none = [0.0] * (1 + width)
             if given is None or isinstance(given, str):
-                found.append((Tangent(given or model.tangents), none))
+                sides.append((Tangent(given or model.tangents), none))
                 continue
             dt, dv = given
             values = dv if isinstance(dv, list) else [dv]
@@ -220,10 +221,10 @@ class ChannelReader:
             if isinstance(dt, list) or len(values) != width:
                 message = f"the handle is not a time and {counted(width, 'value')}"
                 self.document.add("CLIP007", (*at, name), message)
-                found.append((Tangent.FREE, none))
+                sides.append((Tangent.FREE, none))
                 continue
-            found.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
-        (before, first), (behind, second) = found
+            sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
+        (before, first), (behind, second) = sides
         return before, first, behind, second
 
     def _quaternions(self, at: Location, values: FloatArray) -> FloatArray:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -13,44 +12,18 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths import euler
-from animtool.maths import tangents as rules
-from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
+from animtool.maths.curves import (
+    Curves,
+    Extrapolation,
+    Interp,
+    evaluate,
+    key_handles,
+)
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
+from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
 from animtool.rig.joints import KEYED_PARTS, nearest_part, split_part
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit, unit_name
-
-
-class Interp(StrEnum):
-    """How a channel runs from a key to the next."""
-
-    STEP = "step"
-    LINEAR = "linear"
-    BEZIER = "bezier"
-    CATMULL_ROM = "catmull_rom"
-    TCB = "tcb"
-    HERMITE = "hermite"
-    SLERP = "slerp"
-    SQUAD = "squad"
-    SPLINE = "spline"
-
-
-class Tangent(StrEnum):
-    """How steep a curve is at a key: given, or by a rule."""
-
-    FREE = "free"
-    FLAT = "flat"
-    LINEAR = "linear"
-    AUTO = "auto"
-    AUTO_CLAMPED = "auto_clamped"
-
-
-class Parametrization(StrEnum):
-    """How Catmull-Rom spaces its knots."""
-
-    UNIFORM = "uniform"
-    CENTRIPETAL = "centripetal"
-    CHORDAL = "chordal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,18 +98,18 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"{joint!r} is no joint", hint=hint)
-    found = rig.joints[rig.index(joint)]
-    if found.type not in KEYED_PARTS[part]:
-        fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
-        message = f"a {found.type} joint has no {part}"
+    own = rig.joints[rig.index(joint)]
+    if own.type not in KEYED_PARTS[part]:
+        fitting = [p for p, types in KEYED_PARTS.items() if own.type in types]
+        message = f"a {own.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
     return kind
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
     """Refuse targets that a rig has not."""
-    found = [target_kind(target, rig) for target in targets]
-    faults = [fault for fault in found if isinstance(fault, Fault)]
+    kinds = [target_kind(target, rig) for target in targets]
+    faults = [fault for fault in kinds if isinstance(fault, Fault)]
     if faults:
         raise OptionError(faults)
 
@@ -178,14 +151,6 @@ class ClipUnits:
         return self.angle if part == "angle" or euler else 1.0
 
 
-_Rule = Callable[[FloatArray, FloatArray], FloatArray]
-
-_ALPHA = {
-    Parametrization.UNIFORM: 0.0,
-    Parametrization.CENTRIPETAL: 0.5,
-    Parametrization.CHORDAL: 1.0,
-}
-_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
 _ROTATION_KINDS = {
     Interp.STEP: RotationKind.STEP,
     Interp.SLERP: RotationKind.SLERP,
@@ -233,7 +198,12 @@ def _channel_curves(
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
     """Return times, values, kinds, handles of a channel, component by component."""
     keys, width = channel.values.shape
-    ins, outs, kinds = _handles(channel)
+    slopes = KeySlopes(
+        channel.times, channel.values, channel.tcb, channel.parametrization
+    )
+    ins, outs, kinds = key_handles(
+        slopes, channel.interps, channel.tangents, channel.ins, channel.outs
+    )
     return (
         np.tile(channel.times, width),
         channel.values.T.ravel(),
@@ -245,94 +215,6 @@ def _channel_curves(
             keys * width, 2
         ),
     )
-
-
-def _handles(channel: ClipChannel) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return handles ``(K, 1 + D)`` before and behind the keys, and segment kinds."""
-    keys, width = channel.values.shape
-    ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
-    kinds = np.full(keys, int(SegmentKind.HOLD), np.int64)
-    if keys == 1:
-        return ins, outs, kinds
-    lengths = np.diff(channel.times)
-    slopes = _Slopes(channel)
-    for k, interp in enumerate(channel.interps[:-1]):
-        third = lengths[k] / 3
-        if interp in _KINDS:
-            kinds[k] = _KINDS[interp]
-            continue
-        kinds[k] = SegmentKind.CUBIC
-        outs[k], ins[k + 1, 0] = third, -third
-        if interp is Interp.CATMULL_ROM:
-            outs[k, 1:], ins[k + 1, 1:] = slopes.catmull_rom(k, third)
-            continue
-        for key, side in ((k, 1), (k + 1, 0)):
-            handles = outs if side else ins
-            given = (channel.outs if side else channel.ins)[key]
-            tangent = channel.tangents[key][side]
-            signed = third if side else -third
-            if interp is Interp.TCB:
-                handles[key, 1:] = slopes.tcb[side][key] * signed
-            elif tangent is not Tangent.FREE:
-                slope = slopes.by_rule(tangent, key, k)
-                handles[key] = [signed, *(slope * signed)]
-            elif interp is Interp.HERMITE:
-                slope = given[1:] / given[0] if given[0] else np.zeros(width)
-                handles[key] = [signed, *(slope * signed)]
-            else:
-                handles[key] = given
-                if given[0] != signed:
-                    kinds[k] = SegmentKind.BEZIER
-    return ins, outs, kinds
-
-
-class _Slopes:
-    """Slopes of a channel at its keys, by the rules that it uses."""
-
-    def __init__(self, channel: ClipChannel) -> None:
-        self.channel = channel
-        self._made: dict[str, FloatArray] = {}
-        self._paths: tuple[FloatArray, FloatArray] | None = None
-        self._tcb: tuple[FloatArray, FloatArray] | None = None
-
-    @property
-    def tcb(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes before and behind each key ``(K, D)``."""
-        if self._tcb is None:
-            c = self.channel
-            self._tcb = rules.tcb(c.times, c.values, c.tcb)
-        return self._tcb
-
-    def by_rule(self, tangent: Tangent, key: int, segment: int) -> FloatArray:
-        """Return the slope at a key, of a segment that it ends ``(D,)``."""
-        c = self.channel
-        if tangent is Tangent.FLAT:
-            return np.zeros(c.values.shape[1])
-        if tangent is Tangent.LINEAR:
-            rise = c.values[segment + 1] - c.values[segment]
-            return np.asarray(rise / (c.times[segment + 1] - c.times[segment]))
-        rule = {
-            Tangent.AUTO: rules.nonuniform,
-            Tangent.AUTO_CLAMPED: rules.auto_clamped,
-        }[tangent]
-        return np.asarray(self._slopes(rule.__name__, rule)[key])
-
-    def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
-        """Return the handles' values of a segment, behind and before its keys."""
-        c = self.channel
-        if c.parametrization is Parametrization.UNIFORM:
-            slopes = self._slopes("secant", rules.secant)
-            return slopes[k] * third, -slopes[k + 1] * third
-        if self._paths is None:
-            alpha = _ALPHA[c.parametrization]
-            self._paths = rules.catmull_rom_controls(c.values, alpha)
-        ins, outs = self._paths
-        return outs[k], ins[k + 1]
-
-    def _slopes(self, name: str, rule: _Rule) -> FloatArray:
-        if name not in self._made:
-            self._made[name] = rule(self.channel.times, self.channel.values)
-        return self._made[name]
 
 
 # Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
@@ -386,7 +268,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
     )
     for group in groups:
         first = group[0]
-        made = evaluate_rotations(
+        rotations = evaluate_rotations(
             first.times,
             np.stack([channel.values for channel in group], axis=1),
             rotation_kinds(first),
@@ -394,7 +276,7 @@ def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, Floa
             first.pre,
             first.post,
         )
-        rows = np.ascontiguousarray(made.swapaxes(0, 1))
+        rows = np.ascontiguousarray(rotations.swapaxes(0, 1))
         values |= {c.target: own for c, own in zip(group, rows, strict=True)}
     return values
 

@@ -11,18 +11,12 @@ from itertools import chain
 from pathlib import Path
 from typing import TypeVar, cast
 
-from animtool.clip.channels import (
-    ClipChannel,
-    ClipUnits,
-    Interp,
-    Parametrization,
-    Tangent,
-    check_targets,
-)
+from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.clock import MAX_FRAMES, Clock, time_codes
 from animtool.documents.names import flow, number, scaled, text
 from animtool.errors import Fault, FormatError, OptionError, counted
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.tangents import Parametrization, Tangent
 from animtool.plugins import load_object
 from animtool.rates import FractionLike, rate_label, rate_option
 from animtool.rig.skeleton import Rig

@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clip.coordinates import JointMotion, Same, wanted_of_joints
-from animtool.clip.points import SHELL, attached_points, point_errors
-from animtool.clip.reduction import ChannelKind, ReducedChannel
+from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion
@@ -37,8 +37,8 @@ def own_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
     What combined shapes get from those that they combine is taken off.
     """
     names = [shape.name for shape in rig.shapes]
-    found = take.motion.weights
-    values = np.zeros((1, len(names))) if found is None else found.dense()[..., 0]
+    weights = take.motion.weights
+    values = np.zeros((1, len(names))) if weights is None else weights.dense()[..., 0]
     return own_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
 
 
@@ -58,14 +58,14 @@ def solved_controls(
         reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
         start = keyed_values(controls, reached)
     near = evaluate_controls(controls, start).targets
-    wanted, keyed = wanted_of_joints(rig, joints, set(near), near, same)
+    goals, keyed = wanted_of_joints(rig, joints, set(near), near, same)
     shapes = own_weights_of(take, rig)
     for shape, value in shapes.items():
         if f"shape/{shape}" in near:
-            wanted[f"shape/{shape}"] = value
-    wanted = {t: np.broadcast_to(value, (frames,)) for t, value in wanted.items()}
-    tolerances = {target: same.of(target) for target in wanted}
-    solved = solve_controls(controls, wanted, tolerances, start, keyed=keyed)
+            goals[f"shape/{shape}"] = value
+    goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
+    tolerances = {target: same.of(target) for target in goals}
+    solved = solve_controls(controls, goals, tolerances, start, keyed=keyed)
     return SolvedControls(
         {
             control.name: _settled(solved.values[control.name], control.default)
@@ -173,16 +173,16 @@ class _Effect:
         }
         given = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
         times = take.clock.times[at]
-        wanted = sample_values(exact, rig, times).motion
-        found = sample_values({**exact, **given}, rig, times).motion
+        exact_motion = sample_values(exact, rig, times).motion
+        sampled = sample_values({**exact, **given}, rig, times).motion
         truth = take.motion.select(at)
-        made = driven_pose(truth, found, wanted, self.own)
-        worlds = [forward(take.rig, *motion.dense()) for motion in (truth, made)]
+        posed = driven_pose(truth, sampled, exact_motion, self.own)
+        worlds = [forward(take.rig, *motion.dense()) for motion in (truth, posed)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
         weights = [
             np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
-            for m in (wanted, found)
+            for m in (exact_motion, sampled)
         ]
         off = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
         return max(ratio, off / self.weight_tolerance)
@@ -200,7 +200,7 @@ class _Effect:
 
 def driven_pose(
     motion: Motion,
-    found: Motion,
+    controls: Motion,
     exact: Motion,
     own: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
@@ -208,7 +208,7 @@ def driven_pose(
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         of_take: Channel = getattr(motion, name)
-        now: Channel = getattr(found, name)
+        now: Channel = getattr(controls, name)
         before: Channel = getattr(exact, name)
         moved = set(now.animated.tolist()) | set(before.animated.tolist())
         joints = [j for j in sorted(moved) if (kind, j) not in own]

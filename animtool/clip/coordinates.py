@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.clip.reduction import ChannelKind
-from animtool.clip.tracks import Track, euler_order
+from animtool.clip.reduction.keys import ChannelKind
+from animtool.clip.reduction.tracks import Track, euler_order
 from animtool.maths import euler, so3
 from animtool.motion import Motion
 from animtool.rig.joints import DRIVEN_PARTS, split_part
@@ -65,7 +65,7 @@ def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
     with the joints that follow it.
     """
     moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
-    found = []
+    motions = []
     for j, joint in enumerate(rig.joints):
         at = np.array([j])
         local = [
@@ -74,11 +74,11 @@ def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
                 (motion.translations, motion.rotations), moves, strict=True
             )
         ]
-        found.append(_joint_motion(joint, local[0], local[1]))
+        motions.append(_joint_motion(joint, local[0], local[1]))
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            found[j] = _on_turn(rig, found, j, same)
-    return found
+            motions[j] = _on_turn(rig, motions, j, same)
+    return motions
 
 
 def _joint_motion(
@@ -155,7 +155,7 @@ def wanted_of_joints(
     Returns the value of each target ``(F or 1,)``, and the targets of joints that also
     move in ways that no control drives.
     """
-    wanted: dict[str, FloatArray] = {}
+    requested: dict[str, FloatArray] = {}
     keyed: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
@@ -168,18 +168,18 @@ def wanted_of_joints(
             parts = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
             thought = [near.get(part, np.zeros(1)) for part in parts]
             vector = _near(motion.turn, np.stack(np.broadcast_arrays(*thought), -1))
-            wanted[target] = vector[:, "xyz".index(axis)]
+            requested[target] = vector[:, "xyz".index(axis)]
             spare = [i for i in range(3) if parts[i] not in targets]
             if np.abs(vector[:, spare]).max(initial=0.0) > same.angle:
                 keyed.add(target)
         elif kind == "translation":
-            wanted[target] = motion.shift[:, "xyz".index(axis)]
+            requested[target] = motion.shift[:, "xyz".index(axis)]
         else:
-            wanted[target] = motion.coordinate
+            requested[target] = motion.coordinate
             off = motion.turn_off > same.angle if kind == "angle" else False
             if off or (kind == "slide" and motion.shift_off > same.length):
                 keyed.add(target)
-    return wanted, keyed
+    return requested, keyed
 
 
 def _near(turn: FloatArray, thought: FloatArray) -> FloatArray:
@@ -204,7 +204,7 @@ def joint_tracks(
     same: Same,
 ) -> list[Track]:
     """Return tracks of what joints do beyond what controls and mimics make them do."""
-    made: dict[int, list[Track]] = {}
+    tracks: dict[int, list[Track]] = {}
     coordinates: dict[str, FloatArray] = {}
     last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
     first = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
@@ -217,8 +217,8 @@ def joint_tracks(
             leader = coordinates.get(mimic.joint, np.zeros(1))
             followed = mimic.gain * leader + mimic.offset
             expected = followed if followed.any() else expected
-        made[j] = list(one.tracks(expected))
-        parts = {track.part for track in made[j]}
+        tracks[j] = list(one.tracks(expected))
+        parts = {track.part for track in tracks[j]}
         coordinates[joint.name] = (
             np.zeros(1)
             if "local_rotation" in parts or "local_translation" in parts
@@ -226,7 +226,7 @@ def joint_tracks(
             if parts & {"angle", "slide"}
             else expected
         )
-    return [track for j in range(len(rig.joints)) for track in made[j]]
+    return [track for j in range(len(rig.joints)) for track in tracks[j]]
 
 
 @dataclass(frozen=True, slots=True)

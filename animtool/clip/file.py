@@ -165,9 +165,9 @@ class _ClipReader:
         for i, model in enumerate(self.model.channels):
             at = ("channels", i)
             self._once((*at, "target"), model.target, seen, i)
-            made = self._channel(at, model)
-            if made is not None:
-                channels.append(made)
+            channel = self._channel(at, model)
+            if channel is not None:
+                channels.append(channel)
         if not self.model.channels and self.model.range is None:
             hint = "with a range it holds its rig at rest"
             message = "the clip has no channels"

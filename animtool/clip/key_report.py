@@ -11,7 +11,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.coordinates import JointMotion
-from animtool.clip.tracks import Track
+from animtool.clip.reduction.tracks import Track
 from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
@@ -39,14 +39,14 @@ def channel_errors(
     clip: Clip,
     rig: Rig,
     take: Take,
-    found: Motion,
+    keyed: Motion,
     controls: Mapping[str, FloatArray],
 ) -> tuple[ChannelError, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
     sampled = {}
-    if found.controls is not None:
-        columns = found.controls.dense()[..., 0].T
+    if keyed.controls is not None:
+        columns = keyed.controls.dense()[..., 0].T
         reached = {c.name: v for c, v in zip(rig.controls, columns, strict=True)}
         sampled = keyed_values(rig.controls, reached)
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
@@ -57,30 +57,30 @@ def channel_errors(
             return np.abs(sampled[name] - controls[name]), ""
         if group == "shape":
             at = np.array([shapes[name]])
-            pair = take.motion.weights, found.weights
+            pair = take.motion.weights, keyed.weights
             a, b = (_gathered(c, at, take.motion.frames) for c in pair)
             return np.abs(a - b)[:, 0, 0], ""
         joint, part = split_part(name, KEYED_PARTS)
         at = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
-            turns = [m.rotations.gather(at)[:, 0] for m in (take.motion, found)]
+            turns = [m.rotations.gather(at)[:, 0] for m in (take.motion, keyed)]
             unit = "rad" if units.angle == 1.0 else "deg"
             return so3.angle_between(*turns) / units.angle, unit
         if part == "scale":
-            pair = take.motion.scales, found.scales
+            pair = take.motion.scales, keyed.scales
             a, b = (_gathered(c, at, take.motion.frames, 1.0) for c in pair)
             return np.abs(a - b).max(axis=(1, 2)), ""
-        places = [m.translations.gather(at)[:, 0] for m in (take.motion, found)]
+        places = [m.translations.gather(at)[:, 0] for m in (take.motion, keyed)]
         off = np.linalg.norm(places[0] - places[1], axis=1)
         return off / units.length, unit_name(units.length)
 
-    made = []
+    reports = []
     for channel in clip.channels:
         off, unit = errors(channel.target)
         frame = int(np.argmax(off))
         code = float(take.clock.times[frame])
-        made.append(ChannelError(channel.target, float(off[frame]), unit, code))
-    return tuple(made)
+        reports.append(ChannelError(channel.target, float(off[frame]), unit, code))
+    return tuple(reports)
 
 
 def _gathered(
@@ -99,7 +99,7 @@ def key_notices(
     driven: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
     """Return notes on where a take departs from what its rig can do by itself."""
-    found = [
+    notices = [
         *_released(solved),
         *_on_top(rig, tracks, driven),
         *_off_type(rig, joints, tracks),
@@ -107,7 +107,7 @@ def key_notices(
     ]
     return tuple(
         Fault(code, message, severity=Severity.NOTE, hint=hint)
-        for code, message, hint in found
+        for code, message, hint in notices
     )
 
 

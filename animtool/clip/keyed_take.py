@@ -23,11 +23,17 @@ from animtool.clip.coordinates import (
     joint_tracks,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
-from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
-from animtool.clip.reduce import reduce_motion
-from animtool.clip.reduction import ChannelKind, Reduction, clip_of_reduction
+from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
+from animtool.clip.reduction.points import (
+    SHELL,
+    attached_points,
+    joint_bounds,
+    point_errors,
+)
+from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
-from animtool.clip.tracks import Track, in_order, pose_of, tracks_of
 from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
@@ -37,8 +43,6 @@ from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
-# Largest error of a shape's weight that anyone sees [1].
-WEIGHT_TOLERANCE = 1e-3
 # What samples in float32 leave between joints and what drives them [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
 # Of a tolerance, what such a difference may use up [1].
@@ -99,13 +103,13 @@ def keyed_take(
     solved = _solved(take, rig, joints, same, additive=base is not None)
     weights = own_weights_of(take, rig)
     job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
-    made = job.made(1.0)
+    result = job.made(1.0)
     for i in range(TRIES):
-        if made.reduction.held:
+        if result.reduction.held:
             break
         finer = job.made(FINER ** (i + 1))
-        made = min(made, finer, key=lambda keyed: keyed.reduction.error)
-    return made
+        result = min(result, finer, key=lambda keyed: keyed.reduction.error)
+    return result
 
 
 def _same(rig: Rig, tolerance: float) -> Same:
@@ -201,9 +205,9 @@ class _Job:
         """Return the take with joints as the keys of controls move them."""
         times = self.take.clock.times
         exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
-        wanted = sample_values(exact, self.rig, times).motion
+        exact_motion = sample_values(exact, self.rig, times).motion
         found = sample_values(controls.values, self.rig, times).motion
-        return driven_pose(self.take.motion, found, wanted, own)
+        return driven_pose(self.take.motion, found, exact_motion, own)
 
     def _scales(self) -> list[Track]:
         motion = self.take.motion
@@ -247,19 +251,19 @@ def _growth(rig: Rig, tracks: list[Track]) -> float:
 def _measured(
     reduction: Reduction,
     take: Take,
-    found: Motion,
+    keyed: Motion,
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
     """Return a reduction with the errors of a motion that came of it."""
-    weight_error = _weight_error(take.motion.weights, found.weights)
+    weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
     below = None if base is None else base.motion
-    truth, made = (
-        pose_of(take.rig, motion, below).world() for motion in (take.motion, found)
+    truth, evaluated = (
+        pose_of(take.rig, motion, below).world() for motion in (take.motion, keyed)
     )
-    errors = point_errors(attached_points(take.rig, SHELL), truth, made)
+    errors = point_errors(attached_points(take.rig, SHELL), truth, evaluated)
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
     return replace(
         reduction,
@@ -271,7 +275,7 @@ def _measured(
     )
 
 
-def _weight_error(wanted: Channel | None, found: Channel | None) -> float:
+def _weight_error(target: Channel | None, keyed: Channel | None) -> float:
     zero = np.zeros(1)
-    dense = [zero if c is None else c.dense() for c in (wanted, found)]
+    dense = [zero if c is None else c.dense() for c in (target, keyed)]
     return float(np.abs(dense[0] - dense[1]).max(initial=0.0))

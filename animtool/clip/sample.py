@@ -103,15 +103,15 @@ def sample_values(
     parts = _parts_by_joint(keyed, driven)
     notices += _replace(parts)
     notices += _follow(rig, parts, clamp=clamp)
-    made = _Joints(rig, times, clamp, notices)
+    joints = _Joints(rig, times, clamp, notices)
     for name, part in parts.items():
-        made.add(rig.index(name), part)
+        joints.add(rig.index(name), part)
     moving_controls = _control_channel(rig, driven, count) if controls else None
     motion = Motion(
-        made.channel("translations", rig.rest_translations),
-        made.channel("rotations", rig.rest_rotations),
-        made.channel("scales", np.ones((len(rig.joints), 3)))
-        if made.values["scales"]
+        joints.channel("translations", rig.rest_translations),
+        joints.channel("rotations", rig.rest_rotations),
+        joints.channel("scales", np.ones((len(rig.joints), 3)))
+        if joints.values["scales"]
         else None,
         _weights(rig, keyed, driven, count),
         moving_controls,
@@ -287,10 +287,10 @@ class _Joints:
 
     def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
-        found = _sum(parts.get("slide"), parts.get("+slide"))
-        if found is not None:
-            found = self._limited(joint, found)
-            return np.asarray(found * np.array(joint.axis))
+        slide = _sum(parts.get("slide"), parts.get("+slide"))
+        if slide is not None:
+            slide = self._limited(joint, slide)
+            return np.asarray(slide * np.array(joint.axis))
         total = parts.get("translation")
         for i, axis in enumerate("xyz"):
             if f"+translation.{axis}" in parts:
@@ -300,10 +300,10 @@ class _Joints:
 
     def _turn(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
-        found = _sum(parts.get("angle"), parts.get("+angle"))
-        if found is not None:
-            found = self._limited(joint, found)
-            return so3.from_axis_angle(joint.axis, found[:, 0])
+        angle = _sum(parts.get("angle"), parts.get("+angle"))
+        if angle is not None:
+            angle = self._limited(joint, angle)
+            return so3.from_axis_angle(joint.axis, angle[:, 0])
         total = parts.get("rotation")
         driven = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
         if any(value is not None for value in driven):
@@ -367,7 +367,7 @@ def _weights(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
     """Return the shapes' weights; None where all are zero throughout."""
-    found: dict[str, FloatArray] = {}
+    weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"
         value = np.zeros(1)
@@ -375,8 +375,8 @@ def _weights(
             value = value + keyed[target][:, 0]
         if target in driven.targets:
             value = value + driven.targets[target]
-        found[shape.name] = value
-    found = combined_weights(rig.shapes, found)
-    if not any(value.any() for value in found.values()):
+        weights[shape.name] = value
+    weights = combined_weights(rig.shapes, weights)
+    if not any(value.any() for value in weights.values()):
         return None
-    return _column_channel([found[shape.name] for shape in rig.shapes], count)
+    return _column_channel([weights[shape.name] for shape in rig.shapes], count)

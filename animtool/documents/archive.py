@@ -96,25 +96,25 @@ def _parsed(text: str, where: str, begin: int) -> StoredArray:
     if _STRUCTURE.search(text):
         raise ArrayError(f"{where} holds structures, not numbers")
     text = text.strip()
-    found: dict[str, str] = {}
+    fields: dict[str, str] = {}
     if text.startswith("{") and text.endswith("}"):
         rest = text[1:-1].strip()
         while rest and (match := _ENTRY.match(rest)):
             value = match[match["key"]]
-            if value is None or match["key"] in found:
+            if value is None or match["key"] in fields:
                 break
-            found[match["key"]] = value
+            fields[match["key"]] = value
             rest = rest[match.end() :].strip()
         if rest:
-            found.clear()
-    if len(found) < 3:
+            fields.clear()
+    if len(fields) < 3:
         raise ArrayError(f"{where} has a head that is no array's")
     try:
-        dtype = np.dtype(found["descr"])
+        dtype = np.dtype(fields["descr"])
     except (TypeError, ValueError) as error:
-        raise ArrayError(f"{where} holds {found['descr']}, not numbers") from error
-    shape = _shape(found["shape"], where)
-    order: Literal["C", "F"] = "F" if found["fortran_order"] == "True" else "C"
+        raise ArrayError(f"{where} holds {fields['descr']}, not numbers") from error
+    shape = _shape(fields["shape"], where)
+    order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
     return StoredArray(shape, dtype, order, begin)
 
 

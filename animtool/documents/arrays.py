@@ -101,12 +101,12 @@ class Archives:
         return values
 
     def _archive(self, path: Path) -> Archive:
-        found = self._open.pop(path, None) or Archive(path)
+        archive = self._open.pop(path, None) or Archive(path)
         if len(self._open) >= MAX_OPEN:
             self._open.pop(next(iter(self._open))).close()
         # The one asked for last stands last.
-        self._open[path] = found
-        return found
+        self._open[path] = archive
+        return archive
 
 
 def load_array(path: Path, key: str) -> FloatArray:

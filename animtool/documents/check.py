@@ -88,8 +88,8 @@ class _Faults:
 
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""
-        found = error.errors(include_url=False)
-        merged = _by_place(self.value, found[:MAX_MENDED])
+        errors = error.errors(include_url=False)
+        merged = _by_place(self.value, errors[:MAX_MENDED])
         inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
@@ -103,7 +103,7 @@ class _Faults:
             # Of a type that may be several, the one that comes farthest was meant.
             if key[0] not in inner:
                 self._wrong_value(key[0], merged[key])
-        if len(found) > MAX_MENDED:
+        if len(errors) > MAX_MENDED:
             self.document.check()
 
     def _unknown_key(self, location: Location) -> None:
@@ -172,11 +172,11 @@ class _Faults:
 
 
 def _by_place(
-    value: Any, found: Sequence[Any]
+    value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Return faults by where they are, and by the key that is missing there."""
     merged: dict[tuple[Location, str], list[Any]] = {}
-    for fault in found:
+    for fault in errors:
         missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
         merged.setdefault((_within(value, fault), missing), []).append(fault)
     return merged
@@ -184,21 +184,21 @@ def _by_place(
 
 def _within(value: Any, fault: Any) -> Location:
     """Return where a fault is, without the names of variants that were tried."""
-    node, found = value, []
+    node, steps = value, []
     for step in fault["loc"]:
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             continue
-        found.append(step)
-    return tuple(found)
+        steps.append(step)
+    return tuple(steps)
 
 
-def _lacking(last: int | str, given: Any) -> str:
+def _lacking(last: int | str, value: Any) -> str:
     """Return what is missing: a key, or an item behind those that are there."""
     if isinstance(last, str):
         return f"key {last!r} is missing"
-    return f"{counted(len(given), 'item')} where {_are(last + 1)} wanted"
+    return f"{counted(len(value), 'item')} where {_are(last + 1)} wanted"
 
 
 def _words(fault: Any) -> str:
@@ -206,9 +206,9 @@ def _words(fault: Any) -> str:
     given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
     shown = excerpt(given) if isinstance(given, str) else _shown(given)
     if kind in {"too_short", "too_long", "string_too_long"}:
-        wanted = context.get("min_length", context.get("max_length"))
+        length = context.get("min_length", context.get("max_length"))
         noun = "letter" if isinstance(given, str) else "item"
-        return f"{counted(len(given), noun)} where {_are(wanted)} wanted"
+        return f"{counted(len(given), noun)} where {_are(length)} wanted"
     if kind == "missing":
         return _lacking(fault["loc"][-1], given)
     if kind == "union_tag_not_found":
@@ -237,10 +237,10 @@ def _told(shown: str, fault: Any) -> str:
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
     """Return how a list is written, or an entry that is only a name, such as a pass."""
-    given, wanted = fault["input"], _KINDS.get(fault["type"])
-    if wanted == _KINDS["list_type"] and isinstance(given, dict):
+    given, expected = fault["input"], _KINDS.get(fault["type"])
+    if expected == _KINDS["list_type"] and isinstance(given, dict):
         return "begin each entry with '- '"
-    if wanted != _KINDS["dict_type"] or not isinstance(location[-1], int):
+    if expected != _KINDS["dict_type"] or not isinstance(location[-1], int):
         return None
     if not isinstance(given, str) or not given.isidentifier():
         return None

@@ -59,9 +59,9 @@ class Document:
         node: Any = self.value
         index = 0
         for step in self._as_written(location):
-            found = self._starts.get((id(node), step))
-            if found is not None:
-                node, index = node[step], found
+            start = self._starts.get((id(node), step))
+            if start is not None:
+                node, index = node[step], start
         return index
 
     def _number(self, node: Any, index: int) -> int:

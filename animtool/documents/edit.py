@@ -83,20 +83,20 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     after = text
     for start, end, new in reversed(splices):
         after = after[:start] + new + after[end:]
-    wanted = copy.deepcopy(document_of(text, path).value)
+    value = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
-        _apply(wanted, edit)
+        _apply(value, edit)
     # What is read decides, whatever the layout was.
-    if _reads_as(after, path, wanted):
+    if _reads_as(after, path, value):
         return after
     places = ", ".join(spelled(edit.location) for edit in edits)
     raise EditError(f"the layout around {places} cannot be kept")
 
 
-def _reads_as(text: str, path: Path, wanted: Any) -> bool:
+def _reads_as(text: str, path: Path, value: Any) -> bool:
     """Return whether a text holds some values; one that is malformed holds none."""
     try:
-        return bool(document_of(text, path).value == wanted)
+        return bool(document_of(text, path).value == value)
     except FormatError:
         return False
 
@@ -216,8 +216,8 @@ class _Page:
         """Return where the line after a place begins, its comment left behind."""
         if end and self.text[end - 1] == "\n":
             return end
-        found = self.text.find("\n", end)
-        return len(self.text) if found < 0 else found + 1
+        newline = self.text.find("\n", end)
+        return len(self.text) if newline < 0 else newline + 1
 
     def _over(self, end: int, start: int) -> int:
         """Return the second of two places between which only a comma may stand."""

@@ -127,14 +127,14 @@ def with_fields(
         at = list(own).index(before) if before else len(own)
         given = {name: _definition(record, name, bounds=bounds) for name in names}
         ahead, behind = list(own.items())[:at], list(own.items())[at:]
-        made: Any = create_model(
+        model_type: Any = create_model(
             model.__name__,
             __base__=model.__base__,
             __module__=model.__module__,
             __doc__=model.__doc__,
             **dict([*ahead, *given.items(), *behind]),
         )
-        return made  # type: ignore[no-any-return]
+        return model_type  # type: ignore[no-any-return]
 
     return decorate
 

@@ -21,15 +21,15 @@ def annotation_of(field: FieldInfo) -> Any:
 
 def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
     """Return the type that a value at a location should have; None where none is."""
-    found: Any = model
+    annotation: Any = model
     node = value
     for step in location:
-        found = _inside(found, node, step)
+        annotation = _inside(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             node = None
-    return found
+    return annotation
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
@@ -43,12 +43,12 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models that a type allows; of several that which a mapping names."""
-    found = [
+    models = [
         one
         for one in _alternatives(annotation)
         if isinstance(one, type) and issubclass(one, BaseModel)
     ]
-    return [one for one in found if _named(one, node)] or found
+    return [one for one in models if _named(one, node)] or models
 
 
 def stand_in(annotation: Any) -> Any:
@@ -140,6 +140,6 @@ def _alternatives(annotation: Any) -> list[Any]:
     if get_origin(inner) is Annotated:
         inner = get_args(inner)[0]
     if get_origin(inner) in {Union, UnionType}:
-        found = [one for part in get_args(inner) for one in _alternatives(part)]
-        return [one for one in found if one is not NoneType]
+        alternatives = [one for part in get_args(inner) for one in _alternatives(part)]
+        return [one for one in alternatives if one is not NoneType]
     return [annotation]

@@ -59,7 +59,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"allowed: {', '.join(known[:12])}" + (" …" if len(known) > 12 else "")
 
 
-def check_given(given: Iterable[str], used: Iterable[str]) -> None:
+def check_given(stated: Iterable[str], used: Iterable[str]) -> None:
     """Refuse variables that are given and that nothing uses.
 
     Raises:
@@ -70,7 +70,7 @@ def check_given(given: Iterable[str], used: Iterable[str]) -> None:
     names = sorted(used)
     faults = [
         Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
-        for name in given
+        for name in stated
         if name not in names
     ]
     if faults:
@@ -132,8 +132,8 @@ def text(value: str) -> str:
     safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
     if safe and value.lower() not in named:
         return value
-    if found := unreadable(value):
-        message = f"the name {excerpt(value)} holds {found!r}, which no file may"
+    if problem := unreadable(value):
+        message = f"the name {excerpt(value)} holds {problem!r}, which no file may"
         raise FormatError(Fault("DOC023", message, hint="rename it"))
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
@@ -146,8 +146,8 @@ def unreadable(value: str) -> str:
     >>> unreadable("a\x1bb"), unreadable("a\n")
     ('\x1b', '')
     """
-    found = _UNREADABLE.search(value)
-    return found[0] if found else ""
+    match = _UNREADABLE.search(value)
+    return match[0] if match else ""
 
 
 def flow(items: list[str]) -> str:

@@ -73,8 +73,8 @@ def _way_out(path: Path, name: str, written: bool) -> str:
     settings = find_config(path).path
     if settings is None and (around := project_around(folder, target)) is not None:
         return f"an empty {around / 'animtool.toml'} makes that folder the project"
-    wanted = seen_from(target.parent, folder if settings is None else settings.parent)
-    line = f'roots = ["{wanted}"]'
+    root = seen_from(target.parent, folder if settings is None else settings.parent)
+    line = f'roots = ["{root}"]'
     table = ""
     if settings is None:
         settings = folder / "animtool.toml"

@@ -42,7 +42,7 @@ class Variables:
 def resolve_variables(
     document: Document,
     model: type[BaseModel],
-    given: Mapping[str, str],
+    variables: Mapping[str, str],
     parts: Collection[str] = (),
 ) -> Variables:
     """Put the values of variables into the text of a document; keys stay.
@@ -57,11 +57,11 @@ def resolve_variables(
     Args:
         document: Changed in place.
         model: What the document should be.
-        given: Values by name; they come before the document's own.
+        variables: Values by name; they come before the document's own.
         parts: Those of them that are a part of one name, where they name what is
             written.
     """
-    resolver = _Resolver(document, model, dict(given), parts=set(parts))
+    resolver = _Resolver(document, model, dict(variables), parts=set(parts))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS:
@@ -167,32 +167,32 @@ class _Resolver:
             if key[0] not in {DEFAULTS, OUTPUT}
             for name in names
         }
-        found: set[str] = set()
+        used: set[str] = set()
         while left:
             name = left.pop()
-            found.add(name)
-            left |= self.uses.get((DEFAULTS, name), set()) - found
-        return frozenset(found)
+            used.add(name)
+            left |= self.uses.get((DEFAULTS, name), set()) - used
+        return frozenset(used)
 
     def put(self, location: Location, text: str) -> None:
         """Put the values of variables into a text of the document."""
-        found = self.resolved(location, text)
-        if found is not None and (location[0], location[-1]) in WRITTEN:
-            found = self.named(location, text, found)
-        value: Any = found
-        if found is not None and self.is_typed(location, text):
+        resolved = self.resolved(location, text)
+        if resolved is not None and (location[0], location[-1]) in WRITTEN:
+            resolved = self.named(location, text, resolved)
+        value: Any = resolved
+        if resolved is not None and self.is_typed(location, text):
             try:
-                value = plain_scalar(found)
+                value = plain_scalar(resolved)
             except OverflowError:
                 self.document.add("DOC001", location, "a number of too many digits")
-                found = None
-        if found is None:
+                resolved = None
+        if resolved is None:
             annotation = annotation_at(self.model, self.document.value, location)
             value = stand_in(annotation)
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
 
-    def named(self, location: Location, text: str, found: str) -> str | None:
+    def named(self, location: Location, text: str, spelling: str) -> str | None:
         """Return the name of a file to write; None, and a fault, for an unsafe one."""
         for piece in text.split("/"):
             used = {match["name"] for match in _USE.finditer(piece) if match["name"]}
@@ -205,7 +205,7 @@ class _Resolver:
                 hint = "a value from another file is a part of one name"
                 self.document.add("OUT006", location, message, hint)
                 return None
-        return found
+        return spelling
 
     def is_typed(self, location: Location, text: str) -> bool:
         """Return whether a text may become a number or a truth value.
@@ -224,23 +224,23 @@ class _Resolver:
         """Return a text with values in place; None where that cannot be."""
         parts: list[str] = []
         whole, end, length = True, 0, 0
-        for found in _USE.finditer(text):
-            part = self._value(location, found)
+        for use in _USE.finditer(text):
+            part = self._value(location, use)
             length += len(part or "")
             if length > LONGEST:
                 message = f"variables make a text of more than {LONGEST} letters"
                 self.document.add("DOC025", location, message)
                 return None
             whole &= part is not None
-            parts += [text[end : found.start()], part or ""]
-            end = found.end()
+            parts += [text[end : use.start()], part or ""]
+            end = use.end()
         return "".join([*parts, text[end:]]) if whole else None
 
-    def _value(self, location: Location, found: re.Match[str]) -> str | None:
+    def _value(self, location: Location, match: re.Match[str]) -> str | None:
         """Return what stands for a use of a variable; None, and a fault, for none."""
-        if found["kept"]:
-            return found[0][1:]
-        name = found["name"]
+        if match["kept"]:
+            return match[0][1:]
+        name = match["name"]
         if name is None:
             message = "a ${ has no name and } behind it"
             hint = "write ${name}, or $${ where those letters are meant"

@@ -90,27 +90,27 @@ def version_of(
             one that no step leads on from (DOC012).
     """
     named = [name for name in KINDS if name in document.value]
-    found = kind or next((name for name in named if name in table), "")
-    if found not in named or _of_another_kind(document, found, named[0]):
+    named_kind = kind or next((name for name in named if name in table), "")
+    if named_kind not in named or _of_another_kind(document, named_kind, named[0]):
         hint = f"the first line of such a file is '{kind or 'rig'}: animtool/1'"
         if named:
             hint = f"it looks like a {named[0]} file"
             hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
         document.add("DOC009", (), f"is no {kind or ' or '.join(table)} file", hint)
         document.check()
-    last, stated = newest(table[found]), document.value[found]
+    last, stated = newest(table[named_kind]), document.value[named_kind]
     number = _VERSION.fullmatch(stated) if isinstance(stated, str) else None
     version = int(number[1]) if number else last + 1
-    if version <= last and all(n in table[found] for n in range(version, last)):
-        return found, version
+    if version <= last and all(n in table[named_kind] for n in range(version, last)):
+        return named_kind, version
     if isinstance(stated, str) and stated.startswith("animtool/"):
         message = f"{stated} is a version that this animtool does not know"
         newer = number is not None and version > last
         hint = "a newer animtool reads it" if newer else f"allowed: animtool/{last}"
-        document.add("DOC012", (found,), message, hint)
+        document.add("DOC012", (named_kind,), message, hint)
     else:
-        message = f"{found} is {excerpt(str(stated))}"
-        document.add("DOC009", (found,), message, f"allowed: animtool/{last}")
+        message = f"{named_kind} is {excerpt(str(stated))}"
+        document.add("DOC009", (named_kind,), message, f"allowed: animtool/{last}")
     document.check()
     raise AssertionError(stated)
 

@@ -157,14 +157,14 @@ def plain_scalar(text: str) -> Any:
     """
     if text in _NAMED:
         return _NAMED[text]
-    if text[0] not in _NUMERIC or not (found := _NUMBER.fullmatch(text)):
+    if text[0] not in _NUMERIC or not (match := _NUMBER.fullmatch(text)):
         return text
     if len(text) > MAX_DIGITS:
         raise OverflowError
-    kind = found.lastgroup
+    kind = match.lastgroup
     if kind is not None:
-        return int(found[kind], _BASES[kind])
-    return int(text) if found.lastindex is None else float(text)
+        return int(match[kind], _BASES[kind])
+    return int(text) if match.lastindex is None else float(text)
 
 
 class _Reader:
@@ -208,11 +208,11 @@ class _Reader:
                 stack[-1].put(self._scalar(event, place), place, self, plain)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 place = self._place(event)
-                made: Any = {} if kind is yaml.MappingStartEvent else []
+                value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > DEEPEST:
                     self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
-                stack[-1].put(made, place, self)
-                stack.append(_Open(made, flow=bool(event.flow_style)))
+                stack[-1].put(value, place, self)
+                stack.append(_Open(value, flow=bool(event.flow_style)))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop()
             elif kind is yaml.AliasEvent:
@@ -252,8 +252,8 @@ class _Reader:
         text: str = event.value
         if not event.implicit[0]:
             # Only escapes within quotes can stand for one.
-            if found := unreadable(text):
-                message = f"a text holds the control character {found!r}"
+            if problem := unreadable(text):
+                message = f"a text holds the control character {problem!r}"
                 self.fault("DOC023", message, place, "leave it out")
             return text
         try:

@@ -92,10 +92,10 @@ def find_cycle(
     if least > most:
         raise _none(f"of {shortest:g} to {longest:g} s in {high - low + 1} frames")
     eye = _Eye.of(take)
-    found = _best(eye.see(frames), least, most, eye.still)
-    if found is None:
+    best = _best(eye.see(frames), least, most, eye.still)
+    if best is None:
         raise _none("where nothing moves")
-    start, lag, moved = found
+    start, lag, moved = best
     pairs = _nearby(frames[start], frames[start + lag], stride, (low, high))
     length = pairs[1] - pairs[0]
     within = (length >= least * stride) & (length <= most * stride)
@@ -169,8 +169,8 @@ class _Eye:
         # A leaf is seen by its origin and by a point along two of its axes.
         weights[leaves] /= 3
         weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
-        found = [traveller(rig, take.motion, root) for root in rig.roots]
-        chief = next((j for j in found if j is not None), rig.roots[0])
+        travellers = [traveller(rig, take.motion, root) for root in rig.roots]
+        chief = next((j for j in travellers if j is not None), rig.roots[0])
         weights /= weights.sum()
         return _Eye(take, chief, leaves, reach, weights, STILL * size)
 

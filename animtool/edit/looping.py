@@ -147,8 +147,8 @@ def mapped_numbers(
 
     def numbers(values: FloatArray) -> FloatArray:
         columns = values.reshape(len(values), -1, 1)
-        made = function(columns)
-        return made.reshape(len(made), *values.shape[1:])
+        mapped = function(columns)
+        return mapped.reshape(len(mapped), *values.shape[1:])
 
     return Transforms(
         numbers(known.translations),
@@ -178,13 +178,13 @@ def gridded(track: Track, known: Transforms) -> Track:
             every = np.arange(values.shape[1])
             return places.blend(Channel(values[0], every, values)).values
 
-        made = mapped_numbers(track, known, between)
+        mapped = mapped_numbers(track, known, between)
         values = tuple(
-            made.values[i] if attribute.width else known.values[i][places.frames]
+            mapped.values[i] if attribute.width else known.values[i][places.frames]
             for i, attribute in enumerate(track.attributes)
         )
         held = None if known.held is None else known.held[places.frames]
-        return replace(made, values=values, held=held)
+        return replace(mapped, values=values, held=held)
 
     return replace(track, sample=sample)
 
@@ -283,13 +283,13 @@ def _looped_track(
         once = closed_lines(values, seam, lambda same: same)
         return np.concatenate([once] * repeats)
 
-    made = mapped_numbers(track, known, closed)
+    mapped = mapped_numbers(track, known, closed)
     held = tuple(
         values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
-        for attribute, values in zip(track.attributes, made.values, strict=True)
+        for attribute, values in zip(track.attributes, mapped.values, strict=True)
     )
     looped = replace(
-        made,
+        mapped,
         translations=moved.translations.dense()[:, 0],
         rotations=moved.rotations.dense()[:, 0],
         values=held,
@@ -369,25 +369,25 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     else:
         return take
     result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
-    context.notices.extend(said_of(cycle, found=options.find))
+    context.notices.extend(said_of(cycle, searched=options.find))
     return result
 
 
-def said_of(cycle: Cycle, *, found: bool) -> list[Fault]:
+def said_of(cycle: Cycle, *, searched: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
         f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of what moves between"
     )
-    said = []
-    if found:
+    notices = []
+    if searched:
         message = f"the best cycle: {ends}"
-        said.append(Fault("SCN102", message, severity=Severity.NOTE))
+        notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > POOR_SEAM:
         hint = "choose other frames, or blend over more"
         message = f"a poor seam of the loop: {ends}"
-        said.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
-    return said
+        notices.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
+    return notices
 
 
 PASS = Pass(

@@ -81,26 +81,26 @@ def plan_samples(
         return _kept_samples(clock, start, 1 / ratio, frame_range)
     # Frames count from the whole time code at or before the take's first frame.
     origin, ahead = start, Fraction(0)
-    wanted = range(int(span) + 1)
+    planned = range(int(span) + 1)
     if frame_range is not None:
         origin = Fraction(math.floor(start))
         ahead = origin - start
-        wanted = _within(frame_range, start, span, hold=hold)
-    if len(wanted) * max(1, len(offsets)) > MAX_FRAMES:
-        raise _refusal(f"{len(wanted)} frames at {float(fps):g} fps are too many")
-    first, last = origin + wanted[0], origin + wanted[-1]
-    index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)
+        planned = _within(frame_range, start, span, hold=hold)
+    if len(planned) * max(1, len(offsets)) > MAX_FRAMES:
+        raise _refusal(f"{len(planned)} frames at {float(fps):g} fps are too many")
+    first, last = origin + planned[0], origin + planned[-1]
+    index = np.arange(planned[0], planned[-1] + 1, planned.step)
     each = [
         even_places(index, ahead + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
-    codes = np.stack([_codes(first + o, wanted) for o in offsets or (0,)])
+    codes = np.stack([_codes(first + o, planned) for o in offsets or (0,)])
     order = np.argsort(codes.T.ravel(), kind="stable")
     frames = np.stack([places.frames for places in each]).T.ravel()[order]
     fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
     end = span - ahead  # of the take, counted as the frames are
     whole = math.floor(end)
-    to_the_end = not hold and wanted[-1] == whole
+    to_the_end = not hold and planned[-1] == whole
     if frame_range is not None and frame_range.last <= origin + whole:
         to_the_end = False
     return SampleTimes(
@@ -109,24 +109,24 @@ def plan_samples(
         codes.T.ravel()[order],
         frames,
         fractions,
-        _between(wanted, ahead, ratio, clock.count, frames[fractions == 0]),
+        _between(planned, ahead, ratio, clock.count, frames[fractions == 0]),
         end - whole if to_the_end else Fraction(0),
     )
 
 
 def _between(
-    wanted: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
+    frames: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
 ) -> int:
     """Return how many samples lie between whole frames, and are not taken.
 
     ``ahead`` [frame].
     """
-    begin = max(wanted[0], math.ceil(-ahead))
-    end = min(wanted[-1], math.floor((count - 1) / ratio - ahead))
+    begin = max(frames[0], math.ceil(-ahead))
+    end = min(frames[-1], math.floor((count - 1) / ratio - ahead))
     if end < begin:
         return 0
-    low = max(0, math.ceil((wanted[0] + ahead) * ratio))
-    high = min(count - 1, math.floor((wanted[-1] + ahead) * ratio))
+    low = max(0, math.ceil((frames[0] + ahead) * ratio))
+    high = min(count - 1, math.floor((frames[-1] + ahead) * ratio))
     places = even_places(np.arange(begin, end + 1), ahead, ratio, count)
     kept = np.union1d(places.frames[places.fractions == 0], taken)
     return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
@@ -136,8 +136,8 @@ def _refusal(message: str) -> OptionError:
     return OptionError(Fault("CLI005", message))
 
 
-def _codes(first: Fraction, wanted: range) -> FloatArray:
-    return time_codes(Fraction(first), Fraction(wanted.step), len(wanted))
+def _codes(first: Fraction, frames: range) -> FloatArray:
+    return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
 def _within(
@@ -154,13 +154,13 @@ def _within(
         return range(low, high + 1, step)
     begin, end = start - origin, start - origin + span
     low += max(0, math.ceil((begin - low) / step)) * step
-    wanted = range(low, min(high, math.floor(end)) + 1, step)
-    if not wanted:
+    frames = range(low, min(high, math.floor(end)) + 1, step)
+    if not frames:
         raise _refusal(
             f"frames {frame_range.first}-{frame_range.last} are not in the take, "
             f"which has {float(start):g}-{float(start + span):g}"
         )
-    return wanted
+    return frames
 
 
 def _kept_samples(
@@ -208,18 +208,18 @@ def sample(
     for begin in range(0, len(times.codes), BLOCK_FRAMES):
         part = slice(begin, begin + BLOCK_FRAMES)
         at = Places(times.frames[part], times.fractions[part])
-        made = motion.map(at.blend)
+        blended = motion.map(at.blend)
         if smooth:
             scales = None if motion.scales is None else at.curve(motion.scales)
             turns = at.curve(motion.rotations)
-            made = replace(
-                made,
+            blended = replace(
+                blended,
                 translations=at.curve(motion.translations),
                 rotations=replace(turns, values=so3.align_signs(turns.values, last)),
                 scales=scales,
             )
-            last = made.rotations.values[-1]
-        yield times.codes[part], made
+            last = blended.rotations.values[-1]
+        yield times.codes[part], blended
 
 
 # A filter before fewer frames a second leaves half at this share of them, a 400th of
@@ -295,9 +295,11 @@ class ResampleOptions:
 def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     if options.fps is None:
         return take
-    found = resampled(take, options.fps, lowpass=options.lowpass, smooth=options.smooth)
-    context.notices.extend(found.notices[len(take.notices) :])
-    return found
+    result = resampled(
+        take, options.fps, lowpass=options.lowpass, smooth=options.smooth
+    )
+    context.notices.extend(result.notices[len(take.notices) :])
+    return result
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:

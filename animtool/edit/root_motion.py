@@ -131,10 +131,12 @@ def _hips(take: Take, root: str, hips: str) -> int:
         raise _refusal("the rig has no joints, so nothing travels", "drop the pass")
     there = root in rig.names
     top = rig.index(root) if there else rig.roots[0]
-    found = traveller(rig, take.motion, top, below=there)
-    if found is None and there:
-        found = next((j for j, one in enumerate(rig.joints) if one.parent == top), top)
-    return top if found is None else found
+    traveller_joint = traveller(rig, take.motion, top, below=there)
+    if traveller_joint is None and there:
+        traveller_joint = next(
+            (j for j, one in enumerate(rig.joints) if one.parent == top), top
+        )
+    return top if traveller_joint is None else traveller_joint
 
 
 def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
+from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.points import (
+    SHELL,
+    attached_points,
+    joint_bounds,
+    point_errors,
+)
 from animtool.edit.travel import places_between
 from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
@@ -39,7 +45,7 @@ def thin_samples(
     tolerance: float,
     *,
     joint_tolerances: Mapping[str, float] | None = None,
-    weight_tolerance: float = 1e-3,
+    weight_tolerance: float = WEIGHT_TOLERANCE,
 ) -> Thinned:
     """Return which samples ``(F,)`` play a motion within a tolerance > 0 [m].
 
@@ -47,9 +53,9 @@ def thin_samples(
     rotations along the shortest arc. A stretch whose samples are beyond the tolerance
     is split at the worst of them (Douglas and Peucker, 1973); then samples that turn
     out not to be needed are left out again. The measure is that of
-    `animtool.clip.reduce.reduce_motion`: points that each joint carries, in the world,
-    at every sample. The first and last sample stay. ``joint_tolerances`` are by names
-    of joints or patterns such as ``hand_*`` > 0 [m], that of weights > 0 [1].
+    `animtool.clip.reduction.reduce.reduce_motion`: points that each joint carries, in
+    the world, at every sample. The first and last sample stay. ``joint_tolerances`` are
+    by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights > 0 [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     measure = _Measure(rig, codes, motion, bounds, weight_tolerance)
@@ -116,13 +122,13 @@ class _Measure:
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         at = places_between(self.codes[kept], self.codes[frames])
-        found = self.motion.select(kept).map(at.blend)
+        blended = self.motion.select(kept).map(at.blend)
         truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
-        world = forward(self.rig, *found.dense())
+        world = forward(self.rig, *blended.dense())
         weights = np.zeros(len(frames))
-        if found.weights is not None and self.motion.weights is not None:
+        if blended.weights is not None and self.motion.weights is not None:
             true = self.motion.weights.values[frames]
-            off = np.abs(found.weights.values - true)
+            off = np.abs(blended.weights.values - true)
             weights = off.max(axis=(1, 2), initial=0.0)
         return point_errors(self.points, truth, world), weights
 

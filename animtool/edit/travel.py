@@ -119,15 +119,15 @@ class Places:
             values = so3.align_signs(values)
             before, after = so3.normalize(before), so3.normalize(after)
         longer = np.concatenate([before, values, after])
-        made = channel.values[self.frames]
+        rows = channel.values[self.frames]
         (between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[between, None, None]
         a, b, c, d = (longer[self.frames[between] + k] for k in range(4))
         curve = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        made[between] = so3.normalize(curve) if turns else curve
-        return Channel(channel.rest, channel.animated, made)
+        rows[between] = so3.normalize(curve) if turns else curve
+        return Channel(channel.rest, channel.animated, rows)
 
 
 def even_places(
@@ -220,8 +220,8 @@ def traveller(
     """
     if not below and (_slides(rig, motion, root) or _turns(motion, root)):
         return root
-    found = _travellers(rig, motion, root)
-    return max(found, key=lambda j: (_weight(rig, j), -j), default=None)
+    travellers = _travellers(rig, motion, root)
+    return max(travellers, key=lambda j: (_weight(rig, j), -j), default=None)
 
 
 def travel_of(rig: Rig, motion: Motion) -> Travel:
@@ -288,16 +288,16 @@ def _carry(
 
 def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
     """Return the free joints below a root that move first on the way down."""
-    found: list[int] = []
+    travellers: list[int] = []
     still = {root}
     for j, joint in enumerate(rig.joints):
         if joint.parent not in still:
             continue
         if joint.type is JointType.FREE and _slides(rig, motion, j):
-            found.append(j)
+            travellers.append(j)
         elif not _turns(motion, j):
             still.add(j)
-    return found
+    return travellers
 
 
 def _slides(rig: Rig, motion: Motion, joint: int) -> bool:

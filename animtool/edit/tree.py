@@ -101,9 +101,9 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
-    found = scales.gather(np.array([joint]))[:, 0]
-    spread = np.ptp(found, axis=-1) > ALIKE * np.abs(found).max(axis=-1)
-    if (found == 0).any() or (spread & turned).any():
+    own = scales.gather(np.array([joint]))[:, 0]
+    spread = np.ptp(own, axis=-1) > ALIKE * np.abs(own).max(axis=-1)
+    if (own == 0).any() or (spread & turned).any():
         name = take.rig.names[joint]
         raise OptionError(
             Fault(
@@ -113,7 +113,7 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
                 hint="scale its children in its place",
             )
         )
-    return found
+    return own
 
 
 def inserted(take: Take, name: str, above: int) -> Take:

@@ -221,13 +221,13 @@ def _limbs(
             continue
         tip = rig.index(goal.joint)
         point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
-        found = limb_joints(rig, goal, moving, origins, point)
-        if found is None:
+        limb = limb_joints(rig, goal, moving, origins, point)
+        if limb is None:
             message = f"{goal.joint!r} ends no limb of two bones: its pole has no place"
             faults.append(Fault("IK004", message, where=f"goals[{i}]"))
             limbs.append((-1, -1))
             continue
-        root, middle = found
+        root, middle = limb
         limbs.append((frames[root].node, frames[middle].node))
     return limbs, faults
 

@@ -61,10 +61,10 @@ class Stretch:
         """Return poses ``(B, C)`` for starts in frames of the clip, and their cost."""
         rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
         chosen = replace(self.options, warm=False, restarts=0, iterations=DESCENT)
-        found = self._solve(rows, frames, chosen)
-        misses = found.misses / by_unit(self.chain.length, 1.0)
-        poses = self.chain.from_rig(found.coordinates)
-        return poses, price(misses, found.converged)
+        result = self._solve(rows, frames, chosen)
+        misses = result.misses / by_unit(self.chain.length, 1.0)
+        poses = self.chain.from_rig(result.coordinates)
+        return poses, price(misses, result.converged)
 
     def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
         """Return poses that follow one through rows, and how many reach their goals."""
@@ -73,12 +73,12 @@ class Stretch:
         poses = np.zeros((len(rows), len(pose)))
         for first in range(0, len(rows), AT_A_TIME):
             some = slice(first, min(first + AT_A_TIME, len(rows)))
-            found = self._solve(start, self.frames.start + rows[some], chosen)
-            poses[some] = self.chain.from_rig(found.coordinates)
-            lost = np.flatnonzero(~found.converged)
+            result = self._solve(start, self.frames.start + rows[some], chosen)
+            poses[some] = self.chain.from_rig(result.coordinates)
+            lost = np.flatnonzero(~result.converged)
             if len(lost):
                 return poses, first + int(lost[0])
-            start = found.coordinates[-1]
+            start = result.coordinates[-1]
         return poses, len(rows)
 
     def _solve(
@@ -114,10 +114,10 @@ def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, Float
     starts = [stretch.poses[at], stretch.poses[at - 1]]
     starts += list(_scattered(stretch, stretch.poses[at], count, seed))
     frames = np.full(len(starts), stretch.broken)
-    found, cost = stretch.solved(np.array(starts), frames)
-    kept = _distinct(stretch.chain, found[cost == 0])
+    solutions, cost = stretch.solved(np.array(starts), frames)
+    kept = _distinct(stretch.chain, solutions[cost == 0])
     if not len(kept):
-        kept = found[np.argsort(cost, kind="stable")[:1]]
+        kept = solutions[np.argsort(cost, kind="stable")[:1]]
     tracks, costs = _followed(stretch, kept, at)
     own = stretch.poses[None]
     paths = [own, tracks]
@@ -146,13 +146,13 @@ def search_branches(
     for i, at in enumerate(range(0, length, spacing)):
         frames = np.full(STRANDS, stretch.frames[at])
         starts = _scattered(stretch, stretch.poses[at], STRANDS, seed + i)
-        found, cost = stretch.solved(np.array(list(starts)), frames)
+        solutions, cost = stretch.solved(np.array(list(starts)), frames)
         layer = 1 + i % LAYERS * STRANDS
-        paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = found[:, None]
+        paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
             for way in (slice(at, min(at + far, length)), slice(at, at - far, -1)):
                 rows = np.arange(length)[_clipped(way)]
-                poses, ok = stretch.tracked(found[k], rows)
+                poses, ok = stretch.tracked(solutions[k], rows)
                 paths[layer + k, rows[:ok]] = poses[:ok]
                 costs[layer + k, rows[:ok]] = 0.0
     return paths, costs

@@ -94,10 +94,10 @@ def parts_of(
     count = len(coordinates)
     spans = [slice(f, f + 1) for f in range(count)] if between else [slice(0, count)]
     places, turns = _carriers(world, carriers)
-    wanted = sorted({j for path in paths for j in path})
+    of_paths = sorted({j for path in paths for j in path})
     parts = [
         Part(
-            _with_rests(rig, rests, span.start, wanted),
+            _with_rests(rig, rests, span.start, of_paths),
             span,
             coordinates[span],
             places[span],
@@ -110,10 +110,10 @@ def parts_of(
 
 def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
     """Return the joints whose rotation matters: not those that turn about the point."""
-    found: set[int] = set()
+    turning: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
-        found.update(path[1:] if goal.pivots else path)
-    return found
+        turning.update(path[1:] if goal.pivots else path)
+    return turning
 
 
 def _rests(
@@ -143,11 +143,11 @@ def _turned(local: LocalTransforms) -> BoolArray:
 
 
 def _with_rests(
-    rig: Rig, rests: LocalTransforms, frame: int, wanted: Sequence[int]
+    rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
     """Return the rig with the rest pose of a frame, where that is another."""
     joints = list(rig.joints)
-    for j in wanted:
+    for j in moving:
         place, turn = rests.translations[frame, j], rests.rotations[frame, j]
         apart = np.abs(place - rig.rest_translations[j]).max() > SAME
         if apart or so3.angle_between(turn, rig.rest_rotations[j]) > SAME:

@@ -230,9 +230,9 @@ class _Clip:
         spacing = max(round(WEAVE * self.options.fps), 1)
         seed = self.options.solving.seed + attempt * self.count
         paths, costs = search_branches(stretch, spacing, seed)
-        found = self._way(stretch, paths, costs, closed=False)
-        if self._strain(found, 0) < SMALLER * self._strain(poses, 0):
-            return self._joined(result, whole, found)
+        path = self._way(stretch, paths, costs, closed=False)
+        if self._strain(path, 0) < SMALLER * self._strain(poses, 0):
+            return self._joined(result, whole, path)
         return result
 
     def _poses(self, result: IkResult) -> FloatArray:
@@ -257,24 +257,24 @@ class _Clip:
         for first in self._beginnings(frame):
             ahead = min(frame - first, round(MAX_AHEAD * self.options.fps))
             window = slice(first, min(frame + ahead + 1, self.count))
-            found = self._detour(poses, window, frame)
-            strain = self._strain(found, first)
+            detour = self._detour(poses, window, frame)
+            strain = self._strain(detour, first)
             if strain < SMALLER * least:
-                least, best = strain, (window, found)
+                least, best = strain, (window, detour)
             if least <= SMOOTH_ENOUGH:
                 break
         return result if best is None else self._joined(result, *best)
 
     def _beginnings(self, frame: int) -> list[int]:
         """Return where stretches before a frame begin, the shortest first."""
-        found: list[int] = []
+        beginnings: list[int] = []
         back = FIRST_BACK
-        while back <= self.options.back and (not found or found[-1] > 0):
+        while back <= self.options.back and (not beginnings or beginnings[-1] > 0):
             first = max(frame - max(round(back * self.options.fps), 2), 0)
-            if first < frame and first not in found:
-                found.append(first)
+            if first < frame and first not in beginnings:
+                beginnings.append(first)
             back *= 2
-        return found
+        return beginnings
 
     def _strain(self, poses: FloatArray, first: int) -> float:
         """Return the largest step from a frame on, in shares of what is a jump."""
@@ -316,15 +316,15 @@ class _Clip:
         """
         window = slice(stretch.frames.start, stretch.frames.stop)
         path = self.path.frames(window)
-        found = best_path(stretch, paths, costs, closed=closed)
-        found = path.evened(found)[0]
-        least = self._strain(found, window.start)
+        best = best_path(stretch, paths, costs, closed=closed)
+        best = path.evened(best)[0]
+        least = self._strain(best, window.start)
         if window.start > 0 or self.moving or least <= 1:
-            return found
+            return best
         other = best_path(stretch, paths, costs, closed=closed, opened=True)
         other = path.evened(other, opened=True)[0]
         better = self._strain(other, window.start) < SMALLER * least
-        return other if better else found
+        return other if better else best
 
     def _joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
         """Return a result with a window replaced, and what comes after it."""

@@ -82,9 +82,9 @@ class _Reader:
     def tracks(self) -> TargetTracks:
         fps = self._fps()
         goals = [
-            made
+            track
             for i, goal in enumerate(self.model.goals)
-            if (made := self._goal(("goals", i), goal)) is not None
+            if (track := self._goal(("goals", i), goal)) is not None
         ]
         return TargetTracks(
             self.document.path,
@@ -214,10 +214,10 @@ class _Reader:
         return name
 
     def _spans(
-        self, at: Location, given: list[list[float]]
+        self, at: Location, pairs: list[list[float]]
     ) -> list[tuple[float, float]]:
-        found: list[tuple[float, float, int]] = []
-        for i, span in enumerate(given):
+        spans: list[tuple[float, float, int]] = []
+        for i, span in enumerate(pairs):
             if self.document.doubtful((*at, i)):
                 continue
             first, last = span
@@ -230,59 +230,59 @@ class _Reader:
                 message = f"a frame is beyond {MAX_FRAME:.0e}"
                 self.document.add("TGT005", (*at, i), message)
                 continue
-            found.append((first, last, i))
-        found.sort()
-        for (first, last, _), (then, end, i) in pairwise(found):
+            spans.append((first, last, i))
+        spans.sort()
+        for (first, last, _), (then, end, i) in pairwise(spans):
             if then <= last:
                 message = f"the span from {then:g} to {end:g} meets that from "
                 message += f"{first:g} to {last:g}"
                 self.document.add("TGT005", (*at, i), message, "make one of them")
-        return [(first, last) for first, last, _ in found]
+        return [(first, last) for first, last, _ in spans]
 
-    def _axis(self, at: Location, given: list[float]) -> Vector:
-        length = math.hypot(*given)
+    def _axis(self, at: Location, axis: list[float]) -> Vector:
+        length = math.hypot(*axis)
         if not length > SHORTEST:
-            self.document.add("TGT008", at, f"direction {given} has no length")
+            self.document.add("TGT008", at, f"direction {axis} has no length")
             return (0.0, 0.0, 1.0)
-        x, y, z = (value / length for value in given)
+        x, y, z = (value / length for value in axis)
         return (x, y, z)
 
     def _weights(
         self,
         at: Location,
-        given: float | WeightsModel,
+        model: float | WeightsModel,
         asked: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; those that are 1 throughout are left out."""
-        if not isinstance(given, WeightsModel):
-            if given == 0 and not self.document.doubtful(at):
+        if not isinstance(model, WeightsModel):
+            if model == 0 and not self.document.doubtful(at):
                 hint = "leave the goal out"
                 self.document.add("TGT002", at, "a weight of 0 asks nothing", hint)
-            if given == 1:
+            if model == 1:
                 return {}
-            return {part: Still((float(given),)) for part in PARTS}
-        found: dict[str, Value] = {}
+            return {part: Still((float(model),)) for part in PARTS}
+        weights: dict[str, Value] = {}
         for part in PARTS:
-            weight = getattr(given, part)
+            weight = getattr(model, part)
             if weight is None:
                 continue
             if part not in asked:
                 message = f"the weight of the {part} does nothing: none is asked for"
                 self.document.warn("TGT101", (*at, part), message)
-            made = self._weight((*at, part), weight)
-            if made is not None:
-                found[part] = made
-        return found
+            curve = self._weight((*at, part), weight)
+            if curve is not None:
+                weights[part] = curve
+        return weights
 
-    def _weight(self, at: Location, given: float | CurveModel) -> Value | None:
-        if not isinstance(given, CurveModel):
-            return Still((float(given),))
-        made = self.values.curve(at, given, "weight")
-        if made is not None and (made.channel.values < 0).any():
-            k = int(np.argmax(made.channel.values[:, 0] < 0))
-            message = f"weight {made.channel.values[k, 0]:g} is less than 0"
+    def _weight(self, at: Location, model: float | CurveModel) -> Value | None:
+        if not isinstance(model, CurveModel):
+            return Still((float(model),))
+        curve = self.values.curve(at, model, "weight")
+        if curve is not None and (curve.channel.values < 0).any():
+            k = int(np.argmax(curve.channel.values[:, 0] < 0))
+            message = f"weight {curve.channel.values[k, 0]:g} is less than 0"
             self.document.add("TGT007", (*at, "keys", k, "v"), message)
-        return made
+        return curve
 
 
 def _held(values: dict[str, Value | None], chain: IkChain | None) -> frozenset[str]:

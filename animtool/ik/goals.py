@@ -308,15 +308,15 @@ def _bring_in(directions: FloatArray) -> None:
 
 def _shaped(
     name: str,
-    given: ArrayLike | None,
+    values: ArrayLike | None,
     goals: int,
     place: slice,
     faults: list[Fault],
 ) -> FloatArray | None:
     """Return the targets of one part, or None where there are none of that shape."""
-    if given is None:
+    if values is None:
         return None
-    array = np.asarray(given, np.float64)
+    array = np.asarray(values, np.float64)
     width = place.stop - place.start
     if array.ndim == 3 and array.shape[1:] == (goals, width):
         return array

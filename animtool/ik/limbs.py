@@ -29,20 +29,20 @@ def limb_joints(
     The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of one pose, any.
     """
     near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
-    found: list[int] = []
+    joints: list[int] = []
     ways: list[float] = []
     below, j = point, rig.index(goal.joint)
-    while j >= 0 and (goal.root is not None or len(found) < 2):
+    while j >= 0 and (goal.root is not None or len(joints) < 2):
         bone = float(np.linalg.norm(origins[j] - below))
         if j in moving and bone > near:
-            found.append(j)
+            joints.append(j)
             ways.append(bone + (ways[-1] if ways else 0.0))
             below = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
-    if len(found) < 2:
+    if len(joints) < 2:
         return None
     halves = [min(way, ways[-1] - way) for way in ways[:-1]]
-    return found[-1], found[halves.index(max(halves))]
+    return joints[-1], joints[halves.index(max(halves))]
 
 
 # Lengths below this share of the problem's are none.

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel, ClipUnits, Interp, Tangent
-from animtool.clip.points import SHELL
-from animtool.clip.reduction import fitted_channel
-from animtool.clip.tracks import euler_order
+from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.clip.reduction.keys import fitted_channel
+from animtool.clip.reduction.points import SHELL
+from animtool.clip.reduction.tracks import euler_order
 from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
@@ -28,7 +28,9 @@ from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.ik.write import USUAL_EASE
 from animtool.maths import euler, so3
+from animtool.maths.curves import Interp
 from animtool.maths.fit import fit_keys
+from animtool.maths.tangents import Tangent
 from animtool.motion import Channel
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain
@@ -109,7 +111,7 @@ def match_take(
     refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
     world = forward(part, motion.translations.gather(own), motion.rotations.gather(own))
-    found = match(part, chains, world)
+    matched = match(part, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
@@ -124,7 +126,7 @@ def match_take(
         reduce,
     )
     goals = tuple(
-        _track(take.rig, chain, e, found, maker) for e, chain in enumerate(chains)
+        _track(take.rig, chain, e, matched, maker) for e, chain in enumerate(chains)
     )
     return TargetTracks(path, clock.fps, first, last, goals)
 
@@ -184,13 +186,13 @@ def _track(
     rig: Rig,
     chain: IkChain,
     e: int,
-    found: Matched,
+    matched: Matched,
     maker: _Values,
 ) -> GoalTrack:
-    goal = found.goals[e]
+    goal = matched.goals[e]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
     for kind in goal.kinds:
-        rows = np.asarray(getattr(found.targets, kind.targets))[:, e]
+        rows = np.asarray(getattr(matched.targets, kind.targets))[:, e]
         name = f"{chain.name}_{kind.name}"
         values[kind.name] = maker.value(rows, name, rig.joints[rig.index(chain.tip)])
     return GoalTrack(
@@ -226,12 +228,12 @@ class _Values:
         return Rows(f"{self.arrays}#{self._named(name)}", rows, self.first)
 
     def _named(self, name: str) -> str:
-        found = plain = re.sub(r"\W", "_", name)
+        unique = plain = re.sub(r"\W", "_", name)
         number = 2
-        while found in self.names:
-            found, number = f"{plain}_{number}", number + 1
-        self.names.add(found)
-        return found
+        while unique in self.names:
+            unique, number = f"{plain}_{number}", number + 1
+        self.names.add(unique)
+        return unique
 
     def _keys(self, rows: FloatArray) -> ClipChannel:
         """Return a key for each frame."""
@@ -253,8 +255,8 @@ class _Values:
         """Return few keys that stay within the tolerance."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
-            made = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
-            return Keyed(made)
+            channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
+            return Keyed(channel)
         order = euler_order(joint, rows)
         # Three turns of one tolerance make one of no more than its root of 3.
         angle = math.degrees(tolerance / SHELL) / math.sqrt(3)

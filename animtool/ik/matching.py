@@ -132,10 +132,10 @@ def _limb(rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms) -> _Limb 
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
-    found = limb_joints(rig, goal, moving_joints(rig, [goal]), origins, origins[tip])
-    if found is None:
+    joints = limb_joints(rig, goal, moving_joints(rig, [goal]), origins, origins[tip])
+    if joints is None:
         return None
-    root, middle = found
+    root, middle = joints
     length, j = 0.0, tip
     while j != root:
         parent = rig.joints[j].parent

@@ -53,16 +53,16 @@ def takes_released(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take
     spans begin or end in each other's ease, it is so but for the other's ease.
     """
     spans = _spans(tracks.goals)
-    found: dict[object, Take] = {_NEVER: take}
+    takes: dict[object, Take] = {_NEVER: take}
     if spans:
         always = [track for track in tracks.goals if not track.during]
         bare = _released_take(take, tracks, always, take, bring)
-        found |= dict.fromkeys(spans, bare)
+        takes |= dict.fromkeys(spans, bare)
     if len(spans) > 1:
         for span in spans:
             others = [track for track in tracks.goals if _span(track) != span]
-            found[span] = _released_take(take, tracks, others, bare, bring)
-    return tuple(found[_span(track)] for track in tracks.goals)
+            takes[span] = _released_take(take, tracks, others, bare, bring)
+    return tuple(takes[_span(track)] for track in tracks.goals)
 
 
 _NEVER: object = ()
@@ -133,16 +133,16 @@ def solve_take(
     count, done = rounds(tracks), 0
     spent = 0.0
 
-    def bring(wanted: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
+    def bring(tracks: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
         def told(share: float) -> None:
             if progress is not None:
                 progress((done + share) / count)
 
-        return _solve_take(take, wanted, free, options, still, only, told)
+        return _solve_take(take, tracks, free, options, still, only, told)
 
-    def bring_take(wanted: TargetTracks, free: tuple[Take, ...]) -> Take:
+    def bring_take(tracks: TargetTracks, free: tuple[Take, ...]) -> Take:
         nonlocal done, spent
-        found = bring(wanted, free)
+        found = bring(tracks, free)
         done, spent = done + 1, spent + found.seconds
         return found.take
 
@@ -195,14 +195,14 @@ def _away(
     goals: Sequence[Goal], rig: Rig, world: WorldTransforms, targets: Targets
 ) -> tuple[float, ...]:
     """Return how far each goal's positions are from its effector, where nearest [m]."""
-    found = []
+    distances = []
     for e, goal in enumerate(goals):
         asked = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
         places = FreeEffector(rig, goal, world).place()[asked]
         ways = np.asarray(targets.positions)[asked, e] - places
         # The longest part of a way needs no square, which huge numbers lack.
-        found.append(float(np.abs(ways).max(axis=1).min(initial=np.inf)))
-    return tuple(0.0 if away == np.inf else away for away in found)
+        distances.append(float(np.abs(ways).max(axis=1).min(initial=np.inf)))
+    return tuple(0.0 if away == np.inf else away for away in distances)
 
 
 def _world(
@@ -210,10 +210,10 @@ def _world(
 ) -> WorldTransforms:
     """Return where joints of a take are, one frame repeated over as many as another."""
     motion = take.motion
-    found = forward(rig, motion.translations.gather(own), motion.rotations.gather(own))
+    world = forward(rig, motion.translations.gather(own), motion.rotations.gather(own))
     return WorldTransforms(
-        np.broadcast_to(found.positions, like.positions.shape),
-        np.broadcast_to(found.linear, like.linear.shape),
+        np.broadcast_to(world.positions, like.positions.shape),
+        np.broadcast_to(world.linear, like.linear.shape),
     )
 
 
@@ -263,7 +263,7 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     """Return the joints that may move; None is every one that moves a goal."""
     if not options.joints:
         return None
-    found: set[str] = set()
+    names: set[str] = set()
     faults = []
     for pattern in options.joints:
         matches = {name for name in whole.names if fnmatchcase(name, pattern)}
@@ -271,7 +271,7 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
             message = f"no joint of {whole.name!r} is {pattern!r}"
             hint = nearest(pattern, whole.names)
             faults.append(Fault("IK001", message, hint=hint))
-        found |= matches
+        names |= matches
     if faults:
         raise OptionError(faults)
-    return [name for name in rig.names if name in found]
+    return [name for name in rig.names if name in names]

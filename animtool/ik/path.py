@@ -97,7 +97,7 @@ class Path:
         rounds: int,
     ) -> tuple[FloatArray, FloatArray]:
         chain = self.problem.chain
-        found = _kernels.smooth_ik(
+        smoothed = _kernels.smooth_ik(
             chain.nodes,
             chain.numbers,
             chain.goals,
@@ -114,7 +114,7 @@ class Path:
             WARM_DAMPING,
             rounds,
         )
-        return found[0], found[1]
+        return smoothed[0], smoothed[1]
 
 
 def path_of(
@@ -179,12 +179,12 @@ def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...
     """
     steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
     joints = _joints(path.problem)
-    found = []
+    jumps = []
     far = np.where((steps > allowed[:, None]) | _jerking(path, steps), steps, 0.0)
     for frame in np.flatnonzero(far.any(axis=1)) + 1:
         d = int(far[frame - 1].argmax())
-        found.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
-    return tuple(found)
+        jumps.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
+    return tuple(jumps)
 
 
 def _jerking(path: Path, steps: FloatArray) -> BoolArray:

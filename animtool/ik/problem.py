@@ -177,7 +177,7 @@ def moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
     """Return the joints that move a goal and may; None says that all may."""
-    found: set[int] = set()
+    moving: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
         # A joint does not move a point that it turns about.
@@ -188,11 +188,11 @@ def moving_joints(
             allowed = joints is None or joint.name in joints
             moves = joint.type is not JointType.FIXED and not (pivots and turns)
             if moves and allowed:
-                found.add(j)
+                moving.add(j)
             slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
             pivots = pivots and not slides and not any(joint.translation)
             j = -1 if joint.name == goal.root else joint.parent
-    return found
+    return moving
 
 
 def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:

@@ -85,7 +85,7 @@ def goal_reports(
     """
     times = solved.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
-    found = []
+    reports = []
     yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
     for e, track in enumerate(solved.tracks.goals):
         asked, misses = solved.asked[:, e], solved.misses[:, e]
@@ -98,10 +98,10 @@ def goal_reports(
         if track.goal.priority > 0 or track.goal.soft > 0:
             short = np.asarray(short & ~yielded, np.bool_)
         spans = tuple(_spans(solved, np.where(asked, misses, 0.0), short))
-        found.append(
+        reports.append(
             GoalReport(track.name, track.goal.joint, track.place, parts, spans)
         )
-    return found
+    return reports
 
 
 def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
@@ -121,12 +121,12 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
     """Return the runs of frames that miss a goal, whose misses are ``(F, 4)``."""
     times = solved.take.clock.times
     edges = np.flatnonzero(np.diff(np.concatenate([[0], short, [0]])))
-    found = []
+    spans = []
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         run = misses[first:end]
         # Metres count as radians: only to choose the frame that is named.
         worst = first + int(np.argmax(run.sum(axis=1)))
-        found.append(
+        spans.append(
             MissedSpan(
                 float(times[first]),
                 float(times[end - 1]),
@@ -136,7 +136,7 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
                 solved.statuses[worst],
             )
         )
-    return found
+    return spans
 
 
 def take_notices(
@@ -224,7 +224,7 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
         solved: A take at its targets.
         reports: What became of its goals, from `goal_reports`.
     """
-    found = []
+    notices = []
     for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
         if report.spans or not away > AWAY * solved.size:
             continue
@@ -232,8 +232,8 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
         message += f"from where it starts, and the rig is {length_text(solved.size)} "
         message += "large"
         hint = "are units and space of the targets those meant?"
-        found.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
-    return found
+        notices.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
+    return notices
 
 
 def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:

@@ -175,8 +175,8 @@ class IkResult:
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""
         row = self.coordinates[index][None]
-        found = frames_on_limits(self.problem, row)
-        return [name for name, on in found.items() if on[0]]
+        names = frames_on_limits(self.problem, row)
+        return [name for name, on in names.items() if on[0]]
 
     def __repr__(self) -> str:
         """Return how many ended how, and the worst miss."""

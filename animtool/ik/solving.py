@@ -192,9 +192,9 @@ class _Asked:
         return _Asked(targets, limbs, self.starts[rows], self.wished[rows])
 
 
-def _explain(found: _Found, asked: _Asked, reached: BoolArray) -> None:
+def _explain(solved: _Found, asked: _Asked, reached: BoolArray) -> None:
     """Say of targets that were brought into reach whether they were out of it."""
-    status = found.reports[:, 0]
+    status = solved.reports[:, 0]
     short = (status == _STATUSES.index(IkStatus.CONVERGED)) & ~reached.all(axis=1)
     only_eased = (reached | asked.limbs.eased).all(axis=1)
     status[short] = _STATUSES.index(IkStatus.NEAREST)
@@ -228,35 +228,37 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     return _Found(*solved)
 
 
-def _met(found: _Found, options: IkOptions) -> BoolArray:
+def _met(solved: _Found, options: IkOptions) -> BoolArray:
     """Return which goals are reached ``(B, E)``."""
     tolerances = by_unit(options.tolerance, options.angle_tolerance)
-    return np.asarray((found.misses <= tolerances).all(axis=2), np.bool_)
+    return np.asarray((solved.misses <= tolerances).all(axis=2), np.bool_)
 
 
-def _settle(problem: Problem, asked: _Asked, options: IkOptions, found: _Found) -> None:
+def _settle(
+    problem: Problem, asked: _Asked, options: IkOptions, solved: _Found
+) -> None:
     """Draw poses that came of new starts to those preferred, while goals stay met.
 
     What the goals leave free would else stay as random as the starts were.
     """
     redundant = problem.degrees > problem.rows
-    again = (found.reports[:, 2] > 1) & _met(found, options).all(axis=1)
+    again = (solved.reports[:, 2] > 1) & _met(solved, options).all(axis=1)
     rows = np.flatnonzero(again)
     if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
         return
     near = replace(options, method=IkMethod.DAMPED, restarts=0)
-    drawn = _Found(*(getattr(found, field.name)[rows] for field in fields(_Found)))
+    drawn = _Found(*(getattr(solved, field.name)[rows] for field in fields(_Found)))
     for weight in DRAWN:
         here = replace(asked[rows], starts=drawn.coordinates)
         drawn = _damped(replace(problem, rest_weight=weight), here, near)
     wished = asked.wished[rows]
     before, after = (
         np.linalg.norm(difference(problem.chain, wished, poses), axis=1)
-        for poses in (found.coordinates[rows], drawn.coordinates)
+        for poses in (solved.coordinates[rows], drawn.coordinates)
     )
     kept = _met(drawn, options).all(axis=1) & (after < before)
-    found.coordinates[rows[kept]] = drawn.coordinates[kept]
-    found.misses[rows[kept]] = drawn.misses[kept]
+    solved.coordinates[rows[kept]] = drawn.coordinates[kept]
+    solved.misses[rows[kept]] = drawn.misses[kept]
 
 
 def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
@@ -266,24 +268,24 @@ def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     )
     reports = np.zeros((len(asked.starts), 3), np.int64)
     seconds = np.zeros(len(reports))
-    found = _Found(limbs.coordinates, limbs.misses, reports, seconds)
+    closed_form = _Found(limbs.coordinates, limbs.misses, reports, seconds)
     rest = np.flatnonzero(~limbs.valid)
     if len(rest):
         other = _damped(problem, asked[rest], options)
-        found.coordinates[rest] = other.coordinates
-        found.misses[rest] = other.misses
-        found.reports[rest] = other.reports
-        found.seconds[rest] = other.seconds
+        closed_form.coordinates[rest] = other.coordinates
+        closed_form.misses[rest] = other.misses
+        closed_form.reports[rest] = other.reports
+        closed_form.seconds[rest] = other.seconds
     if options.warm:
-        _stay(found, ~np.logical_or(*wanted(problem, asked.targets)))
-    return found
+        _stay(closed_form, ~np.logical_or(*wanted(problem, asked.targets)))
+    return closed_form
 
 
-def _stay(found: _Found, idle: BoolArray) -> None:
+def _stay(solved: _Found, idle: BoolArray) -> None:
     """Leave limbs of which a frame asks nothing where the last frame left them."""
     rows = np.arange(len(idle))
     last = np.maximum.accumulate(np.where(idle, -1, rows))
-    found.coordinates[last >= 0] = found.coordinates[last[last >= 0]]
+    solved.coordinates[last >= 0] = solved.coordinates[last[last >= 0]]
 
 
 def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
@@ -309,17 +311,19 @@ def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
 
 
 def _check(options: IkOptions) -> None:
-    faults = [fault for found in option_faults(options).values() for fault in found]
+    faults = [
+        fault for of_option in option_faults(options).values() for fault in of_option
+    ]
     if faults:
         raise OptionError(faults)
 
 
 def pose_rows(
-    problem: Problem, given: ArrayLike | None, batch: int, name: str
+    problem: Problem, pose: ArrayLike | None, batch: int, name: str
 ) -> FloatArray:
     """Return poses ``(B, Q)``, one for all repeated."""
     width = problem.coordinates
-    rows = rest_pose(problem) if given is None else np.asarray(given, np.float64)
+    rows = rest_pose(problem) if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(width,), (batch, width)}:
         message = f"{name} must have shape ({width},) or ({batch}, {width})"
         raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
@@ -380,8 +384,8 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         ),
         (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
     ]
-    found = (why for holds, methods, why in rules if holds and method in methods)
-    return next(found, None)
+    reasons = (why for holds, methods, why in rules if holds and method in methods)
+    return next(reasons, None)
 
 
 def _sliding(problem: Problem) -> list[str]:

@@ -21,11 +21,11 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     >>> mimics(Rig("pair", (lead, tail)), ["lead"])
     ['tail']
     """
-    found = set(moved)
+    reached = set(moved)
     left = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
-    while new := {name for name, lead in left.items() if lead in found} - found:
-        found |= new
-    return [name for name in rig.names if name in found and name in left]
+    while new := {name for name, lead in left.items() if lead in reached} - reached:
+        reached |= new
+    return [name for name in rig.names if name in reached and name in left]
 
 
 def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> FloatArray:
@@ -59,13 +59,13 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     >>> part.names, own.tolist()
     (['a', 'c'], [0, 2])
     """
-    found: set[int] = set()
+    kept: set[int] = set()
     waiting = [rig.index(name) for name in names]
     while waiting:
         j = waiting.pop()
-        if j in found:
+        if j in kept:
             continue
-        found.add(j)
+        kept.add(j)
         joint = rig.joints[j]
         if joint.parent >= 0:
             waiting.append(joint.parent)
@@ -76,7 +76,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
             for i, other in enumerate(rig.joints)
             if other.mimic is not None and other.mimic.joint == joint.name
         ]
-    own = sorted(found)
+    own = sorted(kept)
     place = {j: i for i, j in enumerate(own)} | {-1: -1}
     joints = tuple(
         replace(rig.joints[j], parent=place[rig.joints[j].parent]) for j in own

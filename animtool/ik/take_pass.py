@@ -98,8 +98,10 @@ def _length(text: str) -> float:
 
 
 def _checks(options: Any) -> OptionChecks:
-    found = take_option_faults(_settings(options))
-    numbers = {name: partial(_refuse, faults) for name, faults in found.items()}
+    faults_by_name = take_option_faults(_settings(options))
+    numbers = {
+        name: partial(_refuse, faults) for name, faults in faults_by_name.items()
+    }
     return {
         **numbers,
         "targets": lambda: _targets(options),

@@ -91,28 +91,28 @@ def gathered_take(
     local: LocalTransforms,
     tracks: TargetTracks,
     targets: Targets,
-    found: Sequence[SolvedPart],
+    parts: Sequence[SolvedPart],
 ) -> TakeIk:
     """Return a take with the poses that its parts were brought to."""
-    results = [one.result for one in found]
+    results = [one.result for one in parts]
     motion = take.motion
-    rig = found[0].part.rig
+    rig = parts[0].part.rig
     names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
     stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched)
     places, turns = local.translations[:, joints], local.rotations[:, joints]
-    for one in found:
+    for one in parts:
         span = one.part.frames
         rows, before = one.result.coordinates, one.part.coordinates
-        made = local_from_coordinates(one.part.rig, rows)
+        locals_of_part = local_from_coordinates(one.part.rig, rows)
         longer = one.result.local_translations()
         slices = coordinate_slices(one.part.rig)
         for i, j in enumerate(joints):
             change = np.abs(rows[:, slices[j]] - before[:, slices[j]])
-            grown = (longer[:, j] != made.translations[:, j]).any(axis=1)
+            grown = (longer[:, j] != locals_of_part.translations[:, j]).any(axis=1)
             moved = (change.max(axis=1, initial=0.0) > UNCHANGED) | grown
             places[span, i][moved] = longer[moved, j]
-            turns[span, i][moved] = made.rotations[moved, j]
+            turns[span, i][moved] = locals_of_part.rotations[moved, j]
     index = own[joints]
     motion = replace(
         motion,
@@ -130,7 +130,7 @@ def gathered_take(
         tuple(status for one in results for status in one.statuses),
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
-        sum(one.seconds for one in found),
+        sum(one.seconds for one in parts),
         tuple(jump for one in results for jump in one.jumps),
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
     )
@@ -216,9 +216,9 @@ class TakeRun:
         """
         first = rows_of(targets, slice(0, 1))
         kept = part.coordinates[0]
-        found, seconds = self._timed(problem, start, first, warm=False, prefer=kept)
-        new = found.descents[0] > 1 and bool(found.converged[0])
-        return found.coordinates[0] if new else start, seconds
+        poses, seconds = self._timed(problem, start, first, warm=False, prefer=kept)
+        new = poses.descents[0] > 1 and bool(poses.converged[0])
+        return poses.coordinates[0] if new else start, seconds
 
     def _bent(
         self, part: Part, problem: Problem, targets: Targets
@@ -249,8 +249,8 @@ class TakeRun:
         first = rows_of(targets, slice(0, 1))
         given = replace(first, poles=poles, weights=weights)
         start = part.coordinates[0]
-        found, seconds = self._timed(leaning, start, given, warm=True, restarts=0)
-        return found.coordinates[0], seconds
+        poses, seconds = self._timed(leaning, start, given, warm=True, restarts=0)
+        return poses.coordinates[0], seconds
 
     def _timed(
         self,
@@ -285,10 +285,10 @@ class TakeRun:
                 smooth=options.smooth if searched else 0.0,
                 branches=FollowOptions().branches if searched else 0,
             )
-            found = follow(problem, starts, targets, way, prefer=prefer)
+            result = follow(problem, starts, targets, way, prefer=prefer)
         else:
-            found = solve(problem, starts, targets, chosen, prefer=prefer)
-        return found, time.perf_counter() - began
+            result = solve(problem, starts, targets, chosen, prefer=prefer)
+        return result, time.perf_counter() - began
 
 
 def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:

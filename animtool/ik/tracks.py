@@ -99,15 +99,15 @@ class FreeEffector:
         if limb is None or not self._is_whole(limb[0]):
             return np.asarray(straight)
         root, middle = (self.world.positions[rows, j] for j in limb)
-        a, b, reach, wanted = (
+        a, b, reach, rotation = (
             np.linalg.norm(way, axis=1)
             for way in (middle - root, here - middle, here - root, there - root)
         )
-        bends = bend(a, b, reach), bend(a, b, wanted)
+        bends = bend(a, b, reach), bend(a, b, rotation)
         angle = bends[0] + share * (bends[1] - bends[0])
         away = np.sqrt(np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0))
-        away += share * np.maximum(wanted - (a + b), 0.0)
-        known = (wanted > UNKNOWN * (a + b))[:, None]
+        away += share * np.maximum(rotation - (a + b), 0.0)
+        known = (rotation > UNKNOWN * (a + b))[:, None]
         ends = np.where(known, there - root, here - root)
         way = swung(here - root, ends, share)
         size = np.maximum(np.linalg.norm(way, axis=1), 1e-300)
@@ -144,10 +144,10 @@ class FreeEffector:
         A straight limb has no such direction; it is taken to bend towards its poles.
         """
         point = self.place()
-        found = self._limb()
-        if found is None:
+        limb = self._limb()
+        if limb is None:
             return point, poles - point
-        root, middle = (self.world.positions[:, j] for j in found)
+        root, middle = (self.world.positions[:, j] for j in limb)
         along, bone = point - root, middle - root
         square = np.maximum((along**2).sum(axis=1, keepdims=True), 1e-300)
         off = bone - (bone * along).sum(axis=1, keepdims=True) / square * along
@@ -350,11 +350,11 @@ def _part(
 
 def _ends(track: GoalTrack) -> list[float]:
     """Return the first and last frames of what a goal mentions."""
-    found = [end for span in (*track.spans, *track.during) for end in span]
+    ends = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
         if isinstance(value, Keyed):
-            found += [value.channel.times[0], value.channel.times[-1]]
+            ends += [value.channel.times[0], value.channel.times[-1]]
         elif isinstance(value, Rows):
             first = 1.0 if value.first is None else float(value.first)
-            found += [first, first + len(value.values) - 1]
-    return found
+            ends += [first, first + len(value.values) - 1]
+    return ends

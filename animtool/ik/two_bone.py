@@ -263,13 +263,13 @@ def _angle_about(line: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _unit(vectors: FloatArray, otherwise: FloatArray) -> FloatArray:
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    found = vectors / np.where(size > 0, size, 1.0)
-    return np.where(size > NO_LENGTH**2, found, otherwise)
+    units = vectors / np.where(size > 0, size, 1.0)
+    return np.where(size > NO_LENGTH**2, units, otherwise)
 
 
 def perpendicular(vectors: FloatArray) -> FloatArray:
     """Return unit vectors at right angles to others ``(..., 3)``."""
     least = np.argmin(np.abs(vectors), axis=-1)
-    found = np.cross(vectors, np.eye(3)[least])
-    size = np.linalg.norm(found, axis=-1, keepdims=True)
-    return np.where(size > 0, found / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])
+    crossed = np.cross(vectors, np.eye(3)[least])
+    size = np.linalg.norm(crossed, axis=-1, keepdims=True)
+    return np.where(size > 0, crossed / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])

@@ -135,8 +135,8 @@ class Keyed:
 
     def at(self, frames: Frames) -> FloatArray:
         """Return the curve at times."""
-        found = evaluate_channels([self.channel], frames.times)[self.channel.target]
-        return np.array(np.broadcast_to(found, (len(frames.times), found.shape[1])))
+        values = evaluate_channels([self.channel], frames.times)[self.channel.target]
+        return np.array(np.broadcast_to(values, (len(frames.times), values.shape[1])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,15 +186,15 @@ def between(values: FloatArray, places: FloatArray) -> FloatArray:
     places = np.where(np.abs(places - near) <= ON_ROW, near, places)
     low = np.floor(places).astype(np.int64)
     share = places - low
-    found = values[low]
+    values_between = values[low]
     part = share > 0
     if part.any():
         high = values[low[part] + 1]
         if values.shape[1] == 4:
-            found[part] = so3.slerp(found[part], high, share[part])
+            values_between[part] = so3.slerp(values_between[part], high, share[part])
         else:
-            found[part] += share[part, None] * (high - found[part])
-    return found
+            values_between[part] += share[part, None] * (high - values_between[part])
+    return values_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,27 +243,27 @@ class ValueReader:
         target = {"rotation": "joint/x.rotation", "control": "control/x"}
         named = target.get(kind, "joint/x.translation")
         unit = self.units.of(named, model.euler or "")
-        made = reader.channel(at, model, key, kind, unit)
-        return None if made is None else Keyed(made)
+        channel = reader.channel(at, model, key, kind, unit)
+        return None if channel is None else Keyed(channel)
 
     def value(
-        self, at: Location, given: list[float] | str | ValueModel | None, key: str
+        self, at: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
         """Return a value; None where there is none, or a faulty one."""
-        if given is None or self.document.doubtful(at):
+        if model is None or self.document.doubtful(at):
             return None
-        if isinstance(given, str):
-            return self._rows(at, given, key)
-        if isinstance(given, ValueModel):
-            return self._moving(at, given, key)
+        if isinstance(model, str):
+            return self._rows(at, model, key)
+        if isinstance(model, ValueModel):
+            return self._moving(at, model, key)
         if key == "orientation":
-            return self._turn(at, given)
-        return Still(tuple(value * self.units.length for value in given))
+            return self._turn(at, model)
+        return Still(tuple(value * self.units.length for value in model))
 
-    def _turn(self, at: Location, given: list[float]) -> Still | None:
-        rotations, wrong = file_quaternions(np.array([given], np.float64))
+    def _turn(self, at: Location, numbers: list[float]) -> Still | None:
+        rotations, wrong = file_quaternions(np.array([numbers], np.float64))
         if wrong:
-            message = f"quaternion {given} has no length"
+            message = f"quaternion {numbers} has no length"
             self.document.add("TGT007", at, message)
             return None
         return Still(tuple(rotations[0].tolist()))
@@ -345,8 +345,8 @@ class ValueReader:
         width = 4 if key == "orientation" else 3
         first, count = self.first, self.count
         if values.ndim != 2 or values.shape[1] != width or not len(values):
-            wanted = "F" if count is None else count
-            message = f"{text!r} has shape {values.shape}, not ({wanted}, {width})"
+            expected = "F" if count is None else count
+            message = f"{text!r} has shape {values.shape}, not ({expected}, {width})"
             self.document.add("TGT006", at, message)
             return None
         if count is not None and len(values) != count:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 
@@ -9,6 +10,21 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.maths.tangents import KeySlopes, Tangent
+
+
+class Interp(StrEnum):
+    """How a channel runs from a key to the next."""
+
+    STEP = "step"
+    LINEAR = "linear"
+    BEZIER = "bezier"
+    CATMULL_ROM = "catmull_rom"
+    TCB = "tcb"
+    HERMITE = "hermite"
+    SLERP = "slerp"
+    SQUAD = "squad"
+    SPLINE = "spline"
 
 
 class Extrapolation(StrEnum):
@@ -122,6 +138,61 @@ class Curves:
         )
 
 
+_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
+
+
+def key_handles(
+    slopes: KeySlopes,
+    interps: Sequence[Interp],
+    tangents: Sequence[tuple[Tangent, Tangent]],
+    free_ins: FloatArray,
+    free_outs: FloatArray,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return handles ``(K, 1 + D)`` before and behind the keys, and segment kinds.
+
+    Args:
+        slopes: Of the keys' times and values, by rules.
+        interps: Of the segment behind each key, K long.
+        tangents: Before and behind each key, K long.
+        free_ins: Handles before the keys, where tangents are free ``(K, 1 + D)``.
+        free_outs: Handles behind the keys, likewise.
+    """
+    keys, width = slopes.values.shape
+    ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
+    kinds = np.full(keys, int(SegmentKind.HOLD), np.int64)
+    if keys == 1:
+        return ins, outs, kinds
+    lengths = np.diff(slopes.times)
+    for k, interp in enumerate(interps[:-1]):
+        third = lengths[k] / 3
+        if interp in _KINDS:
+            kinds[k] = _KINDS[interp]
+            continue
+        kinds[k] = SegmentKind.CUBIC
+        outs[k], ins[k + 1, 0] = third, -third
+        if interp is Interp.CATMULL_ROM:
+            outs[k, 1:], ins[k + 1, 1:] = slopes.catmull_rom(k, third)
+            continue
+        for key, side in ((k, 1), (k + 1, 0)):
+            handles = outs if side else ins
+            given = (free_outs if side else free_ins)[key]
+            tangent = tangents[key][side]
+            signed = third if side else -third
+            if interp is Interp.TCB:
+                handles[key, 1:] = slopes.tcb[side][key] * signed
+            elif tangent is not Tangent.FREE:
+                slope = slopes.by_rule(tangent, key, k)
+                handles[key] = [signed, *(slope * signed)]
+            elif interp is Interp.HERMITE:
+                slope = given[1:] / given[0] if given[0] else np.zeros(width)
+                handles[key] = [signed, *(slope * signed)]
+            else:
+                handles[key] = given
+                if given[0] != signed:
+                    kinds[k] = SegmentKind.BEZIER
+    return ins, outs, kinds
+
+
 def cubic_curves(
     times: FloatArray, values: FloatArray, ins: FloatArray, outs: FloatArray
 ) -> Curves:
@@ -199,10 +270,10 @@ def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
         rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    found = _held(curves, rows)
-    found += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
-    found += cycles * rises[:, None]
-    return found
+    values = _held(curves, rows)
+    values += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
+    values += cycles * rises[:, None]
+    return values
 
 
 def end_slopes(curves: Curves) -> FloatArray:

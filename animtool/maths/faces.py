@@ -60,8 +60,8 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     [1, 2, 1, 1, 1]
     """
     ends = np.sort(sides(counts, indices), axis=1)
-    found, often = np.unique(ends, axis=0, return_counts=True)
-    return found, often
+    edges, often = np.unique(ends, axis=0, return_counts=True)
+    return edges, often
 
 
 def closed(counts: IntArray, indices: IntArray) -> bool:
@@ -92,13 +92,13 @@ def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
     ends = np.sort(pairs, axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ends = ends[order]
-    found = [np.zeros((0, 2), np.int64)]
+    edges = [np.zeros((0, 2), np.int64)]
     for apart in range(1, len(order)):
         same = (ends[apart:] == ends[:-apart]).all(axis=1)
         if not same.any():
             break
-        found.append(np.stack([order[:-apart][same], order[apart:][same]], axis=1))
-    one, other = np.concatenate(found).T
+        edges.append(np.stack([order[:-apart][same], order[apart:][same]], axis=1))
+    one, other = np.concatenate(edges).T
     return one, other
 
 

@@ -29,12 +29,12 @@ class FittedKeys:
     @property
     def smooth(self) -> BoolArray:
         """Whether each key has one slope on both sides ``(K,)``; the ends have."""
-        found = np.ones(len(self.frames), np.bool_)
+        flags = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
         before, behind = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
         size = np.abs(before) + np.abs(behind)
-        found[1:-1] = (np.abs(before - behind) <= 1e-9 * size + 1e-300).all(axis=1)
-        return found
+        flags[1:-1] = (np.abs(before - behind) <= 1e-9 * size + 1e-300).all(axis=1)
+        return flags
 
 
 def fit_keys(

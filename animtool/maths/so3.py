@@ -33,12 +33,12 @@ def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
     bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
     # Beside what is computed, stacking would take as long again.
     x = aw * bx + ax * bw + ay * bz - az * by
-    made = np.empty((*x.shape, 4))
-    made[..., 0] = x
-    made[..., 1] = aw * by - ax * bz + ay * bw + az * bx
-    made[..., 2] = aw * bz + ax * by - ay * bx + az * bw
-    made[..., 3] = aw * bw - ax * bx - ay * by - az * bz
-    return made
+    product = np.empty((*x.shape, 4))
+    product[..., 0] = x
+    product[..., 1] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 2] = aw * bz + ax * by - ay * bx + az * bw
+    product[..., 3] = aw * bw - ax * bx - ay * by - az * bz
+    return product
 
 
 def conjugate(q: ArrayLike) -> FloatArray:
@@ -81,9 +81,13 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     x = ay * bz - az * by
-    made = np.empty((*x.shape, 3))
-    made[..., 0], made[..., 1], made[..., 2] = x, az * bx - ax * bz, ax * by - ay * bx
-    return made
+    product = np.empty((*x.shape, 3))
+    product[..., 0], product[..., 1], product[..., 2] = (
+        x,
+        az * bx - ax * bz,
+        ax * by - ay * bx,
+    )
+    return product
 
 
 def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:

@@ -7,11 +7,31 @@ the straight slope of their one segment, if nothing else is said; one key is fla
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, as_floats
+
+
+class Tangent(StrEnum):
+    """How steep a curve is at a key: given, or by a rule."""
+
+    FREE = "free"
+    FLAT = "flat"
+    LINEAR = "linear"
+    AUTO = "auto"
+    AUTO_CLAMPED = "auto_clamped"
+
+
+class Parametrization(StrEnum):
+    """How Catmull-Rom spaces its knots."""
+
+    UNIFORM = "uniform"
+    CENTRIPETAL = "centripetal"
+    CHORDAL = "chordal"
 
 
 def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
@@ -93,17 +113,17 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     [0.0, 0.0, 0.0, -10.5]
     """
     _, values, spans, slopes = _segments(times, values)
-    found = nonuniform(times, values)
+    clamped = nonuniform(times, values)
     if len(values) < 3:
-        return found
+        return clamped
     for end, one, two in ((0, 0, 1), (-1, -1, -2)):
         weight = spans[one] / (spans[one] + spans[two])
-        found[end] = slopes[one] + weight * (slopes[one] - slopes[two])
+        clamped[end] = slopes[one] + weight * (slopes[one] - slopes[two])
     before = np.concatenate([slopes[:1], slopes])
     behind = np.concatenate([slopes, slopes[-1:]])
     monotone = np.sign(before) == np.sign(behind)
     limit = 3 * np.minimum(np.abs(before), np.abs(behind))
-    along = np.sign(before) * found
+    along = np.sign(before) * clamped
     return np.where(monotone, np.sign(before) * np.clip(along, 0, limit), 0.0) + 0.0
 
 
@@ -205,3 +225,67 @@ def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> Flo
     if len(values) < 2:
         return np.zeros(values.shape)
     return np.concatenate([slopes[:1], inner, slopes[-1:]])
+
+
+_Rule: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+
+_ALPHA = {
+    Parametrization.UNIFORM: 0.0,
+    Parametrization.CENTRIPETAL: 0.5,
+    Parametrization.CHORDAL: 1.0,
+}
+
+
+class KeySlopes:
+    """Slopes at the keys of a channel, by the rules that it uses."""
+
+    def __init__(
+        self,
+        times: FloatArray,
+        values: FloatArray,
+        tcb: FloatArray,
+        parametrization: Parametrization = Parametrization.UNIFORM,
+    ) -> None:
+        self.times = times  # ascending ``(K,)``
+        self.values = values  # ``(K, D)``
+        self._weights = tcb  # tension, continuity, bias ``(K, 3)``
+        self._parametrization = parametrization
+        self._by_rule: dict[str, FloatArray] = {}
+        self._paths: tuple[FloatArray, FloatArray] | None = None
+        self._tcb: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def tcb(self) -> tuple[FloatArray, FloatArray]:
+        """Slopes before and behind each key ``(K, D)``."""
+        if self._tcb is None:
+            self._tcb = tcb(self.times, self.values, self._weights)
+        return self._tcb
+
+    def by_rule(self, tangent: Tangent, key: int, segment: int) -> FloatArray:
+        """Return the slope at a key, of a segment that it ends ``(D,)``."""
+        if tangent is Tangent.FLAT:
+            return np.zeros(self.values.shape[1])
+        if tangent is Tangent.LINEAR:
+            rise = self.values[segment + 1] - self.values[segment]
+            return np.asarray(rise / (self.times[segment + 1] - self.times[segment]))
+        rule = {
+            Tangent.AUTO: nonuniform,
+            Tangent.AUTO_CLAMPED: auto_clamped,
+        }[tangent]
+        return np.asarray(self._slopes(rule.__name__, rule)[key])
+
+    def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
+        """Return the handles' values of a segment, behind and before its keys."""
+        if self._parametrization is Parametrization.UNIFORM:
+            slopes = self._slopes("secant", secant)
+            return slopes[k] * third, -slopes[k + 1] * third
+        if self._paths is None:
+            alpha = _ALPHA[self._parametrization]
+            self._paths = catmull_rom_controls(self.values, alpha)
+        ins, outs = self._paths
+        return outs[k], ins[k + 1]
+
+    def _slopes(self, name: str, rule: _Rule) -> FloatArray:
+        if name not in self._by_rule:
+            self._by_rule[name] = rule(self.times, self.values)
+        return self._by_rule[name]

@@ -175,12 +175,12 @@ def simulation_panels(table: SimulationTable) -> list[Panel]:
 
 
 def _simulated(part: TrialTable) -> Panel:
-    found: dict[str, list[Point]] = {}
+    by_method: dict[str, list[Point]] = {}
     for row in part.rows:
         if row.error is not None:
             point = Point(row.seconds, row.error.rms, row.chosen, row.best)
-            found.setdefault(row.setting.method, []).append(point)
-    curves = tuple(Curve(name, tuple(points)) for name, points in found.items())
+            by_method.setdefault(row.setting.method, []).append(point)
+    curves = tuple(Curve(name, tuple(points)) for name, points in by_method.items())
     reference = part.reference
     remark, floor = "", 0.0
     if reference is not None:
@@ -192,10 +192,10 @@ def _simulated(part: TrialTable) -> Panel:
 
 def bake_panels(table: BakeTable) -> list[Panel]:
     """Return one panel, with a curve for each kind of row."""
-    found: dict[str, list[Point]] = {}
+    by_kind: dict[str, list[Point]] = {}
     for row in table.rows:
-        found.setdefault(str(row.kind), []).append(Point(row.seconds, row.error))
-    curves = tuple(Curve(name, tuple(points)) for name, points in found.items())
+        by_kind.setdefault(str(row.kind), []).append(Point(row.seconds, row.error))
+    curves = tuple(Curve(name, tuple(points)) for name, points in by_kind.items())
     return [Panel(table.source.name, "largest error [m]", curves)]
 
 

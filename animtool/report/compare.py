@@ -87,9 +87,9 @@ def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]
         if k not in theirs and (arkit := arkit_name(name)) is not None
     }
     for i, name in enumerate(first):
-        found = None if i in mine else spelled.pop(arkit_name(name) or "", None)
-        if found is not None:
-            pairs.append((i, found))
+        match = None if i in mine else spelled.pop(arkit_name(name) or "", None)
+        if match is not None:
+            pairs.append((i, match))
     return sorted(pairs)
 
 
@@ -167,13 +167,13 @@ def compare(
     if second_options is None:
         given = [fitting_options(mine, path, paths) for path in paths]
     one, two = (open_source(path, own) for path, own in zip(paths, given, strict=True))
-    found = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
-    found.notices.extend([*one.notices, *two.notices])
-    found.notes.extend(_space_notes(one.rig, two.rig))
+    difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
+    difference.notices.extend([*one.notices, *two.notices])
+    difference.notes.extend(_space_notes(one.rig, two.rig))
     if None not in {one.start, two.start} and one.start != two.start:
         codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
-        found.notes.append(f"first time code {codes}; compared from there")
-    return found
+        difference.notes.append(f"first time code {codes}; compared from there")
+    return difference
 
 
 def _space_notes(first: Rig, second: Rig) -> list[str]:
@@ -243,23 +243,23 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
     used: set[int] = set()
     for i, joint in enumerate(first.joints):
         keys = (joint.source_name or joint.name, joint.name)
-        found = [k for key in keys for k in index.get(key, []) if k not in used]
-        if found:
-            used.add(found[0])
-            pairs.append((i, found[0]))
+        candidates = [k for key in keys for k in index.get(key, []) if k not in used]
+        if candidates:
+            used.add(candidates[0])
+            pairs.append((i, candidates[0]))
     return pairs
 
 
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
-    found = []
+    names = []
     for take, other, column in ((first, "second", 0), (second, "first", 1)):
         matched = {pair[column] for pair in pairs}
         missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
         if missing:
-            found.append(lost_text("joint", missing, other))
+            names.append(lost_text("joint", missing, other))
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
-        found.append(f"{frames} against {second.clock.count}")
+        names.append(f"{frames} against {second.clock.count}")
     if first.clock.rate != second.clock.rate:
-        found.append(f"{first.clock.rate} fps against {second.clock.rate}")
-    return found
+        names.append(f"{first.clock.rate} fps against {second.clock.rate}")
+    return names

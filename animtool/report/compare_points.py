@@ -89,8 +89,8 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             for kind, (values, ids) in _apart(a, b).items():
                 worst = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst] > largest[kind].value:
-                    found = float(values[worst]), name, int(ids[worst]), code
-                    largest[kind] = PointDifference(*found)
+                    candidate = float(values[worst]), name, int(ids[worst]), code
+                    largest[kind] = PointDifference(*candidate)
     if one.fps != two.fps:
         mismatches.append(f"{one.fps} time codes a second against {two.fps}")
     return PointsDifference(
@@ -104,12 +104,12 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
 
 
 def _lost(one: PointSource, two: PointSource) -> list[str]:
-    found = []
+    names = []
     for mine, theirs, other in ((one, two, "second"), (two, one, "first")):
         lost = [name for name in mine.names if name not in theirs.names]
         if lost:
-            found.append(lost_text("prim", lost, other))
-    return found
+            names.append(lost_text("prim", lost, other))
+    return names
 
 
 def _pairs(
@@ -175,14 +175,14 @@ def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArr
     """Return by kind how far points are apart ``(N,)``, and their ids ``(N,)``."""
     ids, mine, theirs = _matched(a, b)
     off = np.linalg.norm(a.points[mine] - b.points[theirs], axis=1)
-    found = {"points": (off, ids)}
+    distances = {"points": (off, ids)}
     if a.orientations is not None and b.orientations is not None:
         angles = so3.angle_between(a.orientations[mine], b.orientations[theirs])
-        found["orientations"] = np.degrees(angles), ids
+        distances["orientations"] = np.degrees(angles), ids
     if a.scales is not None and b.scales is not None:
         sizes = np.abs(a.scales[mine] - b.scales[theirs])
-        found["scales"] = sizes.max(axis=1, initial=0.0), ids
-    return found
+        distances["scales"] = sizes.max(axis=1, initial=0.0), ids
+    return distances
 
 
 def _notes(one: PointSource, two: PointSource) -> list[str]:

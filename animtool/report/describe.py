@@ -127,10 +127,10 @@ def _cycle(take: Take) -> Cycle | None:
 
     last = min(take.clock.count, CYCLE_FRAMES) - 1
     try:
-        found = find_cycle(take, None, float(take.clock.times[last]))
+        cycle = find_cycle(take, None, float(take.clock.times[last]))
     except OptionError:  # nothing moves, or it is shorter than any cycle
         return None
-    return found if found.share <= POOR_SEAM else None
+    return cycle if cycle.share <= POOR_SEAM else None
 
 
 def _shot(path: Path) -> dict[str, object] | None:

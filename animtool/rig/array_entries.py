@@ -82,8 +82,8 @@ class ArrayReader:
             for want, got in zip(shape, header.shape, strict=True)
         )
         if not fits:
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            message = f"{ref.text!r} has shape {header.shape}, not ({wanted})"
+            expected = ", ".join("any" if n is None else str(n) for n in shape)
+            message = f"{ref.text!r} has shape {header.shape}, not ({expected})"
             self.document.add("RIG019", at, message)
             return False
         if role in _COUNTING and header.kind not in "iu":

@@ -63,7 +63,7 @@ def keyed_values(
 
 def solve_controls(
     controls: Sequence[Control],
-    wanted: Mapping[str, FloatArray],
+    targets: Mapping[str, FloatArray],
     tolerances: Mapping[str, float],
     start: Mapping[str, FloatArray],
     *,
@@ -78,7 +78,7 @@ def solve_controls(
     those that they shared a target with are solved again. A control that only drives
     other controls stays at its start where the others do.
 
-    ``wanted`` is what all controls add to each target ``(F,)`` [rad], [m], [1]; targets
+    ``targets`` is what all controls add to each target ``(F,)`` [rad], [m], [1]; those
     that it lacks are unconstrained. ``start`` is the keyed value of every control
     ``(F,)``, not limited to the ranges; from ``keyed`` targets, which get keys of their
     own, no control is solved.
@@ -90,10 +90,10 @@ def solve_controls(
     released: set[str] = set()
     for group in _groups(controls):
         part = [control for control in controls if control.name in group]
-        problem = _Problem(part, wanted, tolerances, keyed)
+        problem = _Problem(part, targets, tolerances, keyed)
         own = {control.name: values[control.name] for control in part}
-        found, loose = _solved_group(problem, own)
-        values |= found
+        solved, loose = _solved_group(problem, own)
+        values |= solved
         released |= loose
         kept |= {control.name for control in part if control.drives} - loose
     order = [control.name for control in controls]
@@ -197,7 +197,7 @@ class _Problem:
     def __init__(
         self,
         controls: Sequence[Control],
-        wanted: Mapping[str, FloatArray],
+        goals: Mapping[str, FloatArray],
         tolerances: Mapping[str, float],
         keyed: Set[str],
     ) -> None:
@@ -210,8 +210,8 @@ class _Problem:
         }
         self.targets = _reached_targets(controls, direct)
         every = sorted({t for targets in self.targets.values() for t in targets})
-        self.order = [target for target in every if target in wanted]
-        self.wanted = wanted
+        self.order = [target for target in every if target in goals]
+        self.wanted = goals
         self.tolerances = tolerances
         self.masters = {
             name
@@ -233,8 +233,8 @@ class _Problem:
                 turned[target] = turned[target] + 2 * np.pi * turns
             yield self._of(turned)
 
-    def _of(self, wanted: Mapping[str, FloatArray]) -> _Problem:
-        return _Problem(self.controls, wanted, self.tolerances, self.keyed)
+    def _of(self, targets: Mapping[str, FloatArray]) -> _Problem:
+        return _Problem(self.controls, targets, self.tolerances, self.keyed)
 
     def residuals(
         self,

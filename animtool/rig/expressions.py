@@ -132,8 +132,8 @@ def _check(node: ast.expr, text: str, names: set[str], depth: int) -> None:
                 allowed = ", ".join(FUNCTIONS)
                 raise ValueError(f"{name!r} is no function; allowed: {allowed}")
             if len(inner) != FUNCTIONS[name][1]:
-                wanted = FUNCTIONS[name][1]
-                raise ValueError(f"{name} takes {wanted} values, not {len(inner)}")
+                expected = FUNCTIONS[name][1]
+                raise ValueError(f"{name} takes {expected} values, not {len(inner)}")
         case ast.BinOp(op=ast.Pow()):
             raise ValueError("'**' is not allowed; pow(a, b) is")
         case _:

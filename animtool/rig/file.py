@@ -28,7 +28,7 @@ from animtool.units import LengthUnit, UpAxis
 def bind_of(
     document: Document,
     models: Mapping[str, PoseModel],
-    found: FileJoints,
+    read: FileJoints,
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
@@ -37,17 +37,17 @@ def bind_of(
     A joint that a mirror wrote has the reflection of the other's bind pose, unless
     the file gives it one of its own.
     """
-    joints = {joint.name: joint for joint in found.joints}
+    joints = {joint.name: joint for joint in read.joints}
     bind = dict(inherited)
     for name, model in models.items():
         if name not in joints:
             message = f"{name!r} is no joint"
-            if not found.unnamed:
+            if not read.unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
         bind[name] = _pose(document, name, model, joints[name], units)
-    bind |= _mirrored(found, bind, set(models))
+    bind |= _mirrored(read, bind, set(models))
     return {
         name: pose
         for name, pose in bind.items()
@@ -72,28 +72,28 @@ def _rest(joint: Joint) -> Pose:
 
 
 def _mirrored(
-    found: FileJoints, bind: Mapping[str, Pose], given: set[str]
+    joints: FileJoints, bind: Mapping[str, Pose], stated: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of joints that a mirror wrote, parents before children."""
-    made: dict[str, Pose] = {}
-    if not found.mirrored - given or not bind:
-        return made
+    poses: dict[str, Pose] = {}
+    if not joints.mirrored - stated or not bind:
+        return poses
     world: list[Transform] = []
-    places = {joint.name: i for i, joint in enumerate(found.joints)}
-    for joint in found.joints:
+    places = {joint.name: i for i, joint in enumerate(joints.joints)}
+    for joint in joints.joints:
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
-            joint.name in found.mirrored
-            and joint.name not in given
-            and joint.mirror in given
+            joint.name in joints.mirrored
+            and joint.name not in stated
+            and joint.mirror in stated
         ):
             source = bind[joint.mirror]
-            made[joint.name] = mirrored_pose(
+            poses[joint.name] = mirrored_pose(
                 source, world[places[joint.mirror]], parent
             )
-        pose = made.get(joint.name) or bind.get(joint.name) or _rest(joint)
+        pose = poses.get(joint.name) or bind.get(joint.name) or _rest(joint)
         world.append(placed(parent, pose))
-    return made
+    return poses
 
 
 # A sidecar of a sidecar is odd; this many of them are no studio's rig.
@@ -194,8 +194,8 @@ def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return the joints of a sidecar whose base cannot be read: there may be more."""
     document.partial |= {"joints", "meshes", "shapes", "controls"}
-    found = _added(document, model, units)
-    return replace(found, adrift=frozenset(joint.name for joint in found.joints))
+    joints = _added(document, model, units)
+    return replace(joints, adrift=frozenset(joint.name for joint in joints.joints))
 
 
 def _overlaid(
@@ -215,8 +215,8 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} comes from {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "leave it out")
-    found = _added(document, model, units)
-    added = {names.get(joint.name, joint.name): joint for joint in found.joints}
+    own = _added(document, model, units)
+    added = {names.get(joint.name, joint.name): joint for joint in own.joints}
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
@@ -233,8 +233,8 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
-    untyped = frozenset(names.get(name, name) for name in found.untyped)
-    return FileJoints(joints, untyped=untyped, unnamed=found.unnamed)
+    untyped = frozenset(names.get(name, name) for name in own.untyped)
+    return FileJoints(joints, untyped=untyped, unnamed=own.unnamed)
 
 
 def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:

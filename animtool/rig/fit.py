@@ -231,7 +231,7 @@ def _fault(
 
 def _numbers(fit: Fit) -> str:
     """Return the parts of a score that can be seen."""
-    said = {
+    names = {
         "joints": f"{fit.take_share:.0%} of the take's, {fit.rig_share:.0%} of the "
         "rig's",
         "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
@@ -240,7 +240,7 @@ def _numbers(fit: Fit) -> str:
         "up axis": f"{math.degrees(fit.tilt):.0f} degrees apart",
     }
     return ", ".join(
-        f"{name} {value:.2f} ({said[name]})"
+        f"{name} {value:.2f} ({names[name]})"
         for name, value in fit.parts.items()
         if value < NOTICEABLE
     )

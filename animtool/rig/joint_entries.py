@@ -78,9 +78,11 @@ class _Tree:
         """Return where a joint is at rest, the world for none."""
         if joint < 0:
             return ORIGIN
-        for made in self.made[len(self.world) : joint + 1]:
-            parent = self.world[made.parent] if made.parent >= 0 else ORIGIN
-            self.world.append(placed(parent, Pose(made.translation, made.rotation)))
+        for transform in self.made[len(self.world) : joint + 1]:
+            parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
+            self.world.append(
+                placed(parent, Pose(transform.translation, transform.rotation))
+            )
         return self.world[joint]
 
 
@@ -105,7 +107,7 @@ def joints_of(
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
         tree.made.append(joint)
-    found = FileJoints(
+    joints = FileJoints(
         tuple(tree.made),
         frozenset(name for name, entry in entries.items() if entry.adrift),
         frozenset(name for name, entry in entries.items() if entry.mirrored),
@@ -116,7 +118,7 @@ def joints_of(
         ),
         unnamed,
     )
-    return _with_mimics(document, models, entries, found, units)
+    return _with_mimics(document, models, entries, joints, units)
 
 
 def _entries(
@@ -199,13 +201,13 @@ def _note_off_middle(
     entry: _Entry,
     joint: Joint,
     parent_world: Transform,
-    made: list[Joint],
+    joints: list[Joint],
 ) -> None:
     """Note a pair below one joint that is not between left and right."""
     away = float(parent_world[0][0])
     if abs(away) <= OFF_MIDDLE:
         return
-    parent = made[joint.parent].name
+    parent = joints[joint.parent].name
     message = (
         f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but both "
         f"hang from {parent!r}, which is {length_text(abs(away), 4)} off it"
@@ -290,11 +292,11 @@ def _with_mimics(
     document: Document,
     models: list[JointModel],
     entries: dict[str, _Entry],
-    found: FileJoints,
+    read: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with those that follow others, which must exist by now."""
-    joints = list(found.joints)
+    joints = list(read.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entries.items():
@@ -307,10 +309,10 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"{mimic.joint!r} is no joint"
-            if not found.unnamed:
+            if not read.unnamed:
                 document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
             continue
-        if mimic.joint in found.untyped:
+        if mimic.joint in read.untyped:
             continue
         if joints[leader].type not in scalar:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
@@ -323,7 +325,7 @@ def _with_mimics(
         followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
     _refuse_chains(document, entries, joints)
-    return replace(found, joints=tuple(joints))
+    return replace(read, joints=tuple(joints))
 
 
 def _refuse_chains(

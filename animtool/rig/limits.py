@@ -79,9 +79,9 @@ class BallLimit:
         inside = so3.multiply(swing[outside], held)
         before = rotations[outside]
         within = so3.angle_between(inside, before) < LIMIT_TOLERANCE
-        made = rotations.copy()
-        made[outside] = np.where(within[:, None], before, inside)
-        return made
+        clamped = rotations.copy()
+        clamped[outside] = np.where(within[:, None], before, inside)
+        return clamped
 
 
 # A cone of no width is a line that rounding always misses [rad].
@@ -124,6 +124,6 @@ def _axes(axis: tuple[float, float, float]) -> FloatArray:
     first = basis[(near + 1) % 3]
     first = first - (first @ direction) * direction
     first /= np.linalg.norm(first)
-    made = np.stack([direction, first, np.cross(direction, first)])
-    made.setflags(write=False)
-    return made
+    axes = np.stack([direction, first, np.cross(direction, first)])
+    axes.setflags(write=False)
+    return axes

@@ -73,7 +73,7 @@ class PartReader:
             [*inherited, *(shape.name for shape in self.model.shapes)]
         )
         meshes = dict.fromkeys(meshes)
-        made = []
+        shapes = []
         for i, shape in enumerate(self.model.shapes):
             at = ("shapes", i)
             if shape.mesh is not None:
@@ -100,7 +100,7 @@ class PartReader:
                 ref = self.arrays.array((*spot, "deltas"), step.deltas, "deltas", rows)
                 normals = self._maybe((*spot, "normals"), step.normals, "normals", rows)
                 between.append(Inbetween(step.at, ref, normals))
-            made.append(
+            shapes.append(
                 Shape(
                     shape.name,
                     shape.mesh or "",
@@ -112,12 +112,12 @@ class PartReader:
                 )
             )
         try:
-            combination_order(made)
+            combination_order(shapes)
         except ShapeCycleError as error:
-            place = [shape.name for shape in made].index(error.cycle[0])
+            place = [shape.name for shape in shapes].index(error.cycle[0])
             message = f"shapes combine each other in a circle: {error}"
             self.document.add("RIG026", ("shapes", place, "combine"), message)
-        return tuple(made)
+        return tuple(shapes)
 
     def controls(
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
@@ -130,7 +130,7 @@ class PartReader:
         self.names = dict.fromkeys([*(control.name for control in kept), *own])
         for control in kept:
             self._still_drives(control)
-        made = (
+        controls = (
             *kept,
             *(
                 self._control(("controls", i), control, known)
@@ -138,12 +138,12 @@ class PartReader:
             ),
         )
         try:
-            evaluation_order(made)
+            evaluation_order(controls)
         except ControlCycleError as error:
             first = next(name for name in error.cycle if name in own)
             message = f"controls drive each other in a circle: {error}"
             self.document.add("RIG014", ("controls", own[first]), message)
-        return made
+        return controls
 
     def _still_drives(self, control: Control) -> None:
         """Note a control that drives what a joint has no longer."""
@@ -164,7 +164,7 @@ class PartReader:
         """Return the chains, each tip below its root."""
         self._distinct("ik", "chain")
         own = {chain.name for chain in self.model.ik}
-        made = [chain for chain in inherited if chain.name not in own]
+        chains = [chain for chain in inherited if chain.name not in own]
         for i, chain in enumerate(self.model.ik):
             at = ("ik", i)
             known = [
@@ -177,12 +177,12 @@ class PartReader:
             pole = None
             if chain.pole_dir is not None:
                 pole = unit_vector(self.document, (*at, "pole_dir"), chain.pole_dir)
-            made.append(
+            chains.append(
                 IkChain(
                     chain.name, chain.root, chain.tip, chain.goal, pole, chain.stretch
                 )
             )
-        return tuple(made)
+        return tuple(chains)
 
     def attach(
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
@@ -219,7 +219,7 @@ class PartReader:
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
         """Return the colliders."""
         own = {entry.joint for entry in self.model.colliders}
-        made = [collider for collider in inherited if collider.joint not in own]
+        colliders = [collider for collider in inherited if collider.joint not in own]
         for i, entry in enumerate(self.model.colliders):
             at = ("colliders", i)
             self._known((*at, "joint"), entry.joint, self.joints, "joint")
@@ -234,8 +234,8 @@ class PartReader:
                 axis,
                 (x, y, z),
             )
-            made.append(Collider(entry.joint, capsule))
-        return tuple(made)
+            colliders.append(Collider(entry.joint, capsule))
+        return tuple(colliders)
 
     def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
         points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))

@@ -95,11 +95,11 @@ def combined_weights(
     >>> combined_weights(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    found = {shape.name: own[shape.name] for shape in shapes}
+    weights = {shape.name: own[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
-            found[shape.name] = found[shape.name] + _product(shape, found)
-    return found
+            weights[shape.name] = weights[shape.name] + _product(shape, weights)
+    return weights
 
 
 def own_weights(

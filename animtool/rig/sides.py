@@ -85,16 +85,16 @@ def pair_sides(
         if a in free and b in free:
             partners[a], partners[b] = b, a
             free -= {a, b}
-    found: list[int] = []
+    partner_of: list[int] = []
     for _, _, left, right in sorted(_candidates(names, index, _depths(above))):
         parent = above[left]
         hung = int(partners[parent]) if parent >= 0 else -1
         if left in free and right in free and hung == above[right]:
             partners[left], partners[right] = right, left
             free -= {left, right}
-            found.append(left)
+            partner_of.append(left)
     strays = [i for i in sorted(free) if _looks(names[i])]
-    return SidePairs(partners, tuple(sorted(found)), tuple(strays))
+    return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
 
 
 def stray_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:

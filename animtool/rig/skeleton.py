@@ -205,11 +205,11 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).upwards(1)
         [1, 0]
         """
-        found = []
+        above = []
         while joint >= 0:
-            found.append(joint)
+            above.append(joint)
             joint = self.joints[joint].parent
-        return found
+        return above
 
     @property
     def names(self) -> list[str]:

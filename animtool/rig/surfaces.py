@@ -153,7 +153,7 @@ class Strands:
 
 def strands_of(rig: Rig) -> tuple[Strands, ...]:
     """Return the strands of a rig, their arrays read."""
-    made = []
+    strands = []
     for entry in rig.attach:
         if entry.points is None:
             continue
@@ -161,8 +161,8 @@ def strands_of(rig: Rig) -> tuple[Strands, ...]:
             points = entry.points.load() * rig.meters_per_unit
         except ValueError as error:
             raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
-        made.append(Strands(entry.name, entry.joints[0], points))
-    return tuple(made)
+        strands.append(Strands(entry.name, entry.joints[0], points))
+    return tuple(strands)
 
 
 StoredArrays = dict[str, npt.NDArray[np.generic]]

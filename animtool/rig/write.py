@@ -67,8 +67,8 @@ def rig_text(rig: Rig) -> str:
         "attach": map(_attachment, rig.attach),
         "colliders": map(units.collider, rig.colliders),
     }
-    for name, made in sections.items():
-        entries = [f"- {entry}" for entry in made]
+    for name, section in sections.items():
+        entries = [f"- {entry}" for entry in section]
         lines += [f"{name}:", *entries] if entries else []
     return "\n".join(lines) + "\n"
 

@@ -8,13 +8,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.options import KEY_TOLERANCE
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
     Opener,
@@ -29,7 +29,7 @@ from animtool.units import parse_length
 
 if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake
-    from animtool.clip.reduction import Reduction
+    from animtool.clip.reduction.keys import Reduction
     from animtool.rig.surfaces import StoredArrays
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
@@ -235,10 +235,10 @@ def _to_clip(
         rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
     if arrays:
         check_outputs([arrays_path, *outputs], inputs, overwrite=overwrite)
-    made = keyed_take(
+    keyed = keyed_take(
         take, rig, stem, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
-    text = clip_text(made.clip, rig, seen_from(rig_path, output.parent))
+    text = clip_text(keyed.clip, rig, seen_from(rig_path, output.parent))
     if arrays:
         write_arrays(arrays_path, arrays)
     if keys.rig_file is None:
@@ -248,11 +248,11 @@ def _to_clip(
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(
         output,
-        FrameSpan(made.clip.first, made.clip.last, made.clip.fps),
+        FrameSpan(keyed.clip.first, keyed.clip.last, keyed.clip.fps),
         take.clock.count,
         len(rig.joints),
-        [*stream.notices, *left_out, *made.notices],
-        made,
+        [*stream.notices, *left_out, *keyed.notices],
+        keyed,
         files,
     )
 

@@ -148,7 +148,7 @@ def _to_usd(
 
     refuse_warnings(notices, strict=strict)
     _, more = write_rig_layer(rig, output)
-    made = None
+    written = None
     if physics:
-        _, made = write_physics_layer(rig, outputs[1], output)
-    return _report(rig, outputs, notices + more, made)
+        _, written = write_physics_layer(rig, outputs[1], output)
+    return _report(rig, outputs, notices + more, written)

@@ -58,16 +58,16 @@ def loop_source(
     with naming(source):
         if options.find:
             lengths = {"shortest": options.shortest, "longest": options.longest}
-            found = find_cycle(take, options.first, options.last, **lengths)
+            best = find_cycle(take, options.first, options.last, **lengths)
         else:
-            found = measure_cycle(take, options.first, options.last)
-    seconds = (found.last - found.first) / float(take.clock.fps)
-    notices = [*stream.notices, *said_of(found, found=options.find)]
-    cycle = FoundCycle(found, seconds, notices)
+            best = measure_cycle(take, options.first, options.last)
+    seconds = (best.last - best.first) / float(take.clock.fps)
+    notices = [*stream.notices, *said_of(best, searched=options.find)]
+    cycle = FoundCycle(best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)
         return cycle, None
-    made = convert_passed(
+    report = convert_passed(
         source,
         output,
         [(PASS, options)],
@@ -76,4 +76,4 @@ def loop_source(
         strict=strict,
         progress=progress,
     )
-    return cycle, made
+    return cycle, report

@@ -88,12 +88,15 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
             assert mapping is not None
             shapes = mapping.shapes
             rig, origin = target.skeleton.rig, str(target.path)
-            found = target_meshes(target)
+            targets = target_meshes(target)
         else:
-            origin, found = str(source), source_meshes(source, options.source.prim_path)
-        take.notices.extend(found.notices)
-        surfaces = _turned(found.surfaces, rig.up, found.up)
-        strands, bind = found.strands, found.bind
+            origin, targets = (
+                str(source),
+                source_meshes(source, options.source.prim_path),
+            )
+        take.notices.extend(targets.notices)
+        surfaces = _turned(targets.surfaces, rig.up, targets.up)
+        strands, bind = targets.strands, targets.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces and not strands:
@@ -179,15 +182,15 @@ class PointStream:
             world = forward(character.rig, *mapped.dense())
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
-                made = self._frames(mesh, codes, mesh.weights(weights), world)
+                frames = self._frames(mesh, codes, mesh.weights(weights), world)
                 if mesh.name in motion.points:
-                    made = self._moved(i, made, codes, motion.points[mesh.name])
-                yield from self._rounded(i, codes, made, own)
+                    frames = self._moved(i, frames, codes, motion.points[mesh.name])
+                yield from self._rounded(i, codes, frames, own)
 
     def _moved(
         self,
         mesh: int,
-        made: Iterator[Deformed],
+        deformed: Iterator[Deformed],
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[Deformed]:
@@ -196,18 +199,18 @@ class PointStream:
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
         done = 0
-        for part in made:
+        for part in deformed:
             frames = slice(done, done + len(part.points))
             yield displaced_points(part, points, frames, surface, times)
             done = frames.stop
 
     def _rounded(
-        self, mesh: int, codes: FloatArray, made: Iterator[Deformed], own: slice
+        self, mesh: int, codes: FloatArray, deformed: Iterator[Deformed], own: slice
     ) -> Iterator[PointBlock]:
         """Yield the frames of a piece that count, rounded."""
         done = 0
         began = time.perf_counter()
-        for part in made:
+        for part in deformed:
             first, last = max(own.start - done, 0), max(own.stop - done, 0)
             kept = part.select(slice(first, last))
             at = codes[done + first : done + first + len(kept.points)]

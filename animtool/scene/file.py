@@ -134,10 +134,10 @@ class _SceneReader:
         model, shot = self.model, self.model.shot
         rig = None if model.rig is None else self.read_file(("rig",), model.rig)
         passes = [
-            made
+            pass_
             for i, entry in enumerate(model.passes)
             for name, given in entry.items()
-            if (made := self._pass(("passes", i, name), name, given or {})) is not None
+            if (pass_ := self._pass(("passes", i, name), name, given or {})) is not None
         ]
         return Scene(
             self.document.path,
@@ -161,8 +161,8 @@ class _SceneReader:
             return ()
         if model.source is None:
             self._check_simulated()
-        found = (self._system(i, entry) for i, entry in enumerate(model.systems))
-        systems = tuple(system for system in found if system is not None)
+        read = (self._system(i, entry) for i, entry in enumerate(model.systems))
+        systems = tuple(system for system in read if system is not None)
         check_links(self.document, systems, self._names())
         return systems
 
@@ -257,11 +257,11 @@ class _SceneReader:
         shot = self.model.shot
         if shot is None or not shot.preroll:
             return None
-        found = self._shot()
-        assert found is not None
+        own_shot = self._shot()
+        assert own_shot is not None
         return Preroll(
             None if shot.start is None else Fraction(shot.start),
-            found.start - shot.preroll,
+            own_shot.start - shot.preroll,
             self._rate(("fps",), self.model.fps),
         )
 
@@ -415,51 +415,53 @@ class _SceneReader:
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
         roots = self.output_roots
-        found = referred(self.document, at, name, roots, written=True)
-        return Path(name) if found is None else found
+        path = referred(self.document, at, name, roots, written=True)
+        return Path(name) if path is None else path
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        found = referred_input(self.document, at, name, self.roots)
-        return Path(name) if found is None else found
+        path = referred_input(self.document, at, name, self.roots)
+        return Path(name) if path is None else path
 
-    def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
-        return None if given is None else self.parsed(at, given, parse_rate)
+    def _rate(self, at: Location, rate: float | str | None) -> Fraction | None:
+        return None if rate is None else self.parsed(at, rate, parse_rate)
 
     def parsed(
-        self, at: Location, given: Any, parse: Callable[[Any], Value]
+        self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
         """Return a value; None, and a fault, where it is none."""
         try:
-            return parse(given)
+            return parse(value)
         except ValueError as error:
             self.document.add(getattr(error, "code", "SCN003"), at, str(error))
             return None
 
-    def _pass(self, at: Location, name: str, given: dict[str, Any]) -> ScenePass | None:
+    def _pass(
+        self, at: Location, name: str, values: dict[str, Any]
+    ) -> ScenePass | None:
         try:
-            found = find_pass(name)
+            pass_ = find_pass(name)
         except AnimtoolError as error:
             fault = error.faults[0]
             self.document.add(fault.code, at, fault.message, fault.hint)
             return None
-        names = [field.name for field in fields(found.options)]
-        unknown = [key for key in given if key not in names]
+        names = [field.name for field in fields(pass_.options)]
+        unknown = [key for key in values if key not in names]
         for key in unknown:
             message = f"unknown option {key!r} of {name}"
             self.document.add("SCN001", (*at, key), message, nearest(key, names))
-        known = {key: value for key, value in given.items() if key in names}
+        known = {key: value for key, value in values.items() if key in names}
         try:
-            options = TypeAdapter(found.options).validate_python(known)
+            options = TypeAdapter(pass_.options).validate_python(known)
         except ValidationError as error:
             for place, message in wrong_values(known, error):
                 self.document.add("SCN002", (*at, *place), message)
             return None
         options, files = self._with_colliders(at, options)
-        self._check(at, found, options)
+        self._check(at, pass_, options)
         if unknown:
             return None
-        return ScenePass(found, options, self._place(at), files)
+        return ScenePass(pass_, options, self._place(at), files)
 
     def _with_colliders(
         self, at: Location, options: Any
@@ -481,16 +483,16 @@ class _SceneReader:
         }
         return replace(options, **read), tuple(reader.files)
 
-    def _check(self, at: Location, found: Pass, options: Any) -> None:
+    def _check(self, at: Location, pass_: Pass, options: Any) -> None:
         """Note what is wrong with options whatever the take is."""
-        for option, check in found.checks(options).items():
+        for option, check in pass_.checks(options).items():
             try:
                 check()
             except OptionError as error:
                 for fault in error.faults:
                     place = (*at, option)
                     self.document.add(fault.code, place, fault.message, fault.hint)
-        for field in fields(found.options):
+        for field in fields(pass_.options):
             value = getattr(options, field.name)
             if isinstance(value, Path):
                 self.read_file((*at, field.name), str(value))

@@ -98,13 +98,13 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         keep_samples=options.keep_samples,
         hold=options.shot is not None,
     )
-    wanted = options.frame_range
-    if options.shot is None or wanted is None:
+    frame_range = options.frame_range
+    if options.shot is None or frame_range is None:
         notices = _range_notice(plan, times)
     else:
         notices = _missing_frames(plan, options.shot, clock)
         # Also where samples are kept that are not on the first and the last frame.
-        first, last = Fraction(wanted.first), Fraction(wanted.last)
+        first, last = Fraction(frame_range.first), Fraction(frame_range.last)
         if options.keep_samples:
             times = replace(times, first=first, last=last)
     plan.notices.extend([*notices, *_end_notices(plan, times)])
@@ -116,9 +116,9 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 
     The last frame of a take lasts until the next would begin.
     """
-    wanted, where = plan.options.frame_range, str(plan.source)
-    assert wanted is not None
-    asked = range(wanted.first, wanted.last + 1, wanted.step)
+    frame_range, where = plan.options.frame_range, str(plan.source)
+    assert frame_range is not None
+    asked = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
     missing = [n for n in asked if not plan.start <= n < last + step]
@@ -132,18 +132,20 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         raise OptionError(Fault("SCN042", message, where, (), hint, where=at))
     cut = [n for n in missing if shot.cut_in <= n <= shot.cut_out]
     handles = [n for n in missing if n not in cut]
-    found = []
+    notices = []
     for code, what, key, frames in (
         ("SCN074", "frames of the cut", "shot.cut", cut),
         ("SCN106", "handle frames", "shot.handles", handles),
     ):
         if frames:
-            message = f"{named}the take lacks {what} {frame_spans(frames, wanted.step)}"
+            message = (
+                f"{named}the take lacks {what} {frame_spans(frames, frame_range.step)}"
+            )
             message += "; the nearest pose is held"
             warning = Severity.WARNING
             at = None if shot.places_media else key
-            found.append(Fault(code, message, where, (), hint, warning, where=at))
-    return found
+            notices.append(Fault(code, message, where, (), hint, warning, where=at))
+    return notices
 
 
 def _sampled(
@@ -177,14 +179,14 @@ def _streamed(
 
 def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Say so where a range reaches beyond the take."""
-    wanted = plan.options.frame_range
-    if wanted is None or plan.options.keep_samples:
+    frame_range = plan.options.frame_range
+    if frame_range is None or plan.options.keep_samples:
         return []
-    last = wanted.last - (wanted.last - wanted.first) % wanted.step
-    if times.first == wanted.first and times.last == last:
+    last = frame_range.last - (frame_range.last - frame_range.first) % frame_range.step
+    if times.first == frame_range.first and times.last == last:
         return []
     message = (
-        f"--range {wanted.first}-{wanted.last} reaches beyond the take; "
+        f"--range {frame_range.first}-{frame_range.last} reaches beyond the take; "
         f"{float(times.first):g} to {float(times.last):g} are written"
     )
     return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
@@ -192,19 +194,19 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Name what lies between the last frame written and the end asked for."""
-    where, wanted = str(plan.source), plan.options.frame_range
+    where, frame_range = str(plan.source), plan.options.frame_range
     notices = []
     if times.dropped:
-        found = dropped_notice(times.dropped, plan.fps, times.last)
-        notices.append(replace(found, path=where, hint="--keep-samples writes it"))
-    if wanted is None or plan.options.shot is not None:
+        faults = dropped_notice(times.dropped, plan.fps, times.last)
+        notices.append(replace(faults, path=where, hint="--keep-samples writes it"))
+    if frame_range is None or plan.options.shot is not None:
         return notices
     ends = f"{frame_label(times.first)} to {frame_label(times.last)}"
-    off_step = (wanted.last - wanted.first) % wanted.step != 0
-    off_samples = times.first > wanted.first or times.last < wanted.last
+    off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
+    off_samples = times.first > frame_range.first or times.last < frame_range.last
     if off_step or (plan.options.keep_samples and off_samples):
-        text = f"{wanted.first}-{wanted.last}"
-        text += f"x{wanted.step}" if wanted.step > 1 else ""
+        text = f"{frame_range.first}-{frame_range.last}"
+        text += f"x{frame_range.step}" if frame_range.step > 1 else ""
         message = f"--range {text} has no sample at its ends; {ends} are written"
         notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
     return notices

@@ -191,12 +191,12 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
             on.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    made: list[IkReport] = []
+    reports: list[IkReport] = []
 
     def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
         del path, options
-        made.append(_solved(job, progress))
-        take = replace(made[0].solved.take, notices=())
+        reports.append(_solved(job, progress))
+        take = replace(reports[0].solved.take, notices=())
         stream = TakeStream.of(take)
         stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
         return stream
@@ -208,10 +208,10 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
     if job.output is None and not job.to_stdout:
         solve(job.rig, progress=progress)
-        return made[0]
+        return reports[0]
     began = time.perf_counter()
     written = _written(job, solve, progress)
-    report = made[0]
+    report = reports[0]
     report.written = written
     report.seconds["write"] = time.perf_counter() - began - sum(report.seconds.values())
     report.notices += [n for n in written.notices if n not in report.notices]

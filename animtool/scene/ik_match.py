@@ -95,14 +95,14 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     notices = [*notices, *take.notices, *left]
     refuse_warnings(notices, strict=job.strict)
     tracks = match_take(take, chains, job.output, reduce=job.reduce)
-    made = targets_text(tracks, ClipUnits.of_rig(rig))
+    text = targets_text(tracks, ClipUnits.of_rig(rig))
     matched = time.perf_counter()
     outputs = [job.output]
-    if made.arrays:
+    if text.arrays:
         outputs.insert(0, arrays_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.overwrite)
-        write_arrays(outputs[0], _named(made.arrays))
-    _write(job.output, made.text)
+        write_arrays(outputs[0], _named(text.arrays))
+    _write(job.output, text.text)
     seconds = {
         "read": read - began,
         "match": matched - read,

@@ -80,17 +80,17 @@ def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:
 
 def _measured(job: IkJob, opened: Opened, row: IkTableRow) -> IkTableRow:
     try:
-        found = _solved(job, opened, row.method, row.tolerance, row.angle_tolerance)
+        solved = _solved(job, opened, row.method, row.tolerance, row.angle_tolerance)
     except OptionError as error:
         return replace(row, refused=error.faults[0].message)
-    misses = np.where(found.asked, found.misses, 0.0)
-    reached = [status is IkStatus.CONVERGED for status in found.statuses]
+    misses = np.where(solved.asked, solved.misses, 0.0)
+    reached = [status is IkStatus.CONVERGED for status in solved.statuses]
     return replace(
         row,
-        microseconds=1e6 * found.seconds / len(found.statuses),
+        microseconds=1e6 * solved.seconds / len(solved.statuses),
         position=float(misses[..., 0].max(initial=0.0)),
         angle=float(misses[..., 1:].max(initial=0.0)),
-        iterations=float(found.iterations.mean()),
+        iterations=float(solved.iterations.mean()),
         converged=float(np.mean(reached)),
     )
 

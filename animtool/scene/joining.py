@@ -201,13 +201,13 @@ class _Joining:
 
     def stream(self) -> TakeStream:
         """Return the whole."""
-        made = replace(
+        joined = replace(
             self.base, blocks=self._blocks(), control_curves=self._control_curves()
         )
         if self.base.curve is not None:
-            made.curve = self._curve
+            joined.curve = self._curve
             self._say_frames(self.base.count)
-        return made
+        return joined
 
     @property
     def _rate(self) -> Fraction:
@@ -220,36 +220,38 @@ class _Joining:
     def _blocks(self) -> Iterator[Motion]:
         first = 0
         for block in self.base.blocks:
-            made = block
+            joined = block
             for layer in self.layers:
                 other = layer.frames(self._rate, first, block.frames)
-                made = with_tracks(self.base.rig, made, other, layer.tracks)
-            yield made
+                joined = with_tracks(self.base.rig, joined, other, layer.tracks)
+            yield joined
             first += block.frames
         if self.base.curve is None:
             self._say_frames(first)
 
     def _curve(self, times: FloatArray) -> Motion:
         assert self.base.curve is not None
-        made = self.base.curve(times)
+        motion = self.base.curve(times)
         seconds = (times - float(self._start)) / float(self.base.fps)
         for layer in self.layers:
-            made = with_tracks(self.base.rig, made, layer.at(seconds), layer.tracks)
-        return made
+            motion = with_tracks(self.base.rig, motion, layer.at(seconds), layer.tracks)
+        return motion
 
     def _control_curves(self) -> dict[str, Curves]:
         """Return the curves of controls, each of the source that brings it."""
-        found = dict(self.base.control_curves)
+        merged = dict(self.base.control_curves)
         for layer in self.layers:
             clock, curves = layer.take.clock, layer.part.stream.control_curves
             ratio = float(self.base.fps / clock.fps)
             begin = float(self._start + layer.delay * self.base.fps)
             for i in layer.tracks.controls.tolist():
                 name = self.base.rig.controls[i].name
-                found.pop(name, None)
+                merged.pop(name, None)
                 if name in curves:
-                    found[name] = curves[name].retimed(float(clock.start), ratio, begin)
-        return found
+                    merged[name] = curves[name].retimed(
+                        float(clock.start), ratio, begin
+                    )
+        return merged
 
     def _say_frames(self, count: int) -> None:
         """Say which frames each source lacks, and how much of it is left out."""

@@ -211,13 +211,13 @@ def _thinned(
     motion = Motion.concatenate([motion for _, motion in held])
     tolerance = plan.options.reduce
     assert tolerance is not None
-    found = thin_samples(
+    thinned = thin_samples(
         rig, codes, motion, tolerance, joint_tolerances=dict(plan.options.reduce_at)
     )
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept = iter([(codes[found.kept], motion.select(found.kept))])
-    return kept, found, frames
+    kept = iter([(codes[thinned.kept], motion.select(thinned.kept))])
+    return kept, thinned, frames
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:

@@ -31,17 +31,17 @@ def take_names(sources: Sequence[Path], notices: list[Fault]) -> list[str]:
     Two that would be the same are added to the notices.
     """
     stems = [source_stem(path) for path in sources]
-    found = distinct_names([path.name for path in sources], stems, stems)
+    names = distinct_names([path.name for path in sources], stems, stems)
     renamed = [
         path
-        for path, stem, name in zip(sources, stems, found.names, strict=True)
+        for path, stem, name in zip(sources, stems, names.names, strict=True)
         if name != legal_name(stem)
     ]
     notices += [
         replace(notice, path=str(path))
-        for notice, path in zip(found.notices, renamed, strict=True)
+        for notice, path in zip(names.notices, renamed, strict=True)
     ]
-    return found.names
+    return names.names
 
 
 def rate_notice(
@@ -114,28 +114,28 @@ def _difference(first: dict[str, str], other: dict[str, str], source: str) -> st
 
 
 def _ordered(
-    stream: TakeStream, names: list[str], wanted: list[str], first: Rig
+    stream: TakeStream, names: list[str], order: list[str], first: Rig
 ) -> TakeStream:
     """Return a take with its joints in another order, that of a first rig."""
-    if names == wanted:
+    if names == order:
         return stream
     from animtool.usd.target import JointMap
 
     rig = stream.rig
-    source = np.array([names.index(name) for name in wanted], np.int64)
+    source = np.array([names.index(name) for name in order], np.int64)
     joints = tuple(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source.tolist(), first.joints, strict=True)
     )
-    made = replace(rig, joints=joints)
-    mapping = JointMap(made, source, np.ones((len(joints), 3)), [])
+    ordered = replace(rig, joints=joints)
+    mapping = JointMap(ordered, source, np.ones((len(joints), 3)), [])
     curve, given = stream.curve, stream.blocks
 
     def blocks() -> Iterator[Motion]:
         for block in given:
             yield mapping.apply(block)
 
-    turned = replace(stream, rig=made, blocks=blocks())
+    turned = replace(stream, rig=ordered, blocks=blocks())
     if curve is not None:
         turned.curve = lambda times: mapping.apply(curve(times))
     return turned

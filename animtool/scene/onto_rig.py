@@ -108,15 +108,15 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
         raise OptionError(note("SCN036", message, hint))
     given, curve = stream.blocks, stream.curve
     own = {control.name for control in rig.controls}
-    made = replace(
+    mapped = replace(
         stream,
         rig=rig,
         blocks=(names.apply(block) for block in given),
         control_curves={k: c for k, c in stream.control_curves.items() if k in own},
     )
     if curve is not None:
-        made.curve = lambda times: names.apply(curve(times))
-    return made, names
+        mapped.curve = lambda times: names.apply(curve(times))
+    return mapped, names
 
 
 def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
@@ -151,7 +151,7 @@ def on_rig_file(
 
     rig, notices = open_rig(rig_path)
     own = reorient(stream, rig.up)
-    made, names = on_rig(own, rig, note)
+    mapped, names = on_rig(own, rig, note)
     unmatched = left_out(names, own.rig, str(path))
     differences: list[Fault] = []
     if own.rig.joints and rig.joints:
@@ -163,9 +163,9 @@ def on_rig_file(
             forced=forced,
             unmatched=unmatched,
         )
-    made.notices += [*notices, *unmatched, *differences]
-    made.details["rig"] = str(rig_path)
-    return made
+    mapped.notices += [*notices, *unmatched, *differences]
+    mapped.details["rig"] = str(rig_path)
+    return mapped
 
 
 def _indices(names: list[str], others: list[str]) -> IntArray:

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.options import Key, option
 from animtool.rates import (
@@ -21,8 +22,6 @@ from animtool.scene.sources import SourceOptions
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
 
-# Keys written for samples stay within it: under what anyone sees on a person.
-KEY_TOLERANCE = "0.5mm"
 _ADOPTED = "a layer adopts its rig layer's units and up axis: no --to-units, --to-up"
 
 

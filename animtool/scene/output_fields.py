@@ -46,7 +46,7 @@ class KeyReader(Protocol):
     """Reads values of a file and records its faults."""
 
     def parsed(
-        self, at: Location, given: Any, parse: Callable[[Any], Value]
+        self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
         """Return a value; None, and a fault, where `parse` raises `ValueError`."""
         ...
@@ -69,14 +69,14 @@ def with_keys(place: FileKind, *order: str) -> Callable[[type[Model]], type[Mode
         names = sorted(
             definitions, key=lambda n: order.index(n) if n in order else len(order)
         )
-        made: Any = create_model(
+        model_type: Any = create_model(
             model.__name__,
             __base__=FileModel,
             __module__=model.__module__,
             __doc__=model.__doc__,
             **{name: definitions[name] for name in names},
         )
-        return made  # type: ignore[no-any-return]
+        return model_type  # type: ignore[no-any-return]
 
     return decorate
 
@@ -115,26 +115,26 @@ def bake_keys(
     return values
 
 
-def _value(kind: Kind, given: Any, at: Location, reader: KeyReader) -> Any:
+def _value(kind: Kind, value: Any, at: Location, reader: KeyReader) -> Any:
     """Return what a key means; None, and its fault recorded, where it means nothing."""
     if kind == "file":
-        return reader.read_file(at, given)
+        return reader.read_file(at, value)
     if kind == "lengths":
         lengths = {
             name: reader.parsed((*at, name), text, parse_length)
-            for name, text in given.items()
+            for name, text in value.items()
         }
         return tuple((name, v) for name, v in lengths.items() if v is not None)
     parse = _PARSERS.get(kind)
-    return given if parse is None else reader.parsed(at, given, parse)
+    return value if parse is None else reader.parsed(at, value, parse)
 
 
-def _offsets(given: list[float]) -> tuple[Fraction, ...]:
-    return parse_offsets(",".join(map(repr, given))) if given else ()
+def _offsets(numbers: list[float]) -> tuple[Fraction, ...]:
+    return parse_offsets(",".join(map(repr, numbers))) if numbers else ()
 
 
-def _range(given: list[int]) -> FrameRange:
-    first, last = given
+def _range(ends: list[int]) -> FrameRange:
+    first, last = ends
     if first > last:
         raise ValueError(f"the range from {first} to {last} is reversed")
     return FrameRange(first, last)

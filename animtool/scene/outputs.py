@@ -87,22 +87,22 @@ def bake_scene(
 
 
 def _plans(
-    scene: Scene, given: BakeOptions, progress: Progress
+    scene: Scene, options: BakeOptions, progress: Progress
 ) -> list[BakePlan | TakePlan]:
     """Return what is to become of each output; the sources are opened."""
     if not scene.sources:
         return [
             plan_simulated(
-                scene.writing(output), _path(output), merged(given, output.bake), []
+                scene.writing(output), _path(output), merged(options, output.bake), []
             )
             for output in scene.outputs
         ]
-    forced = any(merged(given, output.bake).force_fit for output in scene.outputs)
-    with sparing_inputs(scene_files(scene, given)):
+    forced = any(merged(options, output.bake).force_fit for output in scene.outputs)
+    with sparing_inputs(scene_files(scene, options)):
         stream = scene.forced(force_fit=forced).open(progress=progress)
         streams = _shared(stream, len(scene.outputs))
     return [
-        _planned(scene.writing(output), output, stream, given)
+        _planned(scene.writing(output), output, stream, options)
         for output, stream in zip(scene.outputs, streams, strict=True)
     ]
 
@@ -183,9 +183,9 @@ def _check_one(scene: Scene, output: SceneOutput, options: BakeOptions) -> None:
 
 
 def _planned(
-    scene: Scene, output: SceneOutput, stream: TakeStream, given: BakeOptions
+    scene: Scene, output: SceneOutput, stream: TakeStream, stated: BakeOptions
 ) -> BakePlan | TakePlan:
-    options = merged(given, output.bake)
+    options = merged(stated, output.bake)
     if _kind(output) is OutputKind.USD:
         with scene.located_props():
             plan = plan_output([scene.path], [stream], _path(output), options, [])

@@ -67,8 +67,8 @@ class PointPrims:
         surfaces = len(character.surfaces)
         kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
         reports = [
-            MeshReport(mesh.name, made, spent, run.samples, kind)
-            for mesh, made, spent, kind in zip(
+            MeshReport(mesh.name, report, spent, run.samples, kind)
+            for mesh, report, spent, kind in zip(
                 character.meshes, meshes, points.seconds, kinds, strict=True
             )
         ]
@@ -128,13 +128,13 @@ def _layer_job(
 
     assert plan.target is not None
     # A mesh that follows nothing stays as the rig has it.
-    wanted = {
+    paths = {
         surface.name: len(surface.points)
         for surface in character.surfaces
         if surface.skin is not None or surface.shapes
     }
     strands = {entry.name: entry.points.shape[:2] for entry in character.strands}
-    target = open_cache_target(plan.target, wanted, strands)
+    target = open_cache_target(plan.target, paths, strands)
     plan.notices.extend(target.notices)
     if not target.prims:
         message = "no mesh of the take is in the rig layer"

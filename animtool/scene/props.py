@@ -37,24 +37,24 @@ def open_props(
     entries: Sequence[SceneProp], up: UpAxis, meter: Meter, notices: list[Fault]
 ) -> list[OpenProp]:
     """Return the things that a scene names, open, in a world of an up axis."""
-    found: list[OpenProp] = []
+    opened: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        wanted = PropRequest(
+        request = PropRequest(
             entry.file, entry.prim, entry.path, entry.attributes, entry.reference
         )
         stage = meter.stage(entry.file.name, entry.place.where)
         try:
             with meter.running(stage):
-                source = open_prop(wanted, up)
+                source = open_prop(request, up)
         except AnimtoolError as error:
             faults += map(entry.place.put, error.faults)
             continue
         track = _counted(entry, source, stage, meter, notices)
-        found.append(OpenProp(entry, source, track))
+        opened.append(OpenProp(entry, source, track))
     if faults:
         raise FormatError(faults)
-    return found
+    return opened
 
 
 def with_props(
@@ -81,13 +81,13 @@ def with_props(
     for prop in props:
         stream.notices += prop.notes(fps or stream.fps)
     tracks = (*stream.tracks, *(prop.track for prop in opened))
-    made = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
+    joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
-        made.curve = lambda times: props_stream.added(
+        joined.curve = lambda times: props_stream.added(
             curve(times), props_stream.times_at(times)
         )
-    return made
+    return joined
 
 
 def _counted(
@@ -98,19 +98,19 @@ def _counted(
     notices: list[Fault],
 ) -> Track:
     """Return a track whose reading is counted, and shear of it said."""
-    said = False
+    noticed = False
 
     def sample(times: FloatArray) -> Transforms:
-        nonlocal said
+        nonlocal noticed
         with meter.running(stage), entry.place.located():
-            found = source.track.sample(times)
+            sampled = source.track.sample(times)
         shear = source.shear()
-        if shear > SEEN_SHEAR and not said:
-            said = True
+        if shear > SEEN_SHEAR and not noticed:
+            noticed = True
             message = f"{entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is left out"
             notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
-        return found
+        return sampled
 
     return replace(source.track, sample=sample, note=entry.place.fault)
 

@@ -46,7 +46,7 @@ class Reading:
         named = [path for scene in self.scenes.values() for path in scene.inputs]
         return [*self.files, *named]
 
-    def options(self, given: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
+    def options(self, options: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
         """Return options with those of the one scene, and warnings of scenes.
 
         The given ones come first.
@@ -54,8 +54,8 @@ class Reading:
         notices = [notice for s in self.scenes.values() for notice in s.notices]
         if len(self.files) == 1:
             scenes = list(self.scenes.values())
-            return (merged(given, scenes[0].bake) if scenes else given), notices
-        return given, notices + _unused(self.scenes)
+            return (merged(options, scenes[0].bake) if scenes else options), notices
+        return options, notices + _unused(self.scenes)
 
     def open(
         self,
@@ -92,11 +92,11 @@ class Reading:
         return streams
 
 
-def found_sources(given: Sequence[Source]) -> Reading:
+def found_sources(sources: Sequence[Source]) -> Reading:
     """Return the files of sources, those loaded that are scenes."""
-    files = [source_file(source) for source in given]
+    files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
-    for path, source in zip(files, given, strict=True):
+    for path, source in zip(files, sources, strict=True):
         if not isinstance(source, Path | str):
             scenes[path] = source
         elif is_named(path, "scene"):
@@ -210,12 +210,12 @@ def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 
 
 def bake_outputs(
-    given: Sequence[Source], output: Path, options: BakeOptions
+    sources: Sequence[Source], output: Path, options: BakeOptions
 ) -> list[Path]:
     """Return the files that a bake writes, ``output`` among them."""
     simulated = False
-    if len(given) == 1:
-        reading = found_sources(given)
+    if len(sources) == 1:
+        reading = found_sources(sources)
         options, _ = reading.options(options)
         written = (scene.writing(scene.outputs[0]) for scene in reading.scenes.values())
         simulated = any(scene.systems for scene in written)

@@ -72,14 +72,14 @@ class RetargetResult:
 
 def retarget_outputs(job: RetargetJob) -> list[Path]:
     """Return the files that a job writes, the map among them."""
-    made = [] if job.write_map is None else [job.write_map]
+    outputs = [] if job.write_map is None else [job.write_map]
     if job.output is None:
-        return made
+        return outputs
     if is_usd(job.output):
         from animtool.scene.reading import bake_outputs
 
-        return [*made, *bake_outputs([job.source], job.output, job.bake)]
-    return [*made, *convert_outputs(job.output, _named_rig(job))]
+        return [*outputs, *bake_outputs([job.source], job.output, job.bake)]
+    return [*outputs, *convert_outputs(job.output, _named_rig(job))]
 
 
 def _named_rig(job: RetargetJob) -> Path | None:
@@ -111,12 +111,12 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         named = (job.source, job.rig, job.options.map, job.bake.rig_layer)
         inputs = [path for path in named if path is not None]
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
-    made: list[RetargetResult] = []
+    results: list[RetargetResult] = []
 
     def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
         del path, options
         stream, result = _retargeted(job, outputs, progress)
-        made.append(result)
+        results.append(result)
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details = {"format": "retarget", "units": unit}
         return stream
@@ -124,11 +124,11 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     with together():
         if job.output is None and not job.to_stdout:
             deque(solve(job.source, progress=progress).blocks, maxlen=0)
-            report = made[0]
+            report = results[0]
             refuse_warnings(report.notices, strict=job.bake.strict)
         else:
             written = _written(job, solve, progress)
-            report = made[0]
+            report = results[0]
             report.written = written
             report.notices += [n for n in written.notices if n not in report.notices]
         if job.write_map is not None:
@@ -178,7 +178,7 @@ def _retargeted(
         path = job.rig if notice in theirs else job.source
         notices.append(replace(notice, path=notice.path or str(path)))
     blocks = checked_blocks(going, job.options, notices, job.source)
-    made = replace(
+    mapped = replace(
         stream,
         rig=rig,
         blocks=_timed(blocks, seconds, "solve"),
@@ -190,7 +190,7 @@ def _retargeted(
     result = RetargetResult(
         job.source, job.rig, going, found, stream.rig, rig, notices, seconds
     )
-    return made, result
+    return mapped, result
 
 
 def _timed(

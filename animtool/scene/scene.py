@@ -222,13 +222,13 @@ class Scene:
     ) -> FloatArray:
         # Loaded by name: systems open scenes themselves.
         segments = load_object("animtool.scene.systems.segments:segments_of")
-        found = cast("Callable[..., FloatArray]", segments)
+        array = cast("Callable[..., FloatArray]", segments)
         shot, lead = self.bake.shot, 0.0
         if shot is not None and shot.places_media:
             # Where a shot begins before its take, the take's first pose is held.
             early = take.clock.start - shot.start
             lead = max(0.0, float(early / take.clock.fps))
-        return found(self.systems, self.path, take, system, particle, progress, lead)
+        return array(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source, counted by the meter."""
@@ -318,14 +318,14 @@ class Scene:
                 that name (SCN043).
         """
         names = [entry.pass_.name for entry in self.passes]
-        found = [i for i, name in enumerate(names, 1) if name == stop]
+        numbers = [i for i, name in enumerate(names, 1) if name == stop]
         if stop.isdecimal() and int(stop) <= len(names):
-            found = [int(stop)]
-        if len(found) == 1:
-            return replace(self, passes=self.passes[: found[0]])
+            numbers = [int(stop)]
+        if len(numbers) == 1:
+            return replace(self, passes=self.passes[: numbers[0]])
         listed = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
         message = f"no pass of the scene is {stop!r}"
-        if found:
+        if numbers:
             message = f"several passes of the scene are {stop!r}: say its number"
         path = str(self.path)
         raise OptionError(Fault("SCN043", message, path, (), f"the passes: {listed}"))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.errors import Fault, OptionError
 from animtool.motion import Motion
 from animtool.rig.kinematics import forward
@@ -92,18 +92,18 @@ def simulation_table(
 
 
 def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
-    found: list[tuple[Place, Trial]] = []
+    trials: list[tuple[Place, Trial]] = []
     if scene.sources:
-        found += _attach_trials(scene, MAX_INSTANTS)
+        trials += _attach_trials(scene, MAX_INSTANTS)
     if scene.systems:
         times, own = _times(scene, options)
         picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
         looked = times[picked.astype(np.int64)]
-        found += [
+        trials += [
             (system.place, trial)
             for system, trial in system_trials(scene.systems, looked, own)
         ]
-    return found
+    return trials
 
 
 def _times(
@@ -124,11 +124,11 @@ def _times(
 
 def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
     """Return those of a take's times [s] that are in the range of an output."""
-    wanted = plan.options.frame_range
-    if wanted is None:
+    frame_range = plan.options.frame_range
+    if frame_range is None:
         return times
     codes = float(plan.start) + times * float(plan.fps)
-    inside = (codes >= wanted.first) & (codes <= wanted.last)
+    inside = (codes >= frame_range.first) & (codes <= frame_range.last)
     return times[inside] if inside.any() else times
 
 

@@ -193,9 +193,9 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
 
 def _system_steps(scene: Scene, outputs: Sequence[_Output]) -> list[Step]:
     """Return the steps of systems that an output has, or that these need."""
-    wanted = {name for output in outputs for name in output.simulated}
+    names = {name for output in outputs for name in output.simulated}
     return [
-        _system_step(scene, system) for system in scene.systems if system.name in wanted
+        _system_step(scene, system) for system in scene.systems if system.name in names
     ]
 
 
@@ -218,8 +218,8 @@ def _simulated_steps(
             files = _named(output_files(path, entry.options, simulated=True))
         name = "stdout" if path is None else str(path)
         prims = listed(entry.systems)
-        made = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
-        steps.append(Step(StepKind.OUTPUT, name, entry.where, ("systems",), made))
+        lines = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
+        steps.append(Step(StepKind.OUTPUT, name, entry.where, ("systems",), lines))
     return steps
 
 
@@ -375,9 +375,10 @@ def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
         yield "shape weights: the take moves none"
     if TakePart.POINTS in state.moving and not options.deform:
         yield "points that are simulated: not asked for (deform)"
-    wanted = options.frame_range
-    if wanted is not None:
-        yield f"frames but {wanted.first} to {wanted.last}: they are not asked for"
+    frame_range = options.frame_range
+    if frame_range is not None:
+        first, last = frame_range.first, frame_range.last
+        yield f"frames but {first} to {last}: they are not asked for"
     if options.sparse:
         yield "joints that stay at rest: sparse"
     if options.reduce is not None:

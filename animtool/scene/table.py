@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, attached_points, point_errors
-from animtool.clip.reduce import reduce_motion
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.reduce import reduce_motion
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
@@ -100,8 +100,8 @@ def bake_table(
     ]
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for kind, setting, made in trials:
-            rows.append(_baked(source, Path(folder), made, kind, setting, truth))
+        for kind, setting, result in trials:
+            rows.append(_baked(source, Path(folder), result, kind, setting, truth))
             if progress is not None:
                 progress(len(rows) / (len(trials) + len(tolerances)))
     for tolerance in tolerances:
@@ -166,8 +166,8 @@ def _baked(
     result = run_bake(replace(plan, prims=plan.prims[:1], watch=None)).result
     seconds = time.perf_counter() - began
     codes = float(plan.start) + truth.seconds * float(plan.fps)
-    found = played_world(output, codes)
-    errors = point_errors(attached_points(truth.rig, SHELL), truth.world, found)
+    world = played_world(output, codes)
+    errors = point_errors(attached_points(truth.rig, SHELL), truth.world, world)
     at, joint = divmod(int(np.argmax(errors)), errors.shape[1])
     return TableRow(
         kind,
@@ -183,15 +183,15 @@ def _baked(
 
 def _keyed(take: Take, tolerance: float, others: dict[str, float]) -> TableRow:
     began = time.perf_counter()
-    found = reduce_motion(take, tolerance, joint_tolerances=others)
+    reduction = reduce_motion(take, tolerance, joint_tolerances=others)
     seconds = time.perf_counter() - began
     return TableRow(
         RowKind.KEYS,
         _millimetres(tolerance),
-        found.keys,
+        reduction.keys,
         seconds,
         0,
-        found.error,
-        found.joint,
-        found.frame / float(take.clock.rate),
+        reduction.error,
+        reduction.joint,
+        reduction.frame / float(take.clock.rate),
     )

@@ -39,8 +39,8 @@ class Tracks:
 
     def of(self, kind: str) -> IntArray:
         """Return those of a kind of `KINDS`."""
-        found: IntArray = getattr(self, kind)
-        return found
+        indices: IntArray = getattr(self, kind)
+        return indices
 
     def names(self, rig: Rig) -> list[str]:
         """Return what each is called."""
@@ -61,43 +61,43 @@ class UnknownTrack:
 
 
 def chosen_tracks(
-    wanted: TrackNames, names: NameMap
+    requested: TrackNames, names: NameMap
 ) -> tuple[Tracks, list[UnknownTrack]]:
     """Return what patterns choose of what two rigs have, and those that fit nothing.
 
     What a chosen control drives is chosen too, as a motion holds what came of it.
     """
     rig, unknown = names.rig, []
-    found: dict[str, set[int]] = {kind: set() for kind in KINDS}
+    chosen: dict[str, set[int]] = {kind: set() for kind in KINDS}
     for kind in KINDS:
         there = np.flatnonzero(getattr(names, kind) >= 0).tolist()
         known = {getattr(rig, kind)[i].name: i for i in there}
-        for pattern in getattr(wanted, kind):
+        for pattern in getattr(requested, kind):
             fitting = {i for name, i in known.items() if fnmatchcase(name, pattern)}
             if not fitting:
                 unknown.append(UnknownTrack(kind, pattern, list(known)))
-            found[kind] |= fitting
-    _add_driven(rig, found)
-    tracks = Tracks(*(np.array(sorted(found[kind]), np.int64) for kind in KINDS))
+            chosen[kind] |= fitting
+    _add_driven(rig, chosen)
+    tracks = Tracks(*(np.array(sorted(chosen[kind]), np.int64) for kind in KINDS))
     return _within(tracks, names), unknown
 
 
-def _add_driven(rig: Rig, found: dict[str, set[int]]) -> None:
+def _add_driven(rig: Rig, chosen: dict[str, set[int]]) -> None:
     """Add what chosen controls drive, and what is driven by that."""
     indices = {
         kind.removesuffix("s"): {e.name: i for i, e in enumerate(getattr(rig, kind))}
         for kind in KINDS
     }
-    waiting = sorted(found["controls"])
+    waiting = sorted(chosen["controls"])
     while waiting:
         for drive in rig.controls[waiting.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
             index = indices[kind][name]
-            if kind == "control" and index not in found["controls"]:
+            if kind == "control" and index not in chosen["controls"]:
                 waiting.append(index)
-            found[f"{kind}s"].add(index)
+            chosen[f"{kind}s"].add(index)
 
 
 def moving_tracks(motion: Motion, names: NameMap, other: Rig) -> Tracks:

@@ -82,8 +82,8 @@ def _factor(ratio: float, run: Run) -> float:
     """Return by what to change the step, of an error over the one that is allowed."""
     if ratio == 0:
         return GROW
-    wanted = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
-    return min(GROW, max(SHRINK, wanted))
+    factor = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
+    return min(GROW, max(SHRINK, factor))
 
 
 def _ratio(step: Step, before: FloatArray, options: IntegrateOptions) -> float:
@@ -111,5 +111,5 @@ def _first_trial(run: Run) -> float:
     most = max(speed, size(ahead - rate) / small)
     power = 1 / run.integrator.error_order
     best = max(1e-6, small * 1e-3) if most <= 1e-15 else (0.01 / most) ** power
-    found = min(100 * small, best)
-    return found if math.isfinite(found) and found > 0 else small
+    step = min(100 * small, best)
+    return step if math.isfinite(step) and step > 0 else small

@@ -201,13 +201,13 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
     if equations.second is not None:
-        rate, wanted = equations.acceleration(t, *state), state.shape[1:]
+        rate, expected = equations.acceleration(t, *state), state.shape[1:]
         what, whose = "the acceleration", "the acceleration of particle"
     else:
-        rate, wanted = equations.rate(t, state), state.shape
+        rate, expected = equations.rate(t, state), state.shape
         what, whose = "the rate", "the rate of component"
-    if np.shape(rate) != wanted:
-        return [f"{what} must have shape {wanted}, not {np.shape(rate)}"]
+    if np.shape(rate) != expected:
+        return [f"{what} must have shape {expected}, not {np.shape(rate)}"]
     return _odd_ones(whose, rate, "at the start")
 
 

@@ -47,9 +47,9 @@ class Equations:
             if self._anchored is None:
                 self._anchored = self._evaluate(t, y)
             return self._anchored
-        found = self._evaluate(t, y)
-        self._last = (t, y, found)
-        return found
+        rates = self._evaluate(t, y)
+        self._last = (t, y, rates)
+        return rates
 
     def _evaluate(self, t: float, y: FloatArray) -> FloatArray:
         if self.first is not None:
@@ -62,8 +62,12 @@ class Equations:
         """Return accelerations ``(N, d)``, 0 for particles that are fixed."""
         assert self.second is not None
         self.evaluations += 1
-        found = self.second.acceleration(t, x, v)
-        return found if self._held is None else np.where(self._held, 0.0, found)
+        accelerations = self.second.acceleration(t, x, v)
+        return (
+            accelerations
+            if self._held is None
+            else np.where(self._held, 0.0, accelerations)
+        )
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
         """Return the derivative of a first-order rate, None where it is not known."""
@@ -75,11 +79,11 @@ class Equations:
     ) -> tuple[Matrix, Matrix] | None:
         """Return derivatives of accelerations, 0 for particles that are fixed."""
         assert self.second is not None
-        found = self.second.jacobians(t, x, v)
-        if found is None or self._held is None:
-            return found
+        matrices = self.second.jacobians(t, x, v)
+        if matrices is None or self._held is None:
+            return matrices
         free = np.broadcast_to(~self._held, x.shape).ravel().astype(np.float64)
-        by_x, by_v = (_scaled_rows(matrix, free) for matrix in found)
+        by_x, by_v = (_scaled_rows(matrix, free) for matrix in matrices)
         return by_x, by_v
 
 

@@ -61,12 +61,12 @@ def _value(held: _Solver, t: float) -> FloatArray:
 
 def _stepped(solver: Any) -> str:
     """Take a step and return why that was not possible, empty where it was."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         message = solver.step()
     if solver.status != "failed":
         return ""
-    return str(message or (said[-1].message if said else "its solver gave up"))
+    return str(message or (caught[-1].message if caught else "its solver gave up"))
 
 
 def _told(run: Run, failure: str) -> str:

@@ -77,7 +77,7 @@ def _stable_step(run: Run, places: Sequence[tuple[float, FloatArray]]) -> float 
     """Return the largest step that is stable at each of some states."""
     modes = (modes_at(run.equations, t, state) for t, state in places)
     steps = [
-        allowed_step(run.integrator, found) for found in modes if found is not None
+        allowed_step(run.integrator, rates) for rates in modes if rates is not None
     ]
     return min((step for step in steps if step is not None), default=None)
 
@@ -185,12 +185,12 @@ def _states(run: Run, moments: FloatArray) -> tuple[list[FloatArray], Status]:
 def _energies(
     system: FirstOrder | SecondOrder, moments: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
-    found = [
+    energies = [
         system.energy(t, state)
         for t, state in zip(moments.tolist(), states, strict=False)
     ]
-    totals = [energy.total for energy in found if energy is not None]
-    return np.array(totals) if len(totals) == len(found) else None
+    totals = [energy.total for energy in energies if energy is not None]
+    return np.array(totals) if len(totals) == len(energies) else None
 
 
 def _difference(refined: Trajectory, states: list[FloatArray]) -> float | None:

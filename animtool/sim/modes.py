@@ -49,8 +49,8 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
         return None
 
     def rate(flat: FloatArray) -> FloatArray:
-        found: FloatArray = equations.rate(t, flat.reshape(state.shape)).ravel()
-        return found
+        rates: FloatArray = equations.rate(t, flat.reshape(state.shape)).ravel()
+        return rates
 
     slope = differences(rate, state.ravel(), rate(state.ravel()))
     if not np.isfinite(slope).all():

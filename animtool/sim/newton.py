@@ -54,8 +54,8 @@ def _first_order(
             return -differences(residual, flat, at)
         return _less(slope * scale)
 
-    found = _newton(residual, matrix, guess.ravel(), 0.0)
-    return None if found is None else found.reshape(shape)
+    solution = _newton(residual, matrix, guess.ravel(), 0.0)
+    return None if solution is None else solution.reshape(shape)
 
 
 def _second_order(
@@ -80,8 +80,8 @@ def _second_order(
         return _less(by_v * scale + by_x * (scale * scale))
 
     slow = AT_REST * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
-    found = _newton(residual, matrix, guess[1].ravel(), slow)
-    return None if found is None else state(found)
+    solution = _newton(residual, matrix, guess[1].ravel(), slow)
+    return None if solution is None else state(solution)
 
 
 def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
@@ -146,18 +146,18 @@ def _solved(matrix: Matrix, right: FloatArray) -> FloatArray | None:
     if not isinstance(matrix, np.ndarray):
         return _solved_sparse(matrix, right)
     try:
-        found = np.linalg.solve(matrix, right).astype(np.float64, copy=False)
+        solution = np.linalg.solve(matrix, right).astype(np.float64, copy=False)
     except np.linalg.LinAlgError:
         return None
-    return found if np.isfinite(found).all() else None
+    return solution if np.isfinite(solution).all() else None
 
 
 def _solved_sparse(matrix: Matrix, right: FloatArray) -> FloatArray | None:
     from scipy.sparse.linalg import splu
 
     try:
-        found: FloatArray = splu(matrix.tocsc()).solve(right)
+        solution: FloatArray = splu(matrix.tocsc()).solve(right)
     except RuntimeError:
         # It is singular.
         return None
-    return found if np.isfinite(found).all() else None
+    return solution if np.isfinite(solution).all() else None

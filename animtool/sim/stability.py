@@ -44,8 +44,8 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     def limit(omega: float, damping_ratio: float) -> float:
         root = np.emath.sqrt(damping_ratio**2 - 1)
         values = {complex(-damping_ratio + root), complex(-damping_ratio - root)}
-        found = (_first_growth(coefficients, value) for value in values)
-        return min(found) / omega
+        limits = (_first_growth(coefficients, value) for value in values)
+        return min(limits) / omega
 
     return limit
 

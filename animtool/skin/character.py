@@ -59,7 +59,7 @@ def character_meshes(
     """
     places = {name: i for i, name in enumerate(joints)}
     columns = {name: i for i, name in enumerate(shapes)}
-    made, faults = [], []
+    meshes, faults = [], []
     for surface in surfaces:
         try:
             mesh = _mesh(surface, places, bind)
@@ -67,10 +67,10 @@ def character_meshes(
             faults += [_named(fault, surface.name) for fault in error.faults]
             continue
         own = [_column(surface, shape, columns) for shape in surface.shapes]
-        made.append(CharacterMesh(surface.name, mesh, np.array(own, np.int64)))
+        meshes.append(CharacterMesh(surface.name, mesh, np.array(own, np.int64)))
     if faults:
         raise FormatError(faults)
-    return made
+    return meshes
 
 
 def character_strands(
@@ -87,7 +87,7 @@ def character_strands(
         FormatError: A bind transform has no inverse, or is not finite (SKIN003,
             SKIN005).
     """
-    made, faults = [], []
+    meshes, faults = [], []
     none = np.zeros(0, np.int64)
     for entry in strands:
         points = entry.points.reshape(-1, 3)
@@ -102,10 +102,10 @@ def character_strands(
             ]
             continue
         mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
-        made.append(CharacterMesh(entry.name, mesh, none))
+        meshes.append(CharacterMesh(entry.name, mesh, none))
     if faults:
         raise FormatError(faults)
-    return made
+    return meshes
 
 
 def _named(fault: Fault, mesh: str) -> Fault:

@@ -62,9 +62,11 @@ class DeformedMesh:
         if self.normals is None:
             return []
         at = self.normal_vertices
-        wanted = len(self.points) if at is None else len(at)
-        if np.shape(self.normals) != (wanted, 3):
-            message = f"normals are {np.shape(self.normals)}, and must be ({wanted}, 3)"
+        expected = len(self.points) if at is None else len(at)
+        if np.shape(self.normals) != (expected, 3):
+            message = (
+                f"normals are {np.shape(self.normals)}, and must be ({expected}, 3)"
+            )
             return [Fault("SKIN001", message)]
         if (
             at is not None
@@ -198,7 +200,7 @@ def deform_blocks(
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         low, high = max(begin - margin, 0), min(end + margin, frames)
-        made = _deform(
+        deformed = _deform(
             mesh,
             None if values is None else values[low:high],
             None
@@ -208,7 +210,7 @@ def deform_blocks(
             None if seconds is None else seconds[low:high],
             space,
         )
-        yield made.select(slice(begin - low, end - low))
+        yield deformed.select(slice(begin - low, end - low))
 
 
 def block_frames(vertices: int) -> int:
@@ -296,7 +298,7 @@ def _velocities(points: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def displaced_points(
-    made: Deformed,
+    deformed: Deformed,
     points: Channel,
     frames: slice,
     surface: Surface | None,
@@ -308,7 +310,7 @@ def displaced_points(
     those of the faces elsewhere.
 
     Args:
-        made: The frames as joints have them.
+        deformed: The frames as joints have them.
         points: Where the points are, in more frames ``(F, V, 3)`` [m].
         frames: Which of those these are.
         surface: Its faces; None of strands.
@@ -325,18 +327,18 @@ def displaced_points(
     whole = points.select(slice(low, high)).dense()
     own = slice(frames.start - low, frames.stop - low)
     values = np.ascontiguousarray(whole[own])
-    velocities = made.velocities
+    velocities = deformed.velocities
     if times is not None:
         velocities = np.zeros_like(values)
         if len(whole) > 1:
             velocities = np.gradient(whole, times[low:high], axis=0)[own]
-    normals = made.normals
+    normals = deformed.normals
     if normals is not None and surface is not None:
-        differ = (values != made.points).any(axis=(1, 2))
+        differ = (values != deformed.points).any(axis=(1, 2))
         normals = normals.copy()
         normals[differ] = vertex_normals(surface, values[differ])
     return replace(
-        made,
+        deformed,
         points=values,
         extents=extents(values),
         normals=normals,

@@ -90,12 +90,14 @@ def read_influences(
         values = np.broadcast_to(values, numbers.shape)
     _check_values(numbers, values, joints)
     count = len(numbers)
-    rows, found, strengths = _merged(numbers.astype(np.int64), values, max(joints, 1))
+    rows, joints_of_rows, strengths = _merged(
+        numbers.astype(np.int64), values, max(joints, 1)
+    )
     sums = np.bincount(rows, strengths, count).astype(np.float64)
     kept = _strongest(rows, count, most)
     lost = np.bincount(rows[~kept], minlength=count) > 0
     used, merged = int(np.count_nonzero(values)), len(rows)
-    rows, found, strengths = rows[kept], found[kept], strengths[kept]
+    rows, joints_of_rows, strengths = rows[kept], joints_of_rows[kept], strengths[kept]
     totals = np.bincount(rows, strengths, count).astype(np.float64)
     _check_sums(sums, totals)
     errors = np.abs(sums - 1)
@@ -108,7 +110,9 @@ def read_influences(
         sum_vertex=int(np.argmax(errors)) if count else 0,
     )
     weighted = strengths / totals[rows]
-    return Influences(_firsts(rows, count), found.astype(np.int32), weighted), report
+    return Influences(
+        _firsts(rows, count), joints_of_rows.astype(np.int32), weighted
+    ), report
 
 
 def _merged(
@@ -120,13 +124,13 @@ def _merged(
     """
     order = np.argsort(-values, axis=1, kind="stable")
     strengths = np.take_along_axis(values, order, axis=1)
-    found = np.take_along_axis(numbers, order, axis=1)
+    sorted_joints = np.take_along_axis(numbers, order, axis=1)
     kept = strengths != 0
     rows = np.nonzero(kept)[0]
-    found, strengths = found[kept], strengths[kept]
+    sorted_joints, strengths = sorted_joints[kept], strengths[kept]
     if not _repeats(numbers, values):
-        return rows, found, strengths
-    pairs = rows * joints + found
+        return rows, sorted_joints, strengths
+    pairs = rows * joints + sorted_joints
     unique, at, inverse = np.unique(pairs, return_index=True, return_inverse=True)
     sums = np.bincount(inverse, strengths, len(unique)).astype(np.float64)
     order = np.argsort(at)

@@ -165,17 +165,17 @@ def _blend(
     shows = np.asarray(weights.any(axis=0), np.bool_)
     dense = np.asarray(columns.dense & shows, np.bool_)
     sparse = np.asarray(~columns.dense & shows, np.bool_)
-    made = result(out, (len(weights), *columns.rest.shape[1:]))
+    blended = result(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if dense.any():
-        _product(columns, weights, shows, made.reshape(len(made), -1))
-        points = made
+        _product(columns, weights, shows, blended.reshape(len(blended), -1))
+        points = blended
     if sparse.any():
         first, numbers, offsets = _showing(columns, sparse)
-        _kernels.add_sparse(points, weights, first, numbers, offsets, made)
+        _kernels.add_sparse(points, weights, first, numbers, offsets, blended)
     elif not dense.any():
-        made[:] = points
-    return made
+        blended[:] = points
+    return blended
 
 
 def _product(
@@ -207,11 +207,11 @@ def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
     last = len(knots) - 2
     at = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last)
     share = (weights - knots[at]) / (knots[at + 1] - knots[at])
-    found = np.zeros((len(weights), len(knots)))
+    hats = np.zeros((len(weights), len(knots)))
     frames = np.arange(len(weights))
-    found[frames, at] = 1.0 - share
-    found[frames, at + 1] = share
-    return found[:, knots != 0]
+    hats[frames, at] = 1.0 - share
+    hats[frames, at + 1] = share
+    return hats[:, knots != 0]
 
 
 def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:

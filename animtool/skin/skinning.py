@@ -165,7 +165,7 @@ def _skin(
     *,
     normals: bool,
 ) -> FloatArray:
-    made = result(out, (len(world.positions), influences.vertices, 3))
+    skinned = result(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _transforms(skin, offsets[:, :3], world)
@@ -179,9 +179,9 @@ def _skin(
             influences.weights,
             transforms,
             normals,
-            made,
+            skinned,
         )
-        return made
+        return skinned
     transforms = _transforms(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
@@ -203,9 +203,9 @@ def _skin(
         translations,
         _without_rounding(stretches),
         normals,
-        made,
+        skinned,
     )
-    return made
+    return skinned
 
 
 def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:

@@ -240,8 +240,8 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
     steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
-    found = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
-    return next((grid for grid in found if grid is not None), None)
+    grids = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
+    return next((grid for grid in grids if grid is not None), None)
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:

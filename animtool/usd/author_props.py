@@ -133,8 +133,8 @@ def check_props(
     """
     faults = []
     model, root = paths.model, paths.root
-    found = prop_paths(tracks, model)
-    for i, (track, path) in enumerate(zip(tracks, found, strict=True)):
+    by_path = prop_paths(tracks, model)
+    for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "name a path of its own, such as Props/box"
         if overlap(path, root) or _within(model, path):
@@ -145,7 +145,7 @@ def check_props(
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
-        for other in found[:i]:
+        for other in by_path[:i]:
             if overlap(path, other):
                 message = f"{path} meets {other}, which another thing has"
                 hint = "each has a path of its own, none below another's"
@@ -175,10 +175,10 @@ def author_props(
 
     Returns their paths, and what there is to say of their frames.
     """
-    found = prop_paths(samples.tracks, places.model)
+    paths = prop_paths(samples.tracks, places.model)
     codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
-    for i, (track, path) in enumerate(zip(samples.tracks, found, strict=True)):
+    for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _author_above(layer, path, places)
         there, world = places.exists(path), places.world(path)
         if world.turn is not None:
@@ -191,7 +191,7 @@ def author_props(
         _author_track(spec, track, codes, known, world)
         if known.held is not None and known.held.any():
             notices.append(_held_notice(track, path, codes, known.held))
-    return found, notices
+    return paths, notices
 
 
 def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
@@ -227,7 +227,7 @@ def _author_reference(spec: Any, reference: Reference, output: Path | None) -> N
 
 
 def _author_track(
-    spec: Any, track: Track, codes: FloatArray, found: Transforms, world: PropWorld
+    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, world: PropWorld
 ) -> None:
     types, unit = Sdf.ValueTypeNames, world.meters_per_unit
     # What is referred to has points in a unit of its own.
@@ -239,19 +239,19 @@ def _author_track(
         samples.add(codes, rows)
         samples.finish(rows[0])
 
-    if found.matrices is not None:
-        matrices = found.matrices.copy()
+    if sampled.matrices is not None:
+        matrices = sampled.matrices.copy()
         matrices[:, :3, 3] /= unit
         matrices[:, :3, :3] *= factor
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _matrix)
         author_order(spec, "xformOp:transform")
     elif track.placed:
-        author("xformOp:translate", types.Double3, found.translations / unit, vector)
-        author("xformOp:orient", types.Quatd, found.rotations, quaternion)
-        author("xformOp:scale", types.Double3, found.scales * factor, vector)
+        author("xformOp:translate", types.Double3, sampled.translations / unit, vector)
+        author("xformOp:orient", types.Quatd, sampled.rotations, quaternion)
+        author("xformOp:scale", types.Double3, sampled.scales * factor, vector)
         author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
-    for one, values in zip(track.attributes, found.values, strict=True):
+    for one, values in zip(track.attributes, sampled.values, strict=True):
         own_type = types.Find(one.type_name)
         if one.width:
             make = _number if one.width == 1 else _numbers

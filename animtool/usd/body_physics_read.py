@@ -53,11 +53,11 @@ def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
     """
     with usd_errors(path):
         stage = open_stage(path)
-        found = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
-        if not found:
+        top = stage.GetPseudoRoot() if root == "/" else find_prim(stage, root)
+        if not top:
             message = f"{path.name} holds no prim {excerpt(root)}"
             Spot(str(path)).fail("SIM051", message, nearest_prim(stage, root))
-        return _Reader(path, stage, found, frame).read()
+        return _Reader(path, stage, top, frame).read()
 
 
 @dataclass(slots=True)
@@ -96,10 +96,10 @@ class _Reader:
             self._note(own[k], "has no shape that is read, and is left out")
         places = {path: kept.index(k) for path, k in places.items() if bodies[k].shapes}
         joints = [
-            made
+            joint
             for prim in prims
             if prim.IsA(UsdPhysics.Joint)
-            and (made := self._joint(prim, places)) is not None
+            and (joint := self._joint(prim, places)) is not None
         ]
         colliders = [
             shape
@@ -234,30 +234,30 @@ class _Reader:
         """Return what a body weighs; what is 0 or not given is left to its shapes."""
         kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
         api = UsdPhysics.MassAPI(prim)
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         if not prim.HasAPI(UsdPhysics.MassAPI):
             return {}
         mass = self._numbers(api.GetMassAttr(), 1)
         density = self._numbers(api.GetDensityAttr(), 1)
         if density is not None and density[0] > 0:
-            found["density"] = float(density[0]) * kilograms / self.unit**3
+            values["density"] = float(density[0]) * kilograms / self.unit**3
         if mass is not None and mass[0] > 0:
-            found["mass"] = float(mass[0]) * kilograms
+            values["mass"] = float(mass[0]) * kilograms
         centre = api.GetCenterOfMassAttr().Get()
         # By the schema, what is not finite is not given.
         if centre is not None and np.isfinite(centre).all():
             own = self._numbers(api.GetCenterOfMassAttr(), 3)
-            found["centre"] = np.array(own) * scale * self.unit
+            values["centre"] = np.array(own) * scale * self.unit
         moments = self._numbers(api.GetDiagonalInertiaAttr(), 3)
         if moments is not None and (moments < 0).any():
             fault = f"has moments of inertia {moments.tolist()}, and none is below 0"
             Spot.of(self.path, prim).fail("SIM051", fault)
         if moments is not None and moments.any():
-            found["moments"] = moments * kilograms * self.unit**2
+            values["moments"] = moments * kilograms * self.unit**2
             axes = self._numbers(api.GetPrincipalAxesAttr(), 4)
             if axes is not None and axes.any():
-                found["axes"] = so3.normalize(axes)
-        return found
+                values["axes"] = so3.normalize(axes)
+        return values
 
     def _shapes(
         self, prim: Any, outer: FloatArray, *, still: bool
@@ -410,7 +410,7 @@ class _Reader:
     def _drive(self, prim: Any, kind: str) -> JointDrive | None:
         axes = {"prismatic": ["linear"], "ball": ["rotX", "rotY", "rotZ"]}
         names = axes.get(kind, ["angular"])
-        found = [UsdPhysics.DriveAPI(prim, axis) for axis in names]
+        drives = [UsdPhysics.DriveAPI(prim, axis) for axis in names]
         if not all(prim.HasAPI(UsdPhysics.DriveAPI, axis) for axis in names):
             return None
         linear = kind == "prismatic"
@@ -425,18 +425,18 @@ class _Reader:
             # What has no end is not meant to be read.
             if name == "MaxForce" or number is None:
                 return float(number or 0.0)
-            found = self._numbers(attribute, 1)
-            return 0.0 if found is None else float(found[0])
+            numbers = self._numbers(attribute, 1)
+            return 0.0 if numbers is None else float(numbers[0])
 
-        targets = [value(drive, "TargetPosition") * scale for drive in found]
-        most = value(found[0], "MaxForce")
-        rates = [value(drive, "TargetVelocity") for drive in found]
+        targets = [value(drive, "TargetPosition") * scale for drive in drives]
+        most = value(drives[0], "MaxForce")
+        rates = [value(drive, "TargetVelocity") for drive in drives]
         if any(rates):
             self._note(prim, "has a drive with a velocity to reach, which is not read")
         ball = kind == "ball"
         return JointDrive(
-            max(value(found[0], "Stiffness"), 0.0) * gain,
-            max(value(found[0], "Damping"), 0.0) * gain,
+            max(value(drives[0], "Stiffness"), 0.0) * gain,
+            max(value(drives[0], "Damping"), 0.0) * gain,
             0.0 if ball else targets[0],
             so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
             most * force if 0 < most < MOST_FORCE else None,

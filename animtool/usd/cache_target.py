@@ -90,12 +90,12 @@ class CacheTarget:
         if root.IsA(UsdSkel.Root):
             wrong.append(str(root.GetPath()))
         for mesh in self.prims:
-            found = stage.GetPrimAtPath(mesh.path)
-            if found.IsInstanceProxy():
+            prim = stage.GetPrimAtPath(mesh.path)
+            if prim.IsInstanceProxy():
                 wrong.append(mesh.path)
             if not points:
                 continue
-            attr = found.GetAttribute("points")
+            attr = prim.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
             if mesh.path not in wrong and (not stack or stack[0].layer != layer):
                 wrong.append(mesh.path)
@@ -107,18 +107,18 @@ class CacheTarget:
 
 
 def open_cache_target(
-    rig: RigTarget, wanted: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
+    rig: RigTarget, counts: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
 ) -> CacheTarget:
     """Find the meshes and strands of a rig by the names that a cache has for them."""
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()
-    found = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
+    skinned = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
     faults, meshes, strands = [], [], []
-    for name, count in wanted.items():
-        if name not in found:
+    for name, count in counts.items():
+        if name not in skinned:
             continue
-        mesh = UsdGeom.Mesh(found[name])
+        mesh = UsdGeom.Mesh(skinned[name])
         faults += _misfits(mesh, name, count, rig) + _moving(mesh, skeleton, rig)
         meshes.append(_mesh(mesh, name, skeleton, rig))
     matched = {
@@ -129,16 +129,18 @@ def open_cache_target(
         if name not in matched:
             continue
         entry, source = matched[name]
-        made = UsdGeom.BasisCurves(source)
-        faults += _uneven(made, entry, shape, rig) + _moving(made, skeleton, rig)
-        strands.append(_strands(made, name, skeleton, rig))
+        basis_curves = UsdGeom.BasisCurves(source)
+        faults += _uneven(basis_curves, entry, shape, rig) + _moving(
+            basis_curves, skeleton, rig
+        )
+        strands.append(_strands(basis_curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
-    missing = [name for name in wanted if name not in found]
+    missing = [name for name in counts if name not in skinned]
     missing += [name for name in curves if name not in matched]
     what = "meshes or strands of the take are not in the rig layer"
     notices = _notice("USD141", missing, what, "they are left out", rig.path)
-    deformed = {found[mesh.name].GetPath() for mesh in meshes}
+    deformed = {skinned[mesh.name].GetPath() for mesh in meshes}
     deformed |= {matched[entry.name][1].GetPath() for entry in strands}
     notices += _left_notice(root, deformed, rig.path)
     notices += _normals_notice([*meshes, *strands], rig.path)

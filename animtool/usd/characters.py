@@ -287,11 +287,11 @@ class _Group:
         off = so3.rotate(self.upright, so3.rotate(turned, own * track.scales[i]))
         places = ((track.points[:, i] + off) / unit).astype(np.float32)
         order = ["xformOp:translate"]
-        made = attribute(spec, "xformOp:translate", _TYPES.Float3)
+        translate = attribute(spec, "xformOp:translate", _TYPES.Float3)
         rows = _changing(places, SAME_PLACE / unit)
         put_samples(
             self.layer,
-            made,
+            translate,
             track.codes,
             rows,
             [Gf.Vec3f(*one) for one in places[rows].tolist()],
@@ -299,10 +299,10 @@ class _Group:
         if (self.upright != so3.IDENTITY).any():
             attribute(spec, "xformOp:orient", _TYPES.Quatf, quatf(self.upright))
             order.append("xformOp:orient")
-        made = attribute(spec, "xformOp:rotateY", _TYPES.Float)
+        translate = attribute(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing(degrees[:, None], np.degrees(SAME_HEADING))
-        put_samples(self.layer, made, track.codes, rows, degrees[rows].tolist())
+        put_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
         order.append("xformOp:rotateY")
         if track.scales[i] != 1:
             size = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -311,10 +311,10 @@ class _Group:
         author_order(spec, *order)
         seen = track.visible[:, i]
         if not seen.all():
-            made = attribute(spec, "visibility", _TYPES.Token)
+            translate = attribute(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(seen, prepend=~seen[:1]))
             words = ["inherited" if one else "invisible" for one in seen[rows].tolist()]
-            put_samples(self.layer, made, track.codes, rows, words)
+            put_samples(self.layer, translate, track.codes, rows, words)
         rig = prim(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -333,12 +333,12 @@ class _Group:
         moves = moves | ((turns[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
         spec = self._animation(f"{path}/Anim", np.flatnonzero(moves))
         rows = np.flatnonzero(kept)
-        made = spec.attributes["rotations"]
+        rotations = spec.attributes["rotations"]
         arrays = [
             Vt.QuatfArray.FromNumpy(np.ascontiguousarray(one))
             for one in turns[rows][:, moves]
         ]
-        put_samples(self.layer, made, self.track.codes, rows, arrays)
+        put_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
     def _animation(self, path: str, which: IntArray) -> Any:
         """Return a new animation of some joints that stay where they are at rest."""
@@ -409,9 +409,9 @@ def _continuous(turns: Float32Array) -> Float32Array:
     """Return turns ``(F, …, 4)`` whose signs go on from frame to frame."""
     products = (turns[1:] * turns[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
-    made = turns.copy()
-    made[1:] *= signs[..., None]
-    return made
+    continuous = turns.copy()
+    continuous[1:] *= signs[..., None]
+    return continuous
 
 
 def _changing(values: Float32Array, same: float) -> IntArray:

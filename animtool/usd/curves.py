@@ -98,8 +98,8 @@ def author_controls(
     for name, (control, curves) in zip(names.names, controls.items(), strict=True):
 
         def values(times: FloatArray, curves: Curves = curves) -> FloatArray:
-            found: FloatArray = evaluate(curves, times)[0]
-            return found
+            values: FloatArray = evaluate(curves, times)[0]
+            return values
 
         report = author_curve(layer, prim_path, CONTROL + name, curves, values)
         if name != control:
@@ -142,9 +142,9 @@ def author_curve(
         spline.SetPreExtrapolation(before)
         spline.SetPostExtrapolation(after)
     spec = layer.GetPrimAtPath(prim_path)
-    made = attribute(spec, name, Sdf.ValueTypeNames.Double)
-    made.custom = True
-    made.SetSpline(spline)
+    attr = attribute(spec, name, Sdf.ValueTypeNames.Double)
+    attr.custom = True
+    attr.SetSpline(spline)
     difference, seam = _measure(spline, curves, evaluate, start)
     split = len({piece.segment for piece in pieces if piece.part})
     return CurveReport(name, len(spline.GetKnots()), split, difference, seam)
@@ -261,7 +261,7 @@ def _tangent(handle: FloatArray) -> tuple[float, float]:
 def _extrapolation(
     mode: Extrapolation, curves: Curves, evaluate: Evaluate, side: int, where: str
 ) -> Any:
-    made = Ts.Extrapolation(_EXTRAPOLATION[mode])
+    extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
         edge = float(curves.times[0 if side < 0 else -1])
         reach = max(1.0, abs(edge), float(np.ptp(curves.times)))
@@ -269,8 +269,8 @@ def _extrapolation(
         at_edge, away = evaluate(np.array([edge, far])).tolist()
         slope = (away - at_edge) / (far - edge)
         check_value(slope, "d", Labels(where, "the slope outside the keys"))
-        made.slope = slope
-    return made
+        extrapolation.slope = slope
+    return extrapolation
 
 
 def _measure(

@@ -39,11 +39,11 @@ class _Walk:
         while todo:
             layer, variables = todo.pop()
             for name in _names(layer, variables):
-                found = self._opened(layer, name)
-                if found is not None:
-                    self.layers.append(found)
+                target = self._opened(layer, name)
+                if target is not None:
+                    self.layers.append(target)
                     # Those of the layer that brings it in count for more.
-                    todo.append((found, {**found.expressionVariables, **variables}))
+                    todo.append((target, {**target.expressionVariables, **variables}))
 
     def _opened(self, layer: Any, name: str) -> Any:
         """Return a layer that another names; None where USD opens none or knows it."""
@@ -93,9 +93,9 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
         return
     for name in layer.GetCompositionAssetDependencies():
         if Sdf.VariableExpression.IsExpression(name):
-            found = Sdf.VariableExpression(name).Evaluate(variables).value
-            if isinstance(found, str) and found:
-                yield found
+            evaluated = Sdf.VariableExpression(name).Evaluate(variables).value
+            if isinstance(evaluated, str) and evaluated:
+                yield evaluated
 
 
 def open_composed(layer: Any, path: Path) -> Any:
@@ -119,7 +119,7 @@ def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
             note_input(path, states.get(path), composed=True)
         # Without a name it is the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
-            found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
-            if found and "[" not in found and "://" not in found:
-                path = Path(found)
+            resolved = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if resolved and "[" not in resolved and "://" not in resolved:
+                path = Path(resolved)
                 note_input(path, states.get(path), composed=True)

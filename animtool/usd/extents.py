@@ -224,11 +224,11 @@ def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -
     """Refuse a binding that UsdSkel does not follow."""
     from animtool.usd.target import resolved_animation
 
-    found = resolved_animation(stage, job.paths.skeleton)
-    if found != animation:
+    resolved = resolved_animation(stage, job.paths.skeleton)
+    if resolved != animation:
         path = None if job.output is None else str(job.output)
         message = (
-            f"UsdSkel resolves {found or 'no animation'} for {job.paths.skeleton}, "
+            f"UsdSkel resolves {resolved or 'no animation'} for {job.paths.skeleton}, "
             f"not {animation}"
         )
         hint = "a binding in the rig is stronger than the layer"

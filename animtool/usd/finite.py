@@ -68,10 +68,10 @@ def narrowed(
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
-        made = values.astype(dtype)
-    if made.size and not _within(made, _LIMITS[letter]):
-        _refuse(values, made, letter, labels, codes)
-    return made
+        narrow = values.astype(dtype)
+    if narrow.size and not _within(narrow, _LIMITS[letter]):
+        _refuse(values, narrow, letter, labels, codes)
+    return narrow
 
 
 def rounded(
@@ -81,14 +81,14 @@ def rounded(
 
     points: ``(F, V, 3)``; codes: time codes ``(F,)``.
     """
-    made, error, frame, vertex = _kernels.round_points(points, unit)
+    rounded_points, error, frame, vertex = _kernels.round_points(points, unit)
     # Beyond the range the error is larger than any rounding, so nothing more is read.
     if not error < _MAX_ROUNDED * unit:
         with np.errstate(all="ignore"):
             whole = points / unit
             narrow = whole.astype(np.float32)
         _refuse(whole, narrow, "f", labels, codes)
-    return made, error, frame, vertex
+    return rounded_points, error, frame, vertex
 
 
 def check_rows(
@@ -134,8 +134,8 @@ def floats_of(value: Any) -> npt.NDArray[Any] | None:
         value = [*value.imaginary, value.real]
     elif hasattr(value, "GetValue"):
         value = value.GetValue()
-    found = np.asarray(value)
-    return found if found.dtype.kind == "f" else None
+    array = np.asarray(value)
+    return array if array.dtype.kind == "f" else None
 
 
 def _within(values: npt.NDArray[Any], limit: float) -> bool:
@@ -145,14 +145,14 @@ def _within(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse(
     values: npt.NDArray[Any],
-    made: npt.NDArray[Any],
+    narrow: npt.NDArray[Any],
     letter: str,
     labels: Labels,
     codes: FloatArray | None,
 ) -> None:
     """Name the first value whose number in the file would not be finite, if any is."""
     limit = _LIMITS[letter]
-    bad = np.argwhere(~(np.abs(made) <= limit))
+    bad = np.argwhere(~(np.abs(narrow) <= limit))
     if not len(bad):
         return
     place = tuple(bad[0].tolist())

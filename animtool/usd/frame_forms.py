@@ -297,8 +297,8 @@ def part_names(names: Sequence[str]) -> UsdNames:
     ['brick_3', 'brick_3_2']
     """
     every = [PROTOTYPES, PHYSICS, *names]
-    found = distinct_names(every, [name.removesuffix("]") for name in every], every)
-    return replace(found, names=found.names[2:])
+    distinct = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    return replace(distinct, names=distinct.names[2:])
 
 
 def _prototypes(writer: Writer, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:

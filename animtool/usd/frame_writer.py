@@ -132,11 +132,11 @@ class FrameWriter:
         """Write what shows only behind the last frame."""
         if self._characters is not None:
             self._characters.finish(layer)
-            made = self._characters.report
-            self.report.characters = made
-            self.report.vertices = made.own + made.shared
+            report = self._characters.report
+            self.report.characters = report
+            self.report.vertices = report.own + report.shared
             self.report.samples = len(self._characters.codes)
-            self.report.error = made.error
+            self.report.error = report.error
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
         """Write the value of an attribute at a time code; the first is its default."""

@@ -104,12 +104,12 @@ _SHOT_KEYS = {
 def layer_shot(layer: Any) -> dict[str, object] | None:
     """Return the shot that a layer states, as reports have it; None for none."""
     data = layer.customLayerData.get("animtool")
-    found = data.get("shot") if isinstance(data, dict) else None
-    if not isinstance(found, dict):
+    stored = data.get("shot") if isinstance(data, dict) else None
+    if not isinstance(stored, dict):
         return None
     keys = {usd: key for key, usd in _SHOT_KEYS.items()}
     shot: dict[str, object] = {
-        keys.get(str(name), str(name)): value for name, value in found.items()
+        keys.get(str(name), str(name)): value for name, value in stored.items()
     }
     frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
     return shot if all(isinstance(shot.get(key), int) for key in frames) else None
@@ -228,19 +228,19 @@ def attribute(
 ) -> Any:
     """Return a new attribute of a prim, with a default where one is given."""
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
-    made = Sdf.AttributeSpec(spec, name, type_name, variability)
+    attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
         if letter := largest(type_name):
-            check_value(value, letter, Labels(str(made.path)))
-        made.default = value
+            check_value(value, letter, Labels(str(attr.path)))
+        attr.default = value
     if interpolation:
-        made.SetInfo("interpolation", interpolation)
-    return made
+        attr.SetInfo("interpolation", interpolation)
+    return attr
 
 
 def put_samples(
     layer: Any,
-    made: Any,
+    attr: Any,
     codes: npt.NDArray[np.floating[Any]],
     rows: IntArray,
     values: Sequence[Any],
@@ -252,19 +252,19 @@ def put_samples(
     Raises:
         OutputError: A value is not finite, or too large for its type (USD170).
     """
-    letter, labels = largest(made.typeName), Labels(str(made.path))
+    letter, labels = largest(attr.typeName), Labels(str(attr.path))
     for code, value in zip(codes[rows].tolist(), values, strict=True):
         if letter:
             check_value(value, letter, labels, code)
         if len(values) > 1:
-            layer.SetTimeSample(made.path, code, value)
-    made.default = values[0]
+            layer.SetTimeSample(attr.path, code, value)
+    attr.default = values[0]
 
 
 def relationship(spec: Any, name: str, *targets: str) -> None:
     """Make a relationship to prims."""
-    made = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
-    made.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
+    relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
+    relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
 
 def save_layer(layer: Any, path: Path | None) -> int:
@@ -316,9 +316,9 @@ def author_order(spec: Any, *names: str) -> None:
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
     """Apply API schemas to a prim, in place of those that it has."""
-    found = Sdf.TokenListOp()
-    found.prependedItems = list(schemas)
-    spec.SetInfo("apiSchemas", found)
+    listed = Sdf.TokenListOp()
+    listed.prependedItems = list(schemas)
+    spec.SetInfo("apiSchemas", listed)
 
 
 def vector(row: FloatArray) -> Any:

@@ -101,9 +101,9 @@ def find_take_set(start: Any) -> TakeSet | None:
     """
     for prim in upwards(start):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
-            found = prim.GetVariantSet(TAKE_SET)
-            names = tuple(found.GetVariantNames())
-            return TakeSet(prim, names, str(found.GetVariantSelection()))
+            variants = prim.GetVariantSet(TAKE_SET)
+            names = tuple(variants.GetVariantNames())
+            return TakeSet(prim, names, str(variants.GetVariantSelection()))
     return None
 
 
@@ -170,7 +170,7 @@ def check_library(
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
 
 
-def merged_library(path: Path, made: Any, paths: RigPaths, name: str) -> Any:
+def merged_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     """Return a library with a take of another layer added, or replaced by it.
 
     Every other take, and what it selects, stays as it is.
@@ -185,10 +185,10 @@ def merged_library(path: Path, made: Any, paths: RigPaths, name: str) -> Any:
             if whole.GetPrimAtPath(spot) is None:
                 Sdf.CreatePrimInLayer(whole, spot)
         _make_variant(whole.GetPrimAtPath(model), name)
-        Sdf.CopySpec(made, animation, whole, animation)
-        Sdf.CopySpec(made, variant, whole, variant)
-    whole.startTimeCode = min(whole.startTimeCode, made.startTimeCode)
-    whole.endTimeCode = max(whole.endTimeCode, made.endTimeCode)
+        Sdf.CopySpec(layer, animation, whole, animation)
+        Sdf.CopySpec(layer, variant, whole, variant)
+    whole.startTimeCode = min(whole.startTimeCode, layer.startTimeCode)
+    whole.endTimeCode = max(whole.endTimeCode, layer.endTimeCode)
     return whole
 
 
@@ -197,6 +197,6 @@ def _make_variant(model: Any, name: str) -> None:
     if TAKE_SET not in model.variantSets:
         model.variantSetNameList.prependedItems.append(TAKE_SET)
         Sdf.VariantSetSpec(model, TAKE_SET)
-    found = model.variantSets[TAKE_SET]
-    if name not in found.variants:
-        Sdf.VariantSpec(found, name)
+    variants = model.variantSets[TAKE_SET]
+    if name not in variants.variants:
+        Sdf.VariantSpec(variants, name)

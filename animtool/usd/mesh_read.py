@@ -96,13 +96,13 @@ def bound_shapes(skeleton: Any) -> tuple[str, ...]:
 def _bind(query: Any, skeleton: Any, at: Spot) -> tuple[float, ...] | None:
     """Return where a mesh is bound, or placed; None where that is the origin."""
     if query.HasJointInfluences():
-        found = query.GetGeomBindTransform()
+        authored = query.GetGeomBindTransform()
     else:
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
         own = cache.GetLocalToWorldTransform(query.GetPrim())
-        found = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
-    matrix = np.array(found, np.float64).T
+        authored = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
+    matrix = np.array(authored, np.float64).T
     if not np.isfinite(matrix).all():
         at.fail("USD017", "its transform at bind time is not finite")
     return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
@@ -142,9 +142,9 @@ def _mesh(
 def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
     """Return the rule, None where it is the usual one."""
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
-    found = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
+    by_scheme = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
     usual = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
-    return None if found is usual else found
+    return None if by_scheme is usual else by_scheme
 
 
 def _faces(mesh: Any, points: int, at: Spot) -> FloatArray:
@@ -251,12 +251,12 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
 
     between = []
     for step in shape.GetInbetweens():
-        weight, found = step.GetWeight(), rows_of(step.GetAttr())
-        if weight is None or found is None or not np.isfinite(weight):
+        weight, offsets = step.GetWeight(), rows_of(step.GetAttr())
+        if weight is None or offsets is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
             at.fail("USD017", message)
         normals = rows_of(step.GetNormalOffsetsAttr())
-        between.append(Inbetween(float(weight), found, normals))
+        between.append(Inbetween(float(weight), offsets, normals))
     return Shape(
         name,
         mesh,
@@ -280,7 +280,7 @@ def bound_strands(
     skeleton: Any, rig: SkeletonRig, where: str
 ) -> list[tuple[Attachment, Any]]:
     """Return what `read_strands` does, each with its prim."""
-    made: list[tuple[Attachment, Any]] = []
+    strands: list[tuple[Attachment, Any]] = []
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
@@ -290,8 +290,8 @@ def bound_strands(
         if joint is not None and points is not None:
             name = unique_name(prim_name(source), used)
             kind, held = AttachKind.STRANDS.value, HeldArray(points)
-            made.append((Attachment(name, kind, (joint,), points=held), source))
-    return made
+            strands.append((Attachment(name, kind, (joint,), points=held), source))
+    return strands
 
 
 def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
@@ -355,14 +355,14 @@ def target_meshes(target: RigTarget) -> StageMeshes:
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
 
 
-def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
-    meshes, shapes, notices = read_meshes(skeleton, found, str(path))
-    strands = read_strands(skeleton, found, str(path))
-    rig = replace(found.rig, meshes=meshes, shapes=shapes, attach=strands)
+def _meshes(skeleton: Any, skeleton_rig: SkeletonRig, path: Path) -> StageMeshes:
+    meshes, shapes, notices = read_meshes(skeleton, skeleton_rig, str(path))
+    strands = read_strands(skeleton, skeleton_rig, str(path))
+    rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     spot = Spot.of(path, skeleton)
-    spot.refuse(bind_transforms(skeleton, found.tokens, skins=True))
+    spot.refuse(bind_transforms(skeleton, skeleton_rig.tokens, skins=True))
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit

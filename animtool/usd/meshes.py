@@ -33,8 +33,8 @@ WIDTH = 4e-4
 
 def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
     """Return paths of the strands' prims."""
-    wanted = [entry.name for entry in strands]
-    names = distinct_names(wanted, wanted, wanted).names
+    names_given = [entry.name for entry in strands]
+    names = distinct_names(names_given, names_given, names_given).names
     return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
 
 
@@ -83,10 +83,10 @@ def _bound(spec: Any, token: str) -> None:
         ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
     ):
-        made = attribute(
+        attr = attribute(
             spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
         )
-        made.SetInfo("elementSize", 1)
+        attr.SetInfo("elementSize", 1)
 
 
 # Fewer moving vertices than this share are written with their indices: an index is a
@@ -112,15 +112,15 @@ def mesh_names(
     """
     taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
     taken.append(SCOPE)
-    wanted = [*taken, *(surface.name for surface in surfaces)]
-    names = distinct_names(wanted, wanted, wanted)
-    found = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]
+    every = [*taken, *(surface.name for surface in surfaces)]
+    names = distinct_names(every, every, every)
+    paths_of_meshes = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]
     renamed = {
         path: surface.name
-        for path, surface in zip(found, surfaces, strict=True)
+        for path, surface in zip(paths_of_meshes, surfaces, strict=True)
         if Sdf.Path(path).name != surface.name
     }
-    return found, renamed
+    return paths_of_meshes, renamed
 
 
 def author_meshes(
@@ -139,8 +139,8 @@ def author_meshes(
     meters_per_unit: unit of the layer [m].
     """
     notices: list[Fault] = []
-    found, renamed = mesh_names(surfaces, paths)
-    for path, surface in zip(found, surfaces, strict=True):
+    mesh_paths, renamed = mesh_names(surfaces, paths)
+    for path, surface in zip(mesh_paths, surfaces, strict=True):
         spec = _mesh(layer, path, surface, meters_per_unit)
         if path in renamed:
             spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
@@ -152,7 +152,7 @@ def author_meshes(
                 notices += _skin(spec, surface, surface.skin, tokens, meters_per_unit)
             if surface.shapes:
                 _shapes(layer, spec, surface, meters_per_unit)
-    return found, notices
+    return mesh_paths, notices
 
 
 def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> Any:
@@ -217,10 +217,10 @@ def _skin(
         ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(flat)),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
     ):
-        made = attribute(
+        attr = attribute(
             spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
         )
-        made.SetInfo("elementSize", indices.shape[1])
+        attr.SetInfo("elementSize", indices.shape[1])
     method = _METHODS[skin.method]
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
@@ -249,11 +249,15 @@ def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
 
 
 def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> None:
-    wanted = [shape.name for shape in surface.shapes]
-    names = distinct_names(wanted, wanted, wanted).names
+    shape_names = [shape.name for shape in surface.shapes]
+    names = distinct_names(shape_names, shape_names, shape_names).names
     targets = [f"{spec.path}/{name}" for name in names]
     attribute(
-        spec, "skel:blendShapes", _TYPES.TokenArray, Vt.TokenArray(wanted), uniform=True
+        spec,
+        "skel:blendShapes",
+        _TYPES.TokenArray,
+        Vt.TokenArray(shape_names),
+        uniform=True,
     )
     relationship(spec, "skel:blendShapeTargets", *targets)
     for target, shape in zip(targets, surface.shapes, strict=True):
@@ -285,9 +289,9 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
     for i, step in enumerate(shape.inbetweens):
         name = f"inbetweens:step_{i + 1}"
         deltas = _vec3f(step.deltas[rows] / meters_per_unit, f"{spec.path}.{name}")
-        made = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
+        attr = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
         check_value(step.at, "f", Labels(f"{spec.path}.{name}", "the weight"))
-        made.SetInfo("weight", step.at)
+        attr.SetInfo("weight", step.at)
         if step.normals is not None:
             attribute(
                 spec,

@@ -64,14 +64,14 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
 
 
 def distinct_names(
-    named: Sequence[str], wanted: Sequence[str], sources: Sequence[str]
+    named: Sequence[str], proposed: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
     """Return legal and distinct names."""
     names: list[str] = []
     originals: dict[str, str] = {}
     first: dict[str, str] = {}
     notices: list[Fault] = []
-    legals = list(map(legal_name, wanted))
+    legals = list(map(legal_name, proposed))
     rows = zip(named, legals, distinct(legals), sources, strict=True)
     for name, legal, unique, source in rows:
         if unique != legal:

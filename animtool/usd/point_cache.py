@@ -91,7 +91,7 @@ def round_points(
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
         normals = None if normals is None else _turned(normals, linear)
-    made, error, frame, vertex = rounded(
+    rounded_points, error, frame, vertex = rounded(
         points, meters_per_unit, Labels("points", "point"), codes
     )
 
@@ -101,7 +101,7 @@ def round_points(
     return PointBlock(
         mesh,
         codes,
-        made,
+        rounded_points,
         _widened(alike("extent", extents, meters_per_unit), space.margin),
         None if normals is None else alike("normals", normals, 1.0),
         None

@@ -82,9 +82,9 @@ def _matrices(prim: Any, above: Any, codes: FloatArray) -> FloatArray:
 
 def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
     """Return a prim, or say that there is none, ``where`` it was named."""
-    found = find_prim(stage, name)
-    if found:
-        return found
+    prim = find_prim(stage, name)
+    if prim:
+        return prim
     raise FormatError(
         Fault(
             "USD034",
@@ -164,13 +164,13 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
     """Return a mesh that can be looked at over time."""
     with usd_errors(path):
         stage = open_stage(path)
-        found = find_prim(stage, prim)
-        if found is None or not found.IsA(UsdGeom.Mesh):
-            what = "no prim" if found is None else "no mesh"
-            hint = nearest_prim(stage, prim) if found is None else None
+        mesh = find_prim(stage, prim)
+        if mesh is None or not mesh.IsA(UsdGeom.Mesh):
+            what = "no prim" if mesh is None else "no mesh"
+            hint = nearest_prim(stage, prim) if mesh is None else None
             message = f"{path.name} holds {what} {excerpt(prim)}"
             raise OptionError(Fault("SIM051", message, hint=hint))
-        return MeshSource(stage, found, up)
+        return MeshSource(stage, mesh, up)
 
 
 def _check(points: FloatArray, counts: IntArray, indices: IntArray, prim: str) -> None:

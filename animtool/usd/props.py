@@ -93,28 +93,28 @@ class PropSource:
     shear: Callable[[], float]
 
 
-def open_prop(wanted: PropRequest, up: UpAxis) -> PropSource:
+def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
     """Open a prim whose transform and values are to be read over time.
 
     Its place is that in the world of its file: all operations of it and of the prims
     above come together. Units are metres, the up axis is that of the rig.
     """
-    with usd_errors(wanted.file):
-        stage = open_stage(wanted.file)
-        prim = find_prim(stage, wanted.prim)
+    with usd_errors(request.file):
+        stage = open_stage(request.file)
+        prim = find_prim(stage, request.prim)
         if prim is None:
-            message = f"{wanted.file.name} holds no prim {excerpt(wanted.prim)}"
+            message = f"{request.file.name} holds no prim {excerpt(request.prim)}"
             raise OptionError(
-                Fault("SCN048", message, hint=nearest_prim(stage, wanted.prim))
+                Fault("SCN048", message, hint=nearest_prim(stage, request.prim))
             )
-        return _opened(wanted, stage, prim, up)
+        return _opened(request, stage, prim, up)
 
 
-def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
+def _opened(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
     placed = bool(UsdGeom.Xformable(prim))
-    attributes = _attributes(prim, wanted)
+    attributes = _attributes(prim, request)
     if not placed and not attributes:
-        message = f"{wanted.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
+        message = f"{request.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
         hint = "attributes: names what to read of it"
         raise OptionError(Fault("SCN048", message, hint=hint))
     sampler = _Sampler(
@@ -124,18 +124,18 @@ def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSourc
         tuple(_described(attribute) for attribute in attributes),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_from_up(up, up_axis(stage)),
-        str(wanted.file),
+        str(request.file),
         placed,
     )
     sampler.settle()
     track = Track(
-        wanted.path,
+        request.path,
         sampler.at,
-        _type_name(prim, wanted),
+        _type_name(prim, request),
         placed,
         sampler.moves,
         sampler.described,
-        _reference(wanted, stage),
+        _reference(request, stage),
     )
     lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
     return PropSource(
@@ -149,60 +149,60 @@ def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSourc
     )
 
 
-def _type_name(prim: Any, wanted: PropRequest) -> str:
+def _type_name(prim: Any, request: PropRequest) -> str:
     """Return the type to write: that of a camera or light, else of a mere frame."""
     own = str(prim.GetTypeName())
     if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
         own = "Xform"
-    if wanted.reference is not None:
-        return "" if wanted.reference != wanted.file else str(prim.GetTypeName())
+    if request.reference is not None:
+        return "" if request.reference != request.file else str(prim.GetTypeName())
     return own
 
 
-def _reference(wanted: PropRequest, stage: Any) -> Reference | None:
-    if wanted.reference is None:
+def _reference(request: PropRequest, stage: Any) -> Reference | None:
+    if request.reference is None:
         return None
-    if wanted.reference == wanted.file:
+    if request.reference == request.file:
         unit = UsdGeom.GetStageMetersPerUnit(stage)
-        return Reference(str(wanted.file.resolve()), wanted.prim, unit)
-    other = open_stage(wanted.reference)
+        return Reference(str(request.file.resolve()), request.prim, unit)
+    other = open_stage(request.reference)
     if not other.GetDefaultPrim():
-        message = f"{wanted.reference.name} has no default prim to refer to"
+        message = f"{request.reference.name} has no default prim to refer to"
         raise OptionError(Fault("SCN048", message))
     unit = UsdGeom.GetStageMetersPerUnit(other)
-    return Reference(str(wanted.reference.resolve()), "", unit)
+    return Reference(str(request.reference.resolve()), "", unit)
 
 
-def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
+def _attributes(prim: Any, request: PropRequest) -> list[Any]:
     """Return the attributes to read."""
-    found, faults = [], []
+    attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
         # What USD takes for lengths that are not stated depends on the unit.
         always = {*_LENS, "clippingRange"}
         own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
-        found = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
-    for name in wanted.attributes:
+        attributes = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+    for name in request.attributes:
         attribute = prim.GetAttribute(name)
-        if attribute and attribute.GetName() in {a.GetName() for a in found}:
+        if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
             continue
         if name.startswith("xformOp"):
-            message = f"{name} of {wanted.prim} is of its place, which is read anyway"
+            message = f"{name} of {request.prim} is of its place, which is read anyway"
             faults.append(Fault("SCN049", message, hint="leave it out"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
             near = similar(name, names)
             hint = f"did you mean {near}?" if near else None
-            message = f"{wanted.prim} has no value of {excerpt(name)}"
+            message = f"{request.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
         elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
-            message = f"{name} of {wanted.prim} is a {attribute.GetTypeName()}"
+            message = f"{name} of {request.prim} is a {attribute.GetTypeName()}"
             hint = "numbers, vectors, bools, tokens and strings are carried"
             faults.append(Fault("SCN049", message, hint=hint))
         else:
-            found.append(attribute)
+            attributes.append(attribute)
     if faults:
         raise OptionError(faults)
-    return found
+    return attributes
 
 
 def _kind(attribute: Any) -> str:
@@ -258,14 +258,16 @@ class _Sampler:
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])
         self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
-        found = self.at(codes)
+        transforms = self.at(codes)
         # Values that are functions of time, such as splines, have no samples.
         self.moves = any(not part.GetTimeSamples() for part in moving) or any(
             bool((values != values[:1]).any())
-            for values in (found.matrix(), *found.values)
+            for values in (transforms.matrix(), *transforms.values)
         )
-        even = np.abs(found.scales - found.scales[0]).max() <= ROUNDED
-        self.scales = _plain(found.scales[0]) if even and not self.sheared else None
+        even = np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDED
+        self.scales = (
+            _plain(transforms.scales[0]) if even and not self.sheared else None
+        )
 
     def _moving(self) -> Iterator[Any]:
         """Yield attributes and places that may change over time."""
@@ -297,10 +299,10 @@ class _Sampler:
             if self.scales is not None:
                 near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
                 scales = np.where(near, self.scales, scales)
-        found = Transforms(places, turns, scales, matrices, self._values(codes))
+        transforms = Transforms(places, turns, scales, matrices, self._values(codes))
         if not self.moves:
-            return _lasting(found, len(times))
-        return replace(found, held=self._held(codes))
+            return _lasting(transforms, len(times))
+        return replace(transforms, held=self._held(codes))
 
     def _held(self, codes: FloatArray) -> BoolArray | None:
         low, high = map(float, _span(self.stage, self.keys))
@@ -321,27 +323,27 @@ class _Sampler:
         return times
 
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
-        found: list[Any] = []
+        columns: list[Any] = []
         for attribute, about in zip(self.attributes, self.described, strict=True):
             with usd_errors(Path(self.where)):
                 rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if about.width:
                 values = np.array(rows, np.float64).reshape(len(codes), about.width)
                 self._check(values)
-                found.append(values * (self.unit if about.length else 1.0))
+                columns.append(values * (self.unit if about.length else 1.0))
             else:
-                found.append(np.array([about.choices.index(row) for row in rows]))
-        return tuple(found)
+                columns.append(np.array([about.choices.index(row) for row in rows]))
+        return tuple(columns)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
         cache = UsdGeom.XformCache()
-        found = []
+        sampled = []
         with usd_errors(Path(self.where)):
             for code in codes.tolist():
                 cache.SetTime(Usd.TimeCode(code))
-                found.append(cache.GetLocalToWorldTransform(self.prim))
-        matrices = np.array(found, np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
+                sampled.append(cache.GetLocalToWorldTransform(self.prim))
+        matrices = np.array(sampled, np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
         self._check(matrices)
         matrices[:, :3, 3] *= self.unit
         if self.turn is not None:
@@ -360,18 +362,18 @@ def _plain(scales: FloatArray) -> FloatArray:
     return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
 
 
-def _lasting(found: Transforms, count: int) -> Transforms:
+def _lasting(transforms: Transforms, count: int) -> Transforms:
     """Return one transform, and its values, as that of all times."""
 
     def all_times(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
 
     return Transforms(
-        all_times(found.translations),
-        all_times(found.rotations),
-        all_times(found.scales),
-        None if found.matrices is None else all_times(found.matrices),
-        tuple(map(all_times, found.values)),
+        all_times(transforms.translations),
+        all_times(transforms.rotations),
+        all_times(transforms.scales),
+        None if transforms.matrices is None else all_times(transforms.matrices),
+        tuple(map(all_times, transforms.values)),
     )
 
 

@@ -100,7 +100,7 @@ def _takes(stage: Any, below: str) -> TakeSet | None:
     # An animation layer alone has only overs.
     start = stage.GetPrimAtPath(below)
     prims = Usd.PrimRange(start, Usd.PrimAllPrimsPredicate) if start else ()
-    return next((found for prim in prims if (found := find_take_set(prim))), None)
+    return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
 
 
 def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
@@ -134,7 +134,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
 
 
 def _join_stored(
-    stream: TakeStream, skeleton: Any, found: SkeletonRig, path: Path
+    stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
     """Give the take's rig what the Skeleton's customData says of it beyond USD."""
     data = stored_data(skeleton.GetPrim())
@@ -145,7 +145,7 @@ def _join_stored(
     joined, notices = joined_rig(
         stream.rig,
         data,
-        found.tokens,
+        rig.tokens,
         array_value(skeleton.GetRestTransformsAttr()),
         array_value(skeleton.GetBindTransformsAttr()),
         path,
@@ -223,7 +223,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     positions = numbers(animation.GetTranslationsAttr(), 3, first)
     if joints and len(positions) == len(joints):
         matrices[:, 3, :3] = positions
-    found = rig_from_tokens(
+    rig = rig_from_tokens(
         joints,
         matrices,
         path.stem,
@@ -232,7 +232,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
         up_axis(stage),
         {"names": data["names"]} if "names" in data else {},
     )
-    return replace(found, rig=replace(found.rig, has_rest=False))
+    return replace(rig, rig=replace(rig.rig, has_rest=False))
 
 
 def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeStream:

@@ -183,11 +183,11 @@ def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
 
     meters_per_unit: unit of its lengths [m].
     """
-    found = {}
-    for made in Usd.PrimRange(stage.GetPseudoRoot()):
-        if made.IsA(UsdPhysics.Joint):
-            found[made.GetName()] = _read_joint(made, meters_per_unit)
-    return found
+    joints = {}
+    for each in Usd.PrimRange(stage.GetPseudoRoot()):
+        if each.IsA(UsdPhysics.Joint):
+            joints[each.GetName()] = _read_joint(each, meters_per_unit)
+    return joints
 
 
 _JOINT_TYPES = {
@@ -197,20 +197,20 @@ _JOINT_TYPES = {
 }
 
 
-def _read_joint(made: Any, meters_per_unit: float) -> PhysicsJoint:
-    kind = _JOINT_TYPES.get(str(made.GetTypeName()), JointType.BALL)
-    name = str(made.GetName())
-    rotation = UsdPhysics.Joint(made).GetLocalRot1Attr().Get()
+def _read_joint(joint: Any, meters_per_unit: float) -> PhysicsJoint:
+    kind = _JOINT_TYPES.get(str(joint.GetTypeName()), JointType.BALL)
+    name = str(joint.GetName())
+    rotation = UsdPhysics.Joint(joint).GetLocalRot1Attr().Get()
     frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
     if kind is JointType.FIXED:
         return PhysicsJoint(name, kind)
-    token = made.GetAttribute("physics:axis").Get() or "X"
+    token = joint.GetAttribute("physics:axis").Get() or "X"
     axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
     if kind is JointType.BALL:
-        return PhysicsJoint(name, kind, limits=read_ball(made, axis))
+        return PhysicsJoint(name, kind, limits=read_ball(joint, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
     low, high = (
-        made.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
+        joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
     )
     limits = None
     if low is not None and high is not None and math.isfinite(low + high):
@@ -225,21 +225,21 @@ def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def read_ball(made: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     """Return the limits of a ball about an axis; None is any way."""
 
     def limit(name: str) -> tuple[float, float] | None:
         low, high = (
-            made.GetAttribute(f"limit:{name}:physics:{end}").Get()
+            joint.GetAttribute(f"limit:{name}:physics:{end}").Get()
             for end in ("low", "high")
         )
         if low is None or high is None or not math.isfinite(low + high):
             return None
         return (0.0, 0.0) if low > high else (math.radians(low), math.radians(high))
 
-    if made.IsA(UsdPhysics.SphericalJoint):
+    if joint.IsA(UsdPhysics.SphericalJoint):
         first, second = (
-            made.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
+            joint.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
         )
         if first is None or second is None or min(first, second) < 0:
             return None
@@ -273,18 +273,20 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         _metadata(layer, rig, paths)
         author_rig(layer, rig, names, paths, meters)
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
-        _, said = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        _, renamed = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
         apply_schemas(root, ["SkelBindingAPI"])
         relationship(root, "skel:skeleton", paths.skeleton)
     stage = Usd.Stage.Open(layer)
-    made = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
-    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(made, Usd.TimeCode.Default())
+    boundable = UsdGeom.Boundable(stage.GetPrimAtPath(paths.root))
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
+        boundable, Usd.TimeCode.Default()
+    )
     bounds = np.array(extent, np.float32).reshape(-1, 3)
     with Sdf.ChangeBlock():
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
-    notices = [replace(fault, path=str(path)) for fault in names.notices + said]
+    notices = [replace(fault, path=str(path)) for fault in names.notices + renamed]
     return layer, notices
 
 
@@ -307,6 +309,6 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
         _metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim(layer, paths.model, over=True)
-        made = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
+        counts = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
     layer.subLayerPaths = [f"./{rig_path.name}"]
-    return save_layer(layer, path), made
+    return save_layer(layer, path), counts

@@ -59,18 +59,18 @@ def numbers(attr: Any, width: int, time: Any = None) -> FloatArray:
 def numbers_of(value: Any, width: int) -> FloatArray:
     """Return the rows of an array ``(N, width)``; none where it has another type."""
     value = array_of(value)
-    found = np.array(value)
-    if found.dtype.kind not in "fiu" or found.size != len(value) * width:
+    numbers = np.array(value)
+    if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
         return np.zeros((0, width))
-    return found.astype(np.float64).reshape(-1, width)
+    return numbers.astype(np.float64).reshape(-1, width)
 
 
 def integers(attr: Any, time: Any = None) -> IntArray:
     """Return an attribute's integers ``(N,)``; none where it has another type."""
-    found = np.array(array_value(attr, time))
-    if found.dtype.kind not in "iu" or found.ndim != 1:
+    numbers = np.array(array_value(attr, time))
+    if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
         return np.zeros(0, np.int64)
-    return found.astype(np.int64)
+    return numbers.astype(np.int64)
 
 
 def stored_data(prim: Any) -> dict[str, Any]:
@@ -126,8 +126,8 @@ def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
     start = stage.GetPrimAtPath(below)
     if not start:
         return []
-    found = Usd.PrimRange(start, Usd.TraverseInstanceProxies())
-    return [UsdSkel.Skeleton(p) for p in found if p.IsA(UsdSkel.Skeleton)]
+    prims = Usd.PrimRange(start, Usd.TraverseInstanceProxies())
+    return [UsdSkel.Skeleton(p) for p in prims if p.IsA(UsdSkel.Skeleton)]
 
 
 def animation_source(skeleton: Any) -> Any:
@@ -210,8 +210,8 @@ def rig_from_tokens(
     for i, token in enumerate(tokens):
         parent = _parent(token, index)
         leaf = token.rpartition("/")[2]
-        if found := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
-            message = f"joint {excerpt(token)} holds the control character {found[0]!r}"
+        if match := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
+            message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
             where.fail("DOC023", message)
         unique = uniques[i]
         own = extras.get(leaf, {})
@@ -242,8 +242,8 @@ def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
     """Return what a joint's source calls it; empty where that is its own name."""
     if original is not None:
         return str(original)
-    found = named or leaf
-    return "" if found == unique else found
+    name = named or leaf
+    return "" if name == unique else name
 
 
 def _parent(token: str, index: dict[str, int]) -> int:

@@ -106,8 +106,8 @@ def describe_points(path: Path) -> PointsDescription | None:
     note_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        found = () if has_character(stage) else point_prims(stage)
-        prims = [_described(prim) for prim in found]
+        pointed = () if has_character(stage) else point_prims(stage)
+        prims = [_described(prim) for prim in pointed]
         if not prims:
             return None
         chunks = [one for prim in all_prims(stage) for one in _chunks(prim)]

@@ -107,10 +107,10 @@ def _whole(source: ArraySource, name: str) -> Any:
 
 def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
     """Return a hash of the joints, rest and bind transforms of a Skeleton."""
-    made = hashlib.sha256("\n".join(map(str, tokens)).encode())
+    digest = hashlib.sha256("\n".join(map(str, tokens)).encode())
     for matrices in (rest, bind):
-        made.update(np.array(matrices, "<f8").tobytes())
-    return made.hexdigest()
+        digest.update(np.array(matrices, "<f8").tobytes())
+    return digest.hexdigest()
 
 
 def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
@@ -231,10 +231,10 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
             Vt.FloatArray.FromNumpy(np.ones(len(skinned), np.float32)),
         ),
     ):
-        made = attribute(
+        attr = attribute(
             spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
         )
-        made.SetInfo("elementSize", 1)
+        attr.SetInfo("elementSize", 1)
     identity = Gf.Matrix4d(1.0)
     attribute(spec, "primvars:skel:geomBindTransform", types.Matrix4d, identity)
     relationship(spec, "skel:skeleton", paths.skeleton)

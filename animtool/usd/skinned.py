@@ -119,8 +119,8 @@ def character_paths(stage: Any) -> list[str]:
 
     Of each Skeleton that is the component it is part of, else its SkelRoot.
     """
-    found = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
-    return list(dict.fromkeys(found))
+    paths = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
+    return list(dict.fromkeys(paths))
 
 
 def _character(skeleton: Any) -> str:

@@ -71,7 +71,7 @@ def kept_samples(
     exact = turns.astype(np.float64)
     count = len(turns)
     moved = np.zeros((count, 3))
-    found: dict[int, tuple[IntArray, FloatArray]] = {}
+    kept: dict[int, tuple[IntArray, FloatArray]] = {}
     fits = {1: np.ones(count, np.bool_)}
     for wide, parts in SPANS.items():
         begun = np.ones(max(count - wide, 0), np.bool_)
@@ -84,12 +84,12 @@ def kept_samples(
         if len(begins):
             good, back = chain.fitting(exact, stands, begins, wide)
             fits[wide][begins] = good
-            found[wide] = begins, back
+            kept[wide] = begins, back
     rows = _fewest(fits)
     keys = np.flatnonzero(rows)
     for begin, wide in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if wide > 1:
-            begins, back = found[wide]
+            begins, back = kept[wide]
             at = int(np.searchsorted(begins, begin))
             moved[begin + 1 : begin + wide] = back[at]
     return rows, moved

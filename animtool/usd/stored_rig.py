@@ -49,23 +49,25 @@ def joined_attachments(
     """
     others = dict(strands)
     counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
-    made: list[Attachment] = []
+    attachments: list[Attachment] = []
     lost: list[str] = []
     for entry in rig.attach:
         if entry.kind == AttachKind.STRANDS and entry.name in others:
-            made.append(others.pop(entry.name))
+            attachments.append(others.pop(entry.name))
         elif entry.kind == AttachKind.CLOTH and _fits(entry, counts, pins):
             held = np.array(pins[entry.name], float) if entry.name in pins else None
-            made.append(replace(entry, pins=None if held is None else HeldArray(held)))
+            attachments.append(
+                replace(entry, pins=None if held is None else HeldArray(held))
+            )
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
             lost.append(entry.name)
         else:
-            made.append(entry)
-    used = {entry.name for entry in made}
-    made += [
+            attachments.append(entry)
+    used = {entry.name for entry in attachments}
+    attachments += [
         replace(entry, name=unique_name(entry.name, used)) for entry in others.values()
     ]
-    return tuple(made), lost
+    return tuple(attachments), lost
 
 
 def _fits(entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]) -> bool:
@@ -268,27 +270,27 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             below = "" if prim_path is None else f" at {prim_path}"
             message = f"holds no Skeleton{below}"
             raise FormatError(Fault("USD008", message, str(path)))
-        found = skeleton_rig(skeletons[0], path)
+        of_skeleton = skeleton_rig(skeletons[0], path)
         skeleton = skeletons[0]
-        meshes, shapes, notices = read_meshes(skeleton, found, str(path))
+        meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
         where = Spot.of(path, skeleton)
-        check_moves(len(found.rig.joints), len(shapes), where)
+        check_moves(len(of_skeleton.rig.joints), len(shapes), where)
         notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))
-        bind, bind_scales = _bind_poses(skeleton, found)
-        notices += _scale_notice(found, bind_scales, str(path))
+        bind, bind_scales = _bind_poses(skeleton, of_skeleton)
+        notices += _scale_notice(of_skeleton, bind_scales, str(path))
         rig = replace(
-            found.rig,
+            of_skeleton.rig,
             bind=bind,
             meshes=meshes,
             shapes=shapes,
-            attach=read_strands(skeleton, found, str(path)),
+            attach=read_strands(skeleton, of_skeleton, str(path)),
         )
         data = stored_data(skeleton.GetPrim())
         joined, edits = joined_rig(
             rig,
             data,
-            found.tokens,
+            of_skeleton.tokens,
             array_value(skeleton.GetRestTransformsAttr()),
             array_value(skeleton.GetBindTransformsAttr()),
             path,
@@ -298,13 +300,13 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
 
 
 def _bind_poses(
-    skeleton: Any, found: SkeletonRig
+    skeleton: Any, of_skeleton: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
     """Return the local bind transforms that are not those of rest, and their scales.
 
     The scales ``(J, 3)`` are no part of the poses.
     """
-    rig = found.rig
+    rig = of_skeleton.rig
     world = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
@@ -327,10 +329,10 @@ def _bind_poses(
     return poses, scales
 
 
-def _scale_notice(found: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
+def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
     """Name the joints whose scale at rest or at bind time a rig does not hold."""
-    apart = np.abs(np.stack([found.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [found.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
+    apart = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is left out: {listed(names)}"

@@ -281,16 +281,16 @@ def map_joints(
     for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
         keys = (f"/{token}", joint.source_name or joint.name, joint.name)
         free = (i for key in keys for i in by_key.get(key, ()) if i not in used)
-        found = next(free, -1)
-        used.add(found)
-        source.append(found)
+        free_index = next(free, -1)
+        used.add(free_index)
+        source.append(free_index)
     missing = [j.name for i, j in enumerate(take.joints) if i not in used]
     if len(missing) == len(take.joints):
         _check_shapes(take, target)
     resting = [
         joint.name
-        for joint, found in zip(skeleton.rig.joints, source, strict=True)
-        if found < 0
+        for joint, free_index in zip(skeleton.rig.joints, source, strict=True)
+        if free_index < 0
     ]
     where = str(target.path)
     notices = []
@@ -302,7 +302,7 @@ def map_joints(
         message = f"{len(resting)} joints of the rig are not in the take: "
         hint, kind = "they stay at rest", Severity.NOTE
         notices.append(naming("USD111", message, resting, where, hint, kind))
-    shapes, said = match_shapes(target, [shape.name for shape in take.shapes])
+    shapes, shape_faults = match_shapes(target, [shape.name for shape in take.shapes])
     found_at = np.array(source, np.int64)
     fit: Fit | None = None
     differences: list[Fault] = []
@@ -314,7 +314,7 @@ def map_joints(
         skeleton.rig,
         found_at,
         skeleton.rest_scales,
-        notices + said + differences,
+        notices + shape_faults + differences,
         shapes,
         fit,
     )
@@ -353,27 +353,27 @@ def match_shapes(
     if known is None:
         return tuple(shapes), []
     spelled = {arkit_name(name): name for name in known}
-    found = [
+    matches = [
         name if name in known else spelled.get(arkit_name(name) or "", name)
         for name in shapes
     ]
     # Of two that would become one, the first keeps the name.
-    found = [
-        name if name not in found[:i] else own
-        for i, (own, name) in enumerate(zip(shapes, found, strict=True))
+    matches = [
+        name if name not in matches[:i] else own
+        for i, (own, name) in enumerate(zip(shapes, matches, strict=True))
     ]
     where = str(target.path)
     notices = []
-    missing = [name for name in found if name not in known]
+    missing = [name for name in matches if name not in known]
     if missing:
         message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
         hint, kind = "their weights move nothing there", Severity.WARNING
         notices.append(naming("USD114", message, missing, where, hint, kind))
-    other = [f"{a} as {b}" for a, b in zip(shapes, found, strict=True) if a != b]
+    other = [f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b]
     if other:
         message = f"{len(other)} shapes are written as the rig spells them: "
         notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
-    return tuple(found), notices
+    return tuple(matches), notices
 
 
 def _known_shapes(target: RigTarget) -> set[str] | None:

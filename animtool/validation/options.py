@@ -120,8 +120,8 @@ class ValidateOptions:
 
 def _best(code: str, beginnings: Iterable[str]) -> str | None:
     """Return the longest of the beginnings of a code, in its own or an old spelling."""
-    found = [b for b in beginnings if code.startswith(current_codes(b))]
-    return max(found, key=_length, default=None)
+    matching = [b for b in beginnings if code.startswith(current_codes(b))]
+    return max(matching, key=_length, default=None)
 
 
 def _length(beginning: str) -> int:

@@ -37,7 +37,7 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
     given = [text for path in paths if (text := str(path))]
-    meant = (found.path for text in given for found in files_meant(text, SUFFIXES))
+    meant = (file.path for text in given for file in files_meant(text, SUFFIXES))
     files = list(dict.fromkeys(meant))
     if not files:
         shown = ", ".join(given) or "nothing"
@@ -116,8 +116,8 @@ class Ignores:
 
 
 def _entries(document: Document) -> list[dict[str, Any]]:
-    found = document.value.get("ignore")
-    entries = found if isinstance(found, list) else []
+    listed = document.value.get("ignore")
+    entries = listed if isinstance(listed, list) else []
     return [e for e in entries if _is_map(e) and isinstance(e.get("code"), str)]
 
 
@@ -209,9 +209,9 @@ def validate_files(
     projects = {folder: settings_of(path) for folder, path in folders.items()}
     settings = [options.within(projects[path.parent]) for path in files]
     _, broken = all_rules()
-    found = _all(files, settings, _processes(options.jobs, len(files)))
+    by_file = _all(files, settings, _processes(options.jobs, len(files)))
     names = {path.resolve(): str(path) for path in files}
-    findings = {_named(fault, names) for faults in found for fault in faults}
+    findings = {_named(fault, names) for faults in by_file for fault in faults}
     return Report(files, tuple(sorted(findings, key=_order)), broken)
 
 
@@ -224,11 +224,11 @@ def _processes(jobs: int | None, files: int) -> int:
 def _all(
     files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
 ) -> Iterator[list[Fault]]:
-    found = None
+    faults = None
     # What crashed before is known in this process alone.
     if processes > 1 and not has_crashed():
-        found = _shared(files, settings, processes)
-    yield from map(_check, files, settings) if found is None else found
+        faults = _shared(files, settings, processes)
+    yield from map(_check, files, settings) if faults is None else faults
 
 
 def _shared(
@@ -259,13 +259,13 @@ def _check(path: Path, options: ValidateOptions) -> list[Fault]:
     except AnimtoolError as error:
         if error.exit_code is ExitCode.USAGE:
             raise
-        found = list(error.faults)
+        faults = list(error.faults)
     else:
-        found = findings_in(opened)
+        faults = findings_in(opened)
         options = options.with_profile(opened.profile)
     return [
         options.of(fault)
-        for fault in found
+        for fault in faults
         if options.counts(fault.code) or _unreadable(fault, str(path))
     ]
 
@@ -277,17 +277,17 @@ def _unreadable(fault: Fault, path: str) -> bool:
 
 def findings_in(opened: Opened) -> list[Fault]:
     """Return what is wrong or odd in a file that was opened, whatever counts."""
-    found = list(opened.faults)
+    faults = list(opened.faults)
     rules, _ = all_rules()
     for rule in rules.values():
         if rule.check and opened.kind in rule.kinds:
-            found += _run(rule, opened)
+            faults += _run(rule, opened)
     if opened.document is None:
-        return found
+        return faults
     ignores = Ignores.of(opened.document)
-    found = ignores.hide(found)
+    faults = ignores.hide(faults)
     # What the reader refused hides findings that an entry may be for.
-    return [*found, *(ignores.remarks() if opened.subject is not None else ())]
+    return [*faults, *(ignores.remarks() if opened.subject is not None else ())]
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:

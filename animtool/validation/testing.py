@@ -23,10 +23,10 @@ def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding
         AssertionError: The rule does otherwise, or what it says is of no use: a file,
             line or prim is missing, the code is another, the message is empty.
     """
-    found = findings_of_rule(rule, Path(wrong))
-    if not found:
+    findings = findings_of_rule(rule, Path(wrong))
+    if not findings:
         raise AssertionError(f"{rule.code} finds nothing in {wrong}")
-    for finding in found:
+    for finding in findings:
         if finding.code != rule.code:
             raise AssertionError(f"{rule.code} speaks of {finding.code}")
         if not finding.message or finding.path is None:
@@ -36,4 +36,4 @@ def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding
     others = findings_of_rule(rule, Path(right))
     if others:
         raise AssertionError(f"{rule.code} is a false alarm in {right}: {others[0]}")
-    return found
+    return findings

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from picture import triangulated
 
-from animtool.clip.channels import ClipChannel, Interp, Tangent
+from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.clip.sample import sample_channels
 from animtool.maths import so3
+from animtool.maths.curves import Interp
+from animtool.maths.tangents import Tangent
 from animtool.motion import Motion
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward, rest_world

@@ -13,7 +13,7 @@ import pytest
 
 from animtool.batch import ledger
 from animtool.batch.ledger import held_ledger, read_history
-from animtool.errors import OutputError
+from animtool.errors import LockedError, OutputError
 from batch.test_manifest import item
 
 
@@ -42,6 +42,7 @@ def test_who_may_run_props_whom(
         error = refusal(tmp_path, "a", wanted)
         assert (error is not None) is refused
         if error is not None:
+            assert isinstance(error, LockedError)
             assert error.code == "BAT010"
             assert str(os.getpid()) in str(error)
     assert refusal(tmp_path, "a", wanted) is None

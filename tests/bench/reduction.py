@@ -18,8 +18,8 @@ from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
 from measuring import begin, parser, run_peer, taken_of
 
 from animtool._types import FloatArray
-from animtool.clip.reduce import reduce_motion
-from animtool.clip.tracks import euler_order
+from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tracks import euler_order
 from animtool.formats.bvh import read_bvh
 from animtool.maths import euler
 from animtool.maths.fit import evaluate_keys, fit_keys

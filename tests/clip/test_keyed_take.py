@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool.clip.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.sources import open_source

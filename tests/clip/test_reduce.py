@@ -9,10 +9,10 @@ import pytest
 from conftest import data_folder
 
 from animtool._types import FloatArray
-from animtool.clip.points import attached_points, point_errors
-from animtool.clip.reduce import reduce_motion
-from animtool.clip.reduction import ChannelKind, Reduction, evaluate_reduction
-from animtool.clip.tracks import euler_order, pose_of
+from animtool.clip.reduction.keys import ChannelKind, Reduction, evaluate_reduction
+from animtool.clip.reduction.points import attached_points, point_errors
+from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tracks import euler_order, pose_of
 from animtool.clock import Clock
 from animtool.errors import OptionError
 from animtool.formats.bvh.read import read_bvh

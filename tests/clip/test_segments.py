@@ -5,15 +5,10 @@ import pytest
 from support.clips import channel_of
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.clip.channels import (
-    ClipChannel,
-    Interp,
-    Parametrization,
-    Tangent,
-    curves_of,
-)
+from animtool.clip.channels import ClipChannel, curves_of
 from animtool.maths import tangents
-from animtool.maths.curves import SegmentKind, evaluate
+from animtool.maths.curves import Interp, SegmentKind, evaluate
+from animtool.maths.tangents import Parametrization, Tangent
 
 TIMES = [0.0, 1.0, 4.0, 6.0, 11.0]
 VALUES = [0.0, 2.0, 1.0, 1.5, -3.0]

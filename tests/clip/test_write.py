@@ -19,12 +19,13 @@ from support.clips import RIG, assert_same_clip, channel_of, loaded
 from support.data import data_files
 
 from animtool import compare
-from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip, clip_text
 from animtool.clip.file import load_clip, open_clip
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.euler import ORDERS
+from animtool.maths.tangents import Parametrization, Tangent
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
 from animtool.units import unit_name

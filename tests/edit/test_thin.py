@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from support.suite import examples
 
-from animtool.clip.points import SHELL, attached_points
+from animtool.clip.reduction.points import SHELL, attached_points
 from animtool.edit.thin import Thinned, thin_samples
 from animtool.errors import OptionError
 from animtool.maths import so3

@@ -15,7 +15,7 @@ from support.suite import examples
 from support.targets import legs, walk_of
 
 from animtool.clip.channels import ClipUnits
-from animtool.clip.points import SHELL
+from animtool.clip.reduction.points import SHELL
 from animtool.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
 from animtool.ik.match_take import chains_of, left_out, match_take

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool.clip.points import SHELL, attached_points, point_errors
+from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.errors import OptionError
 from animtool.rig.file import load_rig
 from animtool.scene.bake import bake

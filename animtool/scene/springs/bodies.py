@@ -68,15 +68,15 @@ def families_of(reader: EntryReader, at: Location, model: FileModel) -> Families
     One of impossible numbers is noted, and one without force stands in for it.
     """
     entries = dict(model)
-    found = {
+    families = {
         name: None if entry is None else _family(reader, (*at, name), dict(entry))
         for name, entry in entries.items()
     }
-    if not any(found.values()):
+    if not any(families.values()):
         message = "it has no springs, and its particles fall apart"
         hint = f"give it some of {', '.join(entries)}"
         reader.document.add("SIM050", at, message, hint)
-    return found
+    return families
 
 
 def _family(reader: EntryReader, at: Location, keys: dict[str, Any]) -> Family:

@@ -191,19 +191,21 @@ def _odd_mesh(
     """Return warnings of what cloth bears, and nobody means."""
     _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     double = np.flatnonzero(often[same.reshape(-1)] > 1)
-    said = []
+    remarks = []
     if len(flat):
-        said.append((f"faces without an area: {some_of(flat)}", "the air passes them"))
+        remarks.append(
+            (f"faces without an area: {some_of(flat)}", "the air passes them")
+        )
     if len(double):
         text = f"points at one place, which nothing holds together: {some_of(double)}"
-        said.append((text, "merge them"))
+        remarks.append((text, "merge them"))
     many = shared[0][shared[1] > 2]
     if len(many):
         text = f"{counted(len(many), 'side')} of more than two faces, such as "
-        said.append((text + f"{many[0, 0]} to {many[0, 1]}", "it bends less there"))
+        remarks.append((text + f"{many[0, 0]} to {many[0, 1]}", "it bends less there"))
     return tuple(
         Fault("SIM153", f"{prim} has {text}", hint=hint, severity=Severity.WARNING)
-        for text, hint in said
+        for text, hint in remarks
     )
 
 

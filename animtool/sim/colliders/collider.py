@@ -65,16 +65,16 @@ class Poses:
         """
         moments, rows = self.moments, self.rows
         last = np.searchsorted(moments, times, side="right") - 1
-        found: FloatArray = rows[np.maximum(last, 0)]
+        latest: FloatArray = rows[np.maximum(last, 0)]
         within = (last >= 0) & (last + 1 < len(moments))
         i = last[within]
         if len(i):
             before, after = rows[i], rows[i + 1]
             share = (times[within] - moments[i]) / (moments[i + 1] - moments[i])
             way = (after[:, :3] - before[:, :3]) * share[:, None]
-            found[within, :3] = before[:, :3] + way
-            found[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
-        return found
+            latest[within, :3] = before[:, :3] + way
+            latest[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
+        return latest
 
     def to_world(self, points: FloatArray) -> FloatArray:
         """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""
@@ -89,11 +89,11 @@ class Poses:
     def faults(self) -> list[str]:
         """Return what makes no sense."""
         times = np.asarray(self.times, np.float64)
-        wanted = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
+        expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
             return ["its times must ascend, at least one"]
         faults = [] if np.isfinite(times).all() else ["its times are not finite"]
-        for name, (values, width) in wanted.items():
+        for name, (values, width) in expected.items():
             array = np.asarray(values, np.float64)
             if array.shape != (len(times), width):
                 shape = (len(times), width)
@@ -181,6 +181,6 @@ class Collider(Checked):
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""
-        found = [("shape", message) for message in self.shape.faults()]
-        found += [("poses", message) for message in self.poses.faults()]
-        return found + super().problems()
+        faults = [("shape", message) for message in self.shape.faults()]
+        faults += [("poses", message) for message in self.poses.faults()]
+        return faults + super().problems()

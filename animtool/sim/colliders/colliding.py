@@ -275,8 +275,8 @@ def collide(
     for rows, touched, ways in held:
         only = touches[rows, 0] < 0
         touches[rows[only]], normals[rows[only]] = touched[only], ways[only]
-    found, touched = touches.T.copy()
-    return Collided(state[0], state[1], Contacts(found, touched, normals))
+    contacts, touched = touches.T.copy()
+    return Collided(state[0], state[1], Contacts(contacts, touched, normals))
 
 
 def _met(
@@ -291,7 +291,7 @@ def _met(
 
     What is rigid comes after them: particles between both are held by that.
     """
-    step, found = span[1] - span[0], []
+    step, contacts = span[1] - span[0], []
 
     def settle(
         collider: Collider,
@@ -312,8 +312,8 @@ def _met(
         rows = near[hit]
         after[:, rows] = state[:, hit]
         touches[hit, 0] = ready.rigid + i
-        found.append((rows, touches[hit], normals[hit]))
-    return found
+        contacts.append((rows, touches[hit], normals[hit]))
+    return contacts
 
 
 def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:

@@ -104,7 +104,7 @@ def rig_colliders(
     """
     capsules = Capsules.of(rig)
     rows, ends = capsules.turned(world)
-    made = []
+    colliders = []
     for c, radius in enumerate(capsules.sizes(world).tolist()):
         entry, (a, b) = rig.colliders[c], ends[c]
         length = float(np.linalg.norm(b - a))
@@ -112,5 +112,5 @@ def rig_colliders(
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
         poses = Poses(times, rows[:, c, :3], rows[:, c, 3:])
         one = Collider(shape) if like is None else like
-        made.append(replace(one, shape=shape, poses=poses, name=entry.joint))
-    return made
+        colliders.append(replace(one, shape=shape, poses=poses, name=entry.joint))
+    return colliders

@@ -63,8 +63,8 @@ class Sheet(Checked):
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""
-        found = Checked.problems(self)
-        return [one for one in found if one[0] == "radius"] or found
+        faults = Checked.problems(self)
+        return [one for one in faults if one[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
         """Return it as it stands at a time, as a collider that rests.
@@ -213,8 +213,8 @@ def _displacement(
     corners = triangles[around]
     a, b, c = (places[corners[..., k]] for k in range(3))
     shares = _shares(points[:, None], a, b, c)
-    found = np.einsum("ndk,ndkx->ndx", shares, places[corners])
-    off = np.linalg.norm(found - points[:, None], axis=2)
+    displaced = np.einsum("ndk,ndkx->ndx", shares, places[corners])
+    off = np.linalg.norm(displaced - points[:, None], axis=2)
     off[around < 0] = np.inf
     best = off.argmin(axis=1)[:, None, None]
     whole = np.einsum("ndk,ndkx->ndx", shares, ways[corners])
@@ -226,9 +226,9 @@ def _around(triangles: IntArray, count: int) -> IntArray:
     order = np.argsort(triangles.ravel(), kind="stable")
     corner, face = triangles.ravel()[order], order // 3
     firsts = np.searchsorted(corner, np.arange(count + 1))
-    found = np.full((count, max(int(np.diff(firsts).max()), 1)), -1)
-    found[corner, np.arange(len(corner)) - firsts[corner]] = face
-    return found
+    neighbours = np.full((count, max(int(np.diff(firsts).max()), 1)), -1)
+    neighbours[corner, np.arange(len(corner)) - firsts[corner]] = face
+    return neighbours
 
 
 def _shares(

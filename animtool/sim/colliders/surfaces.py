@@ -53,19 +53,19 @@ class Surfaces:
         """
         if self._origin != origin:
             self._origin = origin
-            made = [_Ready(sheet, origin) for sheet in self._sheets]
-            self._ready = [one for one in made if len(one.faces)]
+            ready = [_Ready(sheet, origin) for sheet in self._sheets]
+            self._ready = [one for one in ready if len(one.faces)]
         lasts = max(1, math.floor(KNOT / cell * (1 + ON_GRID)))
         first, over = divmod(index, lasts)
         last = -(-(index + cells) // lasts)
         steps = np.arange(first, last + 1)
         knots = np.asarray(origin + steps * (lasts * cell), np.float64)
-        found = []
+        rows = []
         for i, one in enumerate(self._ready):
             points = np.stack([one.points(t) for t in knots.tolist()])
             self._look(i, one.sheet, points, knots)
-            found.append((one.kernel, points, one.numbers, lasts, over))
-        return found
+            rows.append((one.kernel, points, one.numbers, lasts, over))
+        return rows
 
     def _look(
         self, i: int, sheet: Sheet, points: FloatArray, knots: FloatArray
@@ -119,10 +119,10 @@ class _Ready:
         """Return its points at a time [s] [m]."""
         points = self.sheet.motion.points(t)
         if self._seen is None or self._seen[0] is not points:
-            made = np.ascontiguousarray(points[self._rows], np.float64)
+            displaced = np.ascontiguousarray(points[self._rows], np.float64)
             if not self.sheet.closed:
-                made = hull_points(made, self._triangles, self.sheet.radius)
-            self._seen = points, made
+                displaced = hull_points(displaced, self._triangles, self.sheet.radius)
+            self._seen = points, displaced
         return self._seen[1]
 
 

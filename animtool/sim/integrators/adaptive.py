@@ -73,8 +73,8 @@ def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
         return ()
     half = [c / 2**i for i, c in enumerate(base)]
     twice = poly.polymul(half, half)
-    found = poly.polyadd(twice * (1 + gain), poly.polymul(base, [-gain]))
-    return tuple(found.tolist())
+    growth = poly.polyadd(twice * (1 + gain), poly.polymul(base, [-gain]))
+    return tuple(growth.tolist())
 
 
 ADAPTIVE_DOUBLING = doubled(RK4)

@@ -143,7 +143,7 @@ class Distances:
         )
 
 
-def distances(truth: Sequence[Shot], found: Sequence[Shot]) -> Distances:
+def distances(truth: Sequence[Shot], shots: Sequence[Shot]) -> Distances:
     """Return how far shots are from others of the same times.
 
     Points are compared by their ids.
@@ -154,7 +154,7 @@ def distances(truth: Sequence[Shot], found: Sequence[Shot]) -> Distances:
     """
     parts, lone, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
-    for one, other in zip(truth, found, strict=True):
+    for one, other in zip(truth, shots, strict=True):
         a, b = one.points, other.points
         turned, turns = one.orientations, other.orientations
         if one.ids is not None and other.ids is not None:
@@ -232,12 +232,12 @@ def best_of(costs: Sequence[Cost | None]) -> list[int]:
     order = sorted(
         (cost.seconds, cost.error, i) for i, cost in enumerate(costs) if cost
     )
-    found, least = [], float("inf")
+    best, least = [], float("inf")
     for _, error, i in order:
         if error < least:
-            found.append(i)
+            best.append(i)
             least = error
-    return sorted(found)
+    return sorted(best)
 
 
 def recommended_of(

@@ -44,23 +44,23 @@ def check_bindings(subject: Subject) -> Iterator[Fault]:
             if not relationship:
                 continue
             for target in relationship.GetTargets():
-                found = subject.stage.GetPrimAtPath(target)
-                if not found and subject.alone:
+                bound = subject.stage.GetPrimAtPath(target)
+                if not bound and subject.alone:
                     continue
-                if found and not found.GetTypeName() and not found.IsDefined():
+                if bound and not bound.GetTypeName() and not bound.IsDefined():
                     continue
-                yield from _target(relationship, target, found, schema, _NAMES[name])
+                yield from _target(relationship, target, bound, schema, _NAMES[name])
 
 
 def _target(
-    relationship: Any, target: Any, found: Any, schema: Any, wanted: str
+    relationship: Any, target: Any, prim: Any, schema: Any, type_name: str
 ) -> Iterator[Fault]:
-    if not found:
+    if not prim:
         message = f"{target} is not there"
         yield finding("USD208", relationship.GetPath(), message)
-    elif not found.IsA(schema):
-        kind = found.GetTypeName() or "prim without a type"
-        message = f"{target} is a {kind}, not a {wanted}"
+    elif not prim.IsA(schema):
+        kind = prim.GetTypeName() or "prim without a type"
+        message = f"{target} is a {kind}, not a {type_name}"
         yield finding("USD208", relationship.GetPath(), message)
 
 
@@ -104,13 +104,13 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
 
 
 def _counts(
-    code: str, attr: Any, sampled: Sampled, wanted: int, noun: str
+    code: str, attr: Any, sampled: Sampled, expected: int, noun: str
 ) -> Iterator[Fault]:
-    wrong = sampled.counts != wanted
+    wrong = sampled.counts != expected
     if wrong.any():
-        found = sampled.counts[np.flatnonzero(wrong)[0]]
-        have = "no value" if found < 0 else counted(found, "value")
-        message = f"{have} for {wanted} {noun} {at_samples(sampled, wrong)}"
+        count = sampled.counts[np.flatnonzero(wrong)[0]]
+        have = "no value" if count < 0 else counted(count, "value")
+        message = f"{have} for {expected} {noun} {at_samples(sampled, wrong)}"
         yield finding(code, attr.GetPath(), message)
 
 

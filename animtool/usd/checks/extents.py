@@ -69,20 +69,19 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
     """
     if prim.IsA(UsdSkel.Root):
         below = list(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
-        skeletons = [found for found in below if found.IsA(UsdSkel.Skeleton)]
-        has_points = any(found.IsA(UsdGeom.PointBased) for found in below)
+        skeletons = [each for each in below if each.IsA(UsdSkel.Skeleton)]
+        has_points = any(each.IsA(UsdGeom.PointBased) for each in below)
         if not skeletons or not (has_points or _joints_below(prim)):
             return None
         animations = [
-            UsdSkel.BindingAPI(found).GetInheritedAnimationSource()
-            for found in skeletons
+            UsdSkel.BindingAPI(each).GetInheritedAnimationSource() for each in skeletons
         ]
-        sources = [UsdSkel.Animation(found) for found in animations if found]
+        sources = [UsdSkel.Animation(each) for each in animations if each]
         return [
             attr
-            for found in sources
-            if found
-            for attr in transform_attributes(found).values()
+            for each in sources
+            if each
+            for attr in transform_attributes(each).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).attr
@@ -145,10 +144,10 @@ def _compare(
     bad = []
     for i in suspects.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        found = _computed(bounded, code)
-        if found is None:
+        computed = _computed(bounded, code)
+        if computed is None:
             return
-        bounds = np.array(found, np.float64).reshape(1, 2, 3)
+        bounds = np.array(computed, np.float64).reshape(1, 2, 3)
         if not np.isfinite(bounds).all():
             return
         if (bounds[0, 0] > bounds[0, 1]).all():
@@ -243,7 +242,7 @@ def _locals(
     if not whole and len(rest) != len(joints):
         return None
     resting = () if whole else decompose(rest)
-    found = []
+    parts = []
     for part, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
         sampled = subject.sampled(attr)
         if (sampled.counts != len(own)).any() or not len(sampled.times):
@@ -257,8 +256,8 @@ def _locals(
             filled = np.repeat(resting[part][None], len(values), axis=0)
             filled[:, places] = values
             values = filled
-        found.append(values)
-    return found[0], found[1], found[2]
+        parts.append(values)
+    return parts[0], parts[1], parts[2]
 
 
 def _bounds(

@@ -29,9 +29,11 @@ def check_types(subject: Subject) -> Iterator[Fault]:
     Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
     """
     for attr in subject.attributes:
-        found, wanted = attr.GetPropertyStack()[0].typeName, _wanted(attr)
-        if wanted is not None and found.type != wanted.type:
-            message = f"it is {found}, its schema has {wanted}; more may be wrong there"
+        type_name, expected = attr.GetPropertyStack()[0].typeName, _wanted(attr)
+        if expected is not None and type_name.type != expected.type:
+            message = (
+                f"it is {type_name}, its schema has {expected}; more may be wrong there"
+            )
             yield finding("USD280", attr.GetPath(), message)
 
 
@@ -42,9 +44,9 @@ def _wanted(attr: Any) -> Any:
         return Sdf.ValueTypeNames.Vector3fArray
     binding = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition("SkelBindingAPI")
     for definition in (attr.GetPrim().GetPrimDefinition(), binding):
-        found = definition.GetAttributeDefinition(name)
-        if found:
-            return found.GetTypeName()
+        own = definition.GetAttributeDefinition(name)
+        if own:
+            return own.GetTypeName()
     return None
 
 
@@ -119,8 +121,8 @@ def check_finite(subject: Subject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     used = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(used, key=lambda layer: str(layer.identifier))):
-        found = _of_layer(subject, layer, is_root=layer == root)
-        for _, group in groupby(found, key=lambda item: item[0].GetPrimPath()):
+        places = _of_layer(subject, layer, is_root=layer == root)
+        for _, group in groupby(places, key=lambda item: item[0].GetPrimPath()):
             yield from _limited(list(group), "" if layer == root else _named(layer))
 
 
@@ -128,10 +130,10 @@ def _named(layer: Any) -> str:
     return f" (in {layer.GetDisplayName()})"
 
 
-def _limited(found: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+def _limited(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
     """Yield the findings on one prim, the last of many with how many more there are."""
-    for i, (path, message) in enumerate(found[:MAX_FINDINGS], 1):
-        rest = len(found) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+    for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
+        rest = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         more = f"; so are {rest} more values of this prim" if rest > 0 else ""
         yield finding("USD171", path, f"{message}{where}{more}")
 
@@ -150,14 +152,14 @@ def _of_layer(
         if path == Sdf.Path.absoluteRootPath:
             skipped = skipped | RATES | (ROOT_ALREADY if is_root else set())
             for i, offset in enumerate(layer.subLayerOffsets):
-                if said := _of_data(offset, f"subLayerOffsets[{i}]"):
-                    yield path, said
+                if problem := _of_data(offset, f"subLayerOffsets[{i}]"):
+                    yield path, problem
         for key in spec.ListInfoKeys():
-            if key not in skipped and (said := _of_data(spec.GetInfo(key), key)):
-                yield path, said
+            if key not in skipped and (problem := _of_data(spec.GetInfo(key), key)):
+                yield path, problem
         floats = isinstance(spec, Sdf.AttributeSpec) and largest(spec.typeName)
-        if floats and (said := _of_attribute(subject, layer, spec)):
-            yield path, said
+        if floats and (problem := _of_attribute(subject, layer, spec)):
+            yield path, problem
 
 
 def _of_data(value: Any, name: str) -> str:
@@ -184,13 +186,13 @@ def _of_data(value: Any, name: str) -> str:
 def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
     """Return what is wrong with values of an attribute; empty for nothing."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
-    said = []
+    problems = []
     if default is not None and not _is_allowed(subject, spec, default):
-        said.append(f"its default is {_worst(default)}{_element(default)}")
+        problems.append(f"its default is {_worst(default)}{_element(default)}")
     path = spec.path
     times = [] if _is_known(subject, path) else layer.ListTimeSamplesForPath(path)
     if not all(map(math.isfinite, times)):
-        said.append("the time of a sample is not finite")
+        problems.append("the time of a sample is not finite")
     query, bad, first = layer.QueryTimeSample, 0, ""
     for time in times:
         numbers = floats_of(query(path, time))
@@ -202,7 +204,7 @@ def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
             first = f"it is {_worst(numbers)} at time code {time:.10g}{element}"
     if bad > 1:
         first += f", and in {counted(bad - 1, 'more sample')}"
-    return "; ".join(filter(None, (*said, first)))
+    return "; ".join(filter(None, (*problems, first)))
 
 
 def _is_known(subject: Subject, path: Any) -> bool:

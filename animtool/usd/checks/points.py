@@ -99,15 +99,15 @@ def _velocities(subject: Subject, geometry: Any, points: Sampled) -> Iterator[Fa
     attr = geometry.GetVelocitiesAttr()
     if not attr.HasAuthoredValue():
         return
-    found, bounds = _survey(subject, attr)
-    yield from _finite(subject, attr, found, bounds)
+    survey, bounds = _survey(subject, attr)
+    yield from _finite(subject, attr, survey, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
-    for i, time in enumerate(found.times.tolist()):
-        wanted = points.counts[index.get(time, 0)]
-        if found.counts[i] not in {0, wanted}:
+    for i, time in enumerate(survey.times.tolist()):
+        expected = points.counts[index.get(time, 0)]
+        if survey.counts[i] not in {0, expected}:
             message = (
-                f"{found.counts[i]} velocities for {wanted} points "
-                f"{at_samples(found, np.array([i]))}"
+                f"{survey.counts[i]} velocities for {expected} points "
+                f"{at_samples(survey, np.array([i]))}"
             )
             yield finding("USD266", attr.GetPath(), message)
             return
@@ -194,13 +194,13 @@ def _lengths(attr: Any, sampled: Sampled, indices: Sampled) -> Iterator[Fault]:
     held = np.zeros(len(sampled.counts), np.int64)
     if indices.animated and sampled.animated:
         held = np.searchsorted(indices.times, sampled.times, side="right") - 1
-    wanted = indices.counts[np.clip(held, 0, None)]
+    expected = indices.counts[np.clip(held, 0, None)]
     optional = not attr.GetName().startswith("positions")
-    bad = (sampled.counts != wanted) & ~(optional & (sampled.counts <= 0))
+    bad = (sampled.counts != expected) & ~(optional & (sampled.counts <= 0))
     if bad.any():
         i = int(np.argmax(bad))
         message = (
-            f"{sampled.counts[i]} for {wanted[i]} copies {at_samples(sampled, bad)}"
+            f"{sampled.counts[i]} for {expected[i]} copies {at_samples(sampled, bad)}"
         )
         yield finding("USD269", attr.GetPath(), message)
 

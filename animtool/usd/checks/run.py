@@ -77,8 +77,8 @@ def check_with_usd(subject: Subject) -> Iterator[Fault]:
         and OWN_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
-    found = UsdValidation.ValidationContext(validators).Validate(subject.stage)
-    faults = [_fault(error) for error in found]
+    errors = UsdValidation.ValidationContext(validators).Validate(subject.stage)
+    faults = [_fault(error) for error in errors]
     # They run in parallel and come in any order.
     yield from sorted(faults, key=lambda f: (f.code, f.where or "", f.message))
 
@@ -151,13 +151,13 @@ def inspect_layer(path: Path | str) -> Inspection:
     try:
         with without_usd_warnings(), usd_errors(path):
             subject = Subject(open_composed(find_layer(path), path))
-            found = [*_faults(subject), *_run(check_with_usd, subject)]
+            findings = [*_faults(subject), *_run(check_with_usd, subject)]
             # Without a rate, a unit or an up axis, no motion has a size.
-            sized = not any(fault.code in {"USD253", "USD260"} for fault in found)
+            sized = not any(fault.code in {"USD253", "USD260"} for fault in findings)
             takes = _takes(subject, path) if sized else []
     except FormatError as error:
         return Inspection(list(error.faults))
-    faults = [replace(fault, path=str(path)) for fault in _distinct(found)]
+    faults = [replace(fault, path=str(path)) for fault in _distinct(findings)]
     return Inspection(faults, takes, subject.alone)
 
 
@@ -172,13 +172,13 @@ def check_stage(stage: Any) -> list[Fault]:
 
 
 def _faults(subject: Subject) -> list[Fault]:
-    found = [fault for check in UNTIMED for fault in _run(check, subject)]
+    faults = [fault for check in UNTIMED for fault in _run(check, subject)]
     # Where a rate is none, samples have no time.
-    if all(fault.code != "USD253" for fault in found):
-        found += [fault for check in TIMED for fault in _run(check, subject)]
-    known = {fault.where for fault in found if fault.code in ALREADY}
+    if all(fault.code != "USD253" for fault in faults):
+        faults += [fault for check in TIMED for fault in _run(check, subject)]
+    known = {fault.where for fault in faults if fault.code in ALREADY}
     everywhere = _run(check_finite, subject)
-    return found + [fault for fault in everywhere if fault.where not in known]
+    return faults + [fault for fault in everywhere if fault.where not in known]
 
 
 def _takes(subject: Subject, path: Path) -> list[AnimationTake]:

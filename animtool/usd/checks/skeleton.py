@@ -36,12 +36,12 @@ def check_physics(subject: Subject) -> Iterator[Fault]:
 def _bodies(subject: Subject, joint: Any) -> Iterator[Fault]:
     targets = []
     for relationship in (joint.GetBody0Rel(), joint.GetBody1Rel()):
-        found = relationship.GetTargets()
-        targets += found
-        if len(found) > 1:
-            message = f"{counted(len(found), 'target')}, not one"
+        bodies = relationship.GetTargets()
+        targets += bodies
+        if len(bodies) > 1:
+            message = f"{counted(len(bodies), 'target')}, not one"
             yield finding("USD270", relationship.GetPath(), message)
-        for target in found:
+        for target in bodies:
             if not subject.stage.GetPrimAtPath(target) and not subject.alone:
                 message = f"{target} is not there"
                 yield finding("USD270", relationship.GetPath(), message)

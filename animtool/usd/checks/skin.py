@@ -81,7 +81,7 @@ def _own_joints(prim: Any) -> list[str]:
     return next((tokens(a) for a in attrs if a and a.HasAuthoredValue()), [])
 
 
-def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> str:
+def _layout(prim: Any, indices: Any, weights: Any, count: int, heavy: int) -> str:
     """Return what does not fit of the counts; empty where all does."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
     kinds = indices.GetInterpolation(), weights.GetInterpolation()
@@ -93,10 +93,10 @@ def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> st
     if kinds[0] not in {"constant", "vertex"}:
         return f"interpolation {kinds[0]}; allowed: constant, vertex"
     rows = 1 if kinds[0] == "constant" else point_count(prim)
-    wanted = found if rows is None else rows * sizes[0]
-    if found != wanted or heavy != wanted or found % max(sizes[0], 1):
+    expected = count if rows is None else rows * sizes[0]
+    if count != expected or heavy != expected or count % max(sizes[0], 1):
         amount = "" if rows is None else f" for {rows} x {sizes[0]}"
-        return f"{found} jointIndices and {heavy} jointWeights{amount}"
+        return f"{count} jointIndices and {heavy} jointWeights{amount}"
     return ""
 
 
@@ -155,10 +155,10 @@ def check_targets(subject: Subject) -> Iterator[Fault]:
         binding = UsdSkel.BindingAPI(prim)
         attr, targets = binding.GetBlendShapesAttr(), binding.GetBlendShapeTargetsRel()
         names = tokens(attr)
-        found = targets.GetTargets() if targets else []
+        paths = targets.GetTargets() if targets else []
         twice = duplicates(names)
-        if len(names) != len(found) and (names or found):
-            message = f"{len(names)} blendShapes for {len(found)} targets"
+        if len(names) != len(paths) and (names or paths):
+            message = f"{len(names)} blendShapes for {len(paths)} targets"
             yield finding("USD245", f"{prim.GetPath()}.skel:blendShapes", message)
         elif twice:
             message = f"{len(twice)} shapes stand twice: {listed(twice)}"
@@ -174,13 +174,13 @@ def check_shapes(subject: Subject) -> Iterator[Fault]:
 
 def _points(subject: Subject) -> dict[Any, int]:
     """Return the number of points of what each shape moves."""
-    found: dict[Any, int] = {}
+    counts: dict[Any, int] = {}
     for prim in subject.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")
         count = point_count(prim) if targets else None
         if count:
-            found |= dict.fromkeys(targets.GetTargets(), count)
-    return found
+            counts |= dict.fromkeys(targets.GetTargets(), count)
+    return counts
 
 
 def _rows(attr: Any) -> FloatArray:
@@ -191,16 +191,16 @@ def _rows(attr: Any) -> FloatArray:
 def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     offsets = _rows(shape.GetOffsetsAttr())
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
-    wanted = len(indices) or points
+    expected = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
     normals = _rows(shape.GetNormalOffsetsAttr())
     if not len(offsets) and len(normals):
         # A shape may turn normals alone.
-        offsets = np.zeros((len(normals) if wanted is None else wanted, 3))
-    if wanted is not None and len(offsets) != wanted:
+        offsets = np.zeros((len(normals) if expected is None else expected, 3))
+    if expected is not None and len(offsets) != expected:
         counted_as = "pointIndices" if len(indices) else "points"
         yield finding(
-            "USD240", path, f"{len(offsets)} offsets for {wanted} {counted_as}"
+            "USD240", path, f"{len(offsets)} offsets for {expected} {counted_as}"
         )
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
@@ -208,7 +208,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     moves = [offsets, normals, *(_rows(step.GetAttr()) for step in inbetweens)]
     if len(offsets) and not any(rows.any() for rows in moves):
         yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
-    count = wanted if wanted is not None else len(offsets)
+    count = expected if expected is not None else len(offsets)
     yield from _normals(shape.GetNormalOffsetsAttr(), count)
     yield from _inbetweens(inbetweens, count)
 
@@ -237,24 +237,24 @@ def _finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
         yield finding("USD243", attr.GetPath(), message)
 
 
-def _normals(attr: Any, wanted: int) -> Iterator[Fault]:
+def _normals(attr: Any, expected: int) -> Iterator[Fault]:
     rows = _rows(attr)
-    if attr and attr.HasAuthoredValue() and len(rows) not in {0, wanted}:
-        message = f"{len(rows)} normalOffsets for {wanted} offsets"
+    if attr and attr.HasAuthoredValue() and len(rows) not in {0, expected}:
+        message = f"{len(rows)} normalOffsets for {expected} offsets"
         yield finding("USD242", attr.GetPath(), message)
     yield from _finite(attr, rows)
 
 
-def _inbetweens(steps: list[Any], wanted: int) -> Iterator[Fault]:
+def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
     taken: dict[float, str] = {}
     for step in steps:
         attr, weight = step.GetAttr(), step.GetWeight()
         rows = _rows(attr)
-        if len(rows) != wanted:
-            message = f"{len(rows)} offsets for {wanted}"
+        if len(rows) != expected:
+            message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _finite(attr, rows)
-        yield from _normals(step.GetNormalOffsetsAttr(), wanted)
+        yield from _normals(step.GetNormalOffsetsAttr(), expected)
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
             have = "no weight" if weight is None else f"weight {weight:g}"
             yield finding("USD244", attr.GetPath(), have)

@@ -67,7 +67,7 @@ def _absolute(path: str) -> bool:
 
 def _owner(layer: Any, asset: str) -> str:
     """Return the prim of a layer that refers to an asset, / for a sublayer."""
-    found = ["/"]
+    paths = ["/"]
 
     def look(path: Any) -> None:
         spec = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
@@ -77,11 +77,11 @@ def _owner(layer: Any, asset: str) -> str:
             arcs = spec.GetInfo(name)
             items = arcs.GetAddedOrExplicitItems() if arcs else ()
             if any(item.assetPath == asset for item in items):
-                found.append(str(path))
+                paths.append(str(path))
 
     if asset not in layer.subLayerPaths:
         layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return found[-1]
+    return paths[-1]
 
 
 ROOT = "/"

@@ -70,17 +70,17 @@ class Subject:
     @cached_property
     def prims(self) -> list[Any]:
         """Active prims, overs too; of equal instances the first."""
-        wanted = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
+        predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
         start = self.stage.GetPseudoRoot()
-        found, seen = [], set()
-        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(wanted)):
+        prims, seen = [], set()
+        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(predicate)):
             if prim.IsInstanceProxy():
                 shared = prim.GetPrimInPrototype().GetPath()
                 if shared in seen:
                     continue
                 seen.add(shared)
-            found.append(prim)
-        return found[1:]
+            prims.append(prim)
+        return prims[1:]
 
     @cached_property
     def attributes(self) -> list[Any]:

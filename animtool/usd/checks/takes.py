@@ -96,7 +96,7 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     bound = _bound(skeletons)
     shared = _Shared.of(subject)
-    found = []
+    takes = []
     for animation in subject.of_type(UsdSkel.Animation):
         # What was made to be small is no capture.
         if stored_data(animation.GetPrim()).get("thinned"):
@@ -107,19 +107,19 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
         except AnimtoolError:
             continue
         if take is not None:
-            found.append(take)
-    return found
+            takes.append(take)
+    return takes
 
 
 def _bound(skeletons: list[Any]) -> dict[Any, Any]:
     """Return the Skeleton of each animation that one is bound to."""
-    found: dict[Any, Any] = {}
+    bound: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
         source = binding.GetInheritedAnimationSource()
         if source:
-            found.setdefault(source.GetPath(), skeleton)
-    return found
+            bound.setdefault(source.GetPath(), skeleton)
+    return bound
 
 
 def _nearest(animation: Any, skeletons: list[Any]) -> Any:
@@ -140,7 +140,7 @@ def _take(
     where = Spot.of(path, animation)
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
-    found = _rig(subject, animation, skeleton, joints, path)
+    of_rig = _rig(subject, animation, skeleton, joints, path)
     movers = moving_carriers(skeleton.GetPrim()) if skeleton else []
     parts = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in parts]
@@ -149,14 +149,14 @@ def _take(
     times.update(t for mover in movers for t in mover.GetTimeSamples())
     codes = np.array(sorted(times), np.float64)
     rows = [_values(subject, *entry, codes) for entry in attributes]
-    motion = _motion(found, joints, shapes, rows)
+    motion = _motion(of_rig, joints, shapes, rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
     if movers:
         own = translations, rotations, scales
-        carry_roots(found.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
-    rig = replace(found.rig, shapes=tuple(Shape(name) for name in shapes))
+        carry_roots(of_rig.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
+    rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
     take = Take(
         rig,
         _clock(subject, codes),
@@ -173,7 +173,7 @@ def _take(
         codes if len(codes) else None,
         _range(subject, animation, shared),
         skeleton is not None,
-        _influencing(skeleton, found, shared) if skeleton else None,
+        _influencing(skeleton, of_rig, shared) if skeleton else None,
         _bind(skeleton, rig) if skeleton else None,
         _shown_rate(subject.stage),
     )
@@ -236,13 +236,13 @@ def _values(
 
 
 def _motion(
-    found: SkeletonRig,
+    of_rig: SkeletonRig,
     joints: list[str],
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
     """Return T, R and S of every joint of a rig, and the weights; None if not sound."""
-    rig = found.rig
+    rig = of_rig.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
         not joints and weights is None
@@ -254,9 +254,9 @@ def _motion(
     rests = (
         rig.rest_translations / rig.meters_per_unit,
         rig.rest_rotations,
-        found.rest_scales,
+        of_rig.rest_scales,
     )
-    index = {token: i for i, token in enumerate(found.tokens)}
+    index = {token: i for i, token in enumerate(of_rig.tokens)}
     places = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
         among_rest(rest, row, places, frames)
@@ -298,25 +298,25 @@ def _range(
 
 
 def _influencing(
-    skeleton: Any, found: SkeletonRig, shared: _Shared
+    skeleton: Any, rig: SkeletonRig, shared: _Shared
 ) -> frozenset[str] | None:
     """Return the joints that move points, or have one below that does."""
     used: set[int] = set()
     skins = shared.skins.get(skeleton.GetPath())
     if not skins:
         return None
-    index = {token: i for i, token in enumerate(found.tokens)}
+    index = {token: i for i, token in enumerate(rig.tokens)}
     for binding, indices in skins:
-        own = tokens(binding.GetJointsAttr()) or found.tokens
+        own = tokens(binding.GetJointsAttr()) or rig.tokens
         used |= {
             index[own[i]] for i in _used(binding, indices, len(own)) if own[i] in index
         }
     for joint in sorted(used):
-        parent = found.rig.joints[joint].parent
+        parent = rig.rig.joints[joint].parent
         while parent >= 0 and parent not in used:
             used.add(parent)
-            parent = found.rig.joints[parent].parent
-    return frozenset(found.rig.joints[i].name for i in used)
+            parent = rig.rig.joints[parent].parent
+    return frozenset(rig.rig.joints[i].name for i in used)
 
 
 def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:

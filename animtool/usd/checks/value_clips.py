@@ -44,15 +44,15 @@ def _clip_set(
         yield from _active(held, len(layers), where)
     yield from _times(held, where)
     target = str(held.get("primPath", ""))
-    found = [layer for layer in layers if layer is not None]
+    opened = [layer for layer in layers if layer is not None]
     if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
         message = f"primPath is {excerpt(target)}, not the path of a prim"
         yield finding("USD277", where, message)
         return
-    if found and not any(layer.GetPrimAtPath(target) for layer in found):
+    if opened and not any(layer.GetPrimAtPath(target) for layer in opened):
         yield finding("USD277", where, f"no clip has primPath {target}")
         return
-    yield from _manifest(prim, held, target, found, where)
+    yield from _manifest(prim, held, target, opened, where)
     yield from _spans(held, target, layers, where)
 
 
@@ -111,26 +111,28 @@ def _template(
         message = "templateStartTime, templateEndTime or templateStride is no number"
         yield finding("USD277", where, message)
         return
-    wanted = math.floor((end - start) / stride + 1e-9) + 1
+    expected = math.floor((end - start) / stride + 1e-9) + 1
     have = len(Usd.ClipsAPI(prim).ComputeClipAssetPaths(name))
     if have == 0:
-        message = f"none of the {wanted} clips of {excerpt(template, 80)} is there"
+        message = f"none of the {expected} clips of {excerpt(template, 80)} is there"
         yield finding("USD276", where, message)
-    elif have < wanted:
-        message = f"{wanted - have} of {wanted} clips of {excerpt(template, 80)} are "
+    elif have < expected:
+        message = (
+            f"{expected - have} of {expected} clips of {excerpt(template, 80)} are "
+        )
         yield finding("USD278", where, message + "not there")
 
 
 def _sampled(layer: Any, target: str) -> set[str]:
     """Return the properties at or below a prim that have samples, relative to it."""
-    found = set()
+    names = set()
 
     def look(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
-            found.add(str(path)[len(target) :])
+            names.add(str(path)[len(target) :])
 
     layer.Traverse(Sdf.Path(target), look)
-    return found
+    return names
 
 
 def _manifest(

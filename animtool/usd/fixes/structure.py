@@ -228,12 +228,12 @@ def _over(target: Target, prim: Any) -> Any:
 
 def _bounds(bounded: Any, code: Any) -> Any:
     try:
-        found = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+        extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:
-        found = None
-    if found is None or len(found) != 2 or not np.isfinite(np.array(found)).all():
+        extent = None
+    if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
-    return Vt.Vec3fArray(found)
+    return Vt.Vec3fArray(extent)
 
 
 def _change(before: list[Any], after: list[Any]) -> Change:

@@ -122,11 +122,11 @@ def rewrite(spec: Any, change: Rewrite) -> tuple[int, int, float]:
             apart = np.abs(after.astype(np.float64) - before)
             largest = max(largest, float(apart.max()))
             rows = np.ascontiguousarray(after.astype(before.dtype))
-            made = type(values[i]).FromNumpy(rows)
+            array = type(values[i]).FromNumpy(rows)
             if times:
-                layer.SetTimeSample(path, times[i], made)
+                layer.SetTimeSample(path, times[i], array)
             else:
-                spec.default = made
+                spec.default = array
     return changed, len(old), largest
 
 

@@ -188,14 +188,14 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
 
 def _moving(layer: Any) -> list[Any]:
     """Return the paths of a layer that have samples, in order."""
-    found: list[Any] = []
+    moving: list[Any] = []
 
     def look(path: Any) -> None:
         if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
-            found.append(path)
+            moving.append(path)
 
     layer.Traverse(Sdf.Path.absoluteRootPath, look)
-    return sorted(found)
+    return sorted(moving)
 
 
 def _move(layer: Any, path: Any, moved: dict[float, float]) -> int:

@@ -58,10 +58,10 @@ class LayerDraft:
         refused: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
-                reason, said = _applied(layer, fault)
-                (refused if reason else done).append((fault, reason or said))
+                reason, remedy = _applied(layer, fault)
+                (refused if reason else done).append((fault, reason or remedy))
             content = layer.content()
-        lines = [f"{self.path}: {fault.code} {said}" for fault, said in done]
+        lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in done]
         other = LayerDraft(self.path, content, (*self.edits, *lines))
         return Step(other if done else self, done, refused)
 

@@ -39,9 +39,9 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
             continue
         if not any(name in text for name in names):
             continue
-        found = _first_use(path, text, own, names)
-        if found is not None:
-            yield path, found
+        use = _first_use(path, text, own, names)
+        if use is not None:
+            yield path, use
 
 
 def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
@@ -160,8 +160,8 @@ def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
         raise NotMendedError(f"{path.name} names {name!r} too")
     new = _fresh(old, names_in(rig, key))
     pairs = [f"{name!r} to {new[name]!r}" for name in old]
-    said = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"
-    return Mend(said, tuple(renaming(rig.document.value, key, new)))
+    remedy = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"
+    return Mend(remedy, tuple(renaming(rig.document.value, key, new)))
 
 
 def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
@@ -170,10 +170,10 @@ def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
     kept = {legal(name) for name in names if name not in old} | {*names}
     for name in old:
         taken = {*kept, *new.values()}
-        wanted, number = legal(name), 2
-        while wanted in taken:
-            wanted, number = f"{legal(name)}_{number}", number + 1
-        new[name] = wanted
+        proposed, number = legal(name), 2
+        while proposed in taken:
+            proposed, number = f"{legal(name)}_{number}", number + 1
+        new[name] = proposed
     return new
 
 

@@ -104,14 +104,14 @@ def _open_draft(path: Path) -> Draft:
 
 
 def _open_cases(
-    found: Sequence[Fault],
+    faults: Sequence[Fault],
     options: ValidateOptions,
     given_up: set[tuple[str, str | None, str]],
 ) -> Iterator[Fault]:
     """Yield findings that count, have a fix, and were not tried yet."""
-    for fault in found:
-        wanted = has_fix(fault.code) and options.counts(fault.code)
-        if wanted and _key(fault) not in given_up:
+    for fault in faults:
+        fixable = has_fix(fault.code) and options.counts(fault.code)
+        if fixable and _key(fault) not in given_up:
             yield fault
 
 

@@ -136,8 +136,8 @@ def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
     for path in paths:
         count = sum(fault.path == str(path) for fault in fixable)
         if count:
-            found = counted(count, "finding")
+            findings = counted(count, "finding")
             yield (
-                f"{path}: {found} can be fixed: -o NEW.usdc writes a repaired copy, "
+                f"{path}: {findings} can be fixed: -o NEW.usdc writes a repaired copy, "
                 "--overwrite replaces the file"
             )

@@ -81,9 +81,9 @@ def summed(opened: Opened, fault: Fault) -> Mend:
     path = _free(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
-    said = f"writes {path.name} with the weights divided by their sums"
+    remedy = f"writes {path.name} with the weights divided by their sums"
     arrays = {path: {weights.key: _divided(weights)}}
-    return Mend(said, (Put(place, text),), arrays)
+    return Mend(remedy, (Put(place, text),), arrays)
 
 
 def _free(path: Path, key: str) -> Path:
@@ -91,11 +91,11 @@ def _free(path: Path, key: str) -> Path:
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
-    number, found = 2, path.with_name(f"{path.stem}_{key}.npz")
-    while found.exists():
-        found = path.with_name(f"{path.stem}_{key}_{number}.npz")
+    number, free = 2, path.with_name(f"{path.stem}_{key}.npz")
+    while free.exists():
+        free = path.with_name(f"{path.stem}_{key}_{number}.npz")
         number += 1
-    return found
+    return free
 
 
 def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:

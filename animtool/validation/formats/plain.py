@@ -182,26 +182,28 @@ def json_report(report: Report) -> str:
 
 def junit_report(report: Report) -> str:
     """Return a suite of all files; warnings and notes are what a case says."""
-    found: dict[str, list[Fault]] = defaultdict(list)
+    by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
-        found[fault.path or "animtool"].append(fault)
-    named = dict.fromkeys([*map(str, report.files), *sorted(found)])
+        by_file[fault.path or "animtool"].append(fault)
+    named = dict.fromkeys([*map(str, report.files), *sorted(by_file)])
     unreadable = report.unreadable()
-    cases = (_case(name, found[name], unreadable=name in unreadable) for name in named)
+    cases = (
+        _case(name, by_file[name], unreadable=name in unreadable) for name in named
+    )
     return junit_xml("animtool validate", cases)
 
 
 def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     wrong = [fault for fault in faults if fault.severity is Severity.ERROR]
     odd = [fault for fault in faults if fault.severity is not Severity.ERROR]
-    said = "\n".join(map(str, odd))
+    text = "\n".join(map(str, odd))
     if not wrong:
-        return JunitCase(name, said=said)
+        return JunitCase(name, said=text)
     return JunitCase(
         name,
         "error" if unreadable else "failure",
         wrong[0].code,
         wrong[0].message,
         "\n".join(map(str, wrong)),
-        said,
+        text,
     )

@@ -56,7 +56,7 @@ def sarif_report(report: Report) -> str:
 
 
 def _rule(rule: Rule) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    rule_object: dict[str, Any] = {
         "id": rule.code,
         "shortDescription": {"text": rule.title},
         "defaultConfiguration": {"level": _LEVELS[rule.severity]},
@@ -64,13 +64,13 @@ def _rule(rule: Rule) -> dict[str, Any]:
     text = page_text(rule.code)
     if text is not None:
         plain = re.sub(r"(?m)^#+ |^```\w*\n|`", "", text)
-        found["help"] = {"text": plain, "markdown": text}
-    return found
+        rule_object["help"] = {"text": plain, "markdown": text}
+    return rule_object
 
 
 def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
     text = f"{fault.message}, {fault.hint}" if fault.hint else fault.message
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
         "level": _LEVELS[fault.severity],
@@ -78,7 +78,7 @@ def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str,
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
-        return {**found, "partialFingerprints": _fingerprint(fault, None)}
+        return {**result, "partialFingerprints": _fingerprint(fault, None)}
     physical: dict[str, Any] = {"artifactLocation": _location(fault.path)}
     line = None
     if fault.lines:
@@ -87,8 +87,8 @@ def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str,
     location: dict[str, Any] = {"physicalLocation": physical}
     if fault.where:
         location["logicalLocations"] = [{"fullyQualifiedName": fault.where}]
-    found["locations"] = [location]
-    return {**found, "partialFingerprints": _fingerprint(fault, line)}
+    result["locations"] = [location]
+    return {**result, "partialFingerprints": _fingerprint(fault, line)}
 
 
 def _region(fault: Fault, line: str | None) -> dict[str, Any]:

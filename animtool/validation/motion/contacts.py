@@ -56,8 +56,8 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
     >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
     """
-    found = [i for i, name in enumerate(names) if _FOOT.search(name)]
-    return np.array(found, np.int64)
+    feet = [i for i, name in enumerate(names) if _FOOT.search(name)]
+    return np.array(feet, np.int64)
 
 
 def contacts_of(subject: MotionSubject) -> Contacts | None:

@@ -163,15 +163,15 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     below = (contacts.ground - heights) * contacts.flat
     deep = below > SUNK * subject.size
     fewest = max(2, round(SUNK_SECONDS / subject.interval))
-    found = []
+    sunk = []
     for e in range(len(contacts.feet)):
         for first, last in runs(deep[:, e]):
             if last - first + 1 >= fewest:
                 depth = float(below[first : last + 1, e].max())
-                found.append((depth, e, first, last))
-    if not found:
+                sunk.append((depth, e, first, last))
+    if not sunk:
         return
-    depth, e, first, last = max(found)
+    depth, e, first, last = max(sunk)
     foot = int(contacts.feet[e])
     message = (
         f"{subject.take.rig.joints[foot].name!r} is up to {depth:.3g} m below the "

@@ -139,8 +139,8 @@ class _Pops:
 
     def worst(self) -> tuple[int, int]:
         """Return step and column of the largest jump."""
-        found = np.where(self.flags, self.amounts, -1.0)
-        step, column = np.unravel_index(int(found.argmax()), found.shape)
+        amounts = np.where(self.flags, self.amounts, -1.0)
+        step, column = np.unravel_index(int(amounts.argmax()), amounts.shape)
         return int(step), int(column)
 
     def much(self, step: int, column: int) -> str:
@@ -154,15 +154,15 @@ class _Pops:
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the joints below the roots that jump in one frame (MOT202)."""
     hint = "correct the frames around it; a cut that is meant has interp: step"
-    found = _pops(subject, LEAST_SHIFT, roots=False)
-    yield from _reported(subject, "MOT202", found, hint)
+    pops = _pops(subject, LEAST_SHIFT, roots=False)
+    yield from _reported(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the roots that jump in one frame: the whole character does (MOT203)."""
     hint = "correct the frames around it, or cut the take there"
-    found = _pops(subject, LEAST_ROOT_SHIFT, roots=True)
-    yield from _reported(subject, "MOT203", found, hint)
+    pops = _pops(subject, LEAST_ROOT_SHIFT, roots=True)
+    yield from _reported(subject, "MOT203", pops, hint)
 
 
 def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
@@ -176,22 +176,22 @@ def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
 
 
 def _reported(
-    subject: MotionSubject, code: str, found: list[_Pops], hint: str
+    subject: MotionSubject, code: str, all_pops: list[_Pops], hint: str
 ) -> Iterator[Fault]:
     """Yield one fault for all jumps of a kind, which names the largest."""
-    found = [pops for pops in found if pops.flags.any()]
-    if not found:
+    all_pops = [pops for pops in all_pops if pops.flags.any()]
+    if not all_pops:
         return
-    pops = found[0]
+    pops = all_pops[0]
     step, column = pops.worst()
     joint = int(pops.joints[column])
     names = {
         subject.take.rig.joints[int(entry.joints[i])].name: None
-        for entry in found
+        for entry in all_pops
         for i in np.flatnonzero(entry.flags.any(axis=0))
     }
     name = subject.take.rig.joints[joint].name
-    steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in found])
+    steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in all_pops])
     often = len(np.unique(steps))
     message = (
         f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
@@ -273,13 +273,13 @@ def _leaving_first(subject: MotionSubject) -> IntArray:
 
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the first frame is a pose of its own (MOT204)."""
-    found = _leaving_first(subject)
-    if len(found) < REFERENCE_JOINTS or subject.cuts()[0]:
+    pose = _leaving_first(subject)
+    if len(pose) < REFERENCE_JOINTS or subject.cuts()[0]:
         return
     first, second = subject.at(0), subject.at(1)
     message = (
-        f"frame {first} is a pose of its own: {len(found)} joints jump to that of "
+        f"frame {first} is a pose of its own: {len(pose)} joints jump to that of "
         f"frame {second}"
     )
     hint = f"the pass trim: {{first: {second}}} leaves it out"
-    yield subject.fault("MOT204", int(found[0]), 0, message, hint)
+    yield subject.fault("MOT204", int(pose[0]), 0, message, hint)

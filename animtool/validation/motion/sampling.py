@@ -112,12 +112,12 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     if subject.frames < MIN_FRAMES or len(_columns(subject)) < MIN_JOINTS:
         return
     ratios, lost = _double_steps(subject)
-    found = np.flatnonzero(lost)
-    if not len(found):
+    frames = np.flatnonzero(lost)
+    if not len(frames):
         return
-    step = int(found[0])
+    step = int(frames[0])
     count = max(1, round(float(ratios[step])) - 1)
-    more = f"; so are {len(found) - 1} more steps" if len(found) > 1 else ""
+    more = f"; so are {len(frames) - 1} more steps" if len(frames) > 1 else ""
     message = (
         f"all joints go {ratios[step]:.1f} times as far from frame {subject.at(step)} "
         f"to {subject.at(step + 1)} as around: {counted(count, 'frame')} lost{more}"
@@ -178,12 +178,12 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     pace = np.sqrt(total)
     fast = pace > LEAST_PACE * np.median(pace)
     unlike = np.where(fast, np.abs(ratio - 1.0), 0.0)
-    found = fast & (ratio > DOUBLE) & (ratio < MAX_LOST) & (astray < ASTRAY)
-    found &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
-    if found.any():
-        found &= _uneven_around(unlike) < UNEVEN * unlike
-        found &= _share(along, square) > MAX_JOINTS
-    ratios[2:-2], lost[2:-2] = ratio, found
+    doubled = fast & (ratio > DOUBLE) & (ratio < MAX_LOST) & (astray < ASTRAY)
+    doubled &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
+    if doubled.any():
+        doubled &= _uneven_around(unlike) < UNEVEN * unlike
+        doubled &= _share(along, square) > MAX_JOINTS
+    ratios[2:-2], lost[2:-2] = ratio, doubled
     return ratios, lost
 
 
@@ -257,9 +257,9 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     kept, regular = _repeats(subject)
     if regular or not kept.any() or float(kept.mean()) > MOSTLY_STILL:
         return
-    found = list(runs(kept))
-    first, last = max(found, key=lambda run: run[1] - run[0])
-    more = f"; it freezes {len(found) - 1} times more" if len(found) > 1 else ""
+    frozen = list(runs(kept))
+    first, last = max(frozen, key=lambda run: run[1] - run[0])
+    more = f"; it freezes {len(frozen) - 1} times more" if len(frozen) > 1 else ""
     message = (
         f"nothing moves from frame {subject.at(first)} to {subject.at(last + 1)}, "
         f"between frames that do{more}"

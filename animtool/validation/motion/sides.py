@@ -307,16 +307,16 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
         np.percentile(away, 90, axis=0) if len(channel.animated) else 0.0,
         np.minimum(away.max(axis=0, initial=0.0), 2.0 * STILL),
     )
-    found: list[tuple[int, int]] = []
+    pairs: list[tuple[int, int]] = []
     for left, right in _pairs(subject):
         for mine, other in ((left, right), (right, left)):
             if spreads[mine] <= STILL and spreads[other] >= ALIVE:
-                found.append((mine, other))
-    if not found:
+                pairs.append((mine, other))
+    if not pairs:
         return
     names = subject.take.rig.names
-    mine, other = found[0]
-    more = [names[i] for i, _ in found[1:]]
+    mine, other = pairs[0]
+    more = [names[i] for i, _ in pairs[1:]]
     message = (
         f"{names[mine]!r} never turns, and {names[other]!r} does, by "
         f"{math.degrees(spreads[other]):.0f}\N{DEGREE SIGN}"

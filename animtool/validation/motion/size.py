@@ -54,8 +54,8 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
         frame = int(off.argmax())
         if off[frame] > GROWS:
             count += 1
-            found = (float(off[frame]), j, frame, float(lengths[frame]), rest)
-            worst = found if worst is None or found[0] > worst[0] else worst
+            strain = (float(off[frame]), j, frame, float(lengths[frame]), rest)
+            worst = strain if worst is None or strain[0] > worst[0] else worst
     if worst is None:
         return
     _, j, frame, length, rest = worst
@@ -198,10 +198,10 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
 
 def wrong_up(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the body stands along another axis than the up axis (MOT214)."""
-    found = lies_along(subject)
-    if found is None:
+    axis = lies_along(subject)
+    if axis is None:
         return
-    name, share = found
+    name, share = axis
     up = subject.take.rig.up
     where = f"along {name}" if name else "upside down"
     message = f"the body is {where} in {100.0 * share:.0f}% of the frames; up is {up}"

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.channels import ClipChannel, Interp, evaluate_channels
+from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation
+from animtool.maths.curves import Extrapolation, Interp
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
@@ -146,8 +146,8 @@ def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
 
 def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
     """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
-    found = evaluate_channels([channel], times)[channel.target]
-    return np.broadcast_to(found, (len(times), found.shape[1]))
+    values = evaluate_channels([channel], times)[channel.target]
+    return np.broadcast_to(values, (len(times), values.shape[1]))
 
 
 def wrong_way_round(subject: ClipSubject) -> Iterator[Fault]:
@@ -155,12 +155,12 @@ def wrong_way_round(subject: ClipSubject) -> Iterator[Fault]:
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
-        found = _flips(channel)
-        if not len(found):
+        flips = _flips(channel)
+        if not len(flips):
             continue
-        k = int(found[0])
+        k = int(flips[0])
         steps = np.abs(channel.values[k + 1] - channel.values[k])
-        more = f", and {len(found) - 1} times more" if len(found) > 1 else ""
+        more = f", and {len(flips) - 1} times more" if len(flips) > 1 else ""
         message = (
             f"{channel.target!r} goes {math.degrees(steps.max()):.0f}\N{DEGREE SIGN} "
             f"round from frame {channel.times[k]:g} to {channel.times[k + 1]:g}, where "
@@ -176,8 +176,8 @@ def _flips(channel: ClipChannel) -> IntArray:
     near = np.diff(channel.times) <= SAMPLED
     far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
     moving = np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
-    found = np.flatnonzero(near & far & moving)
-    return found[[_shortest(channel, k) < NEAR for k in found.tolist()]]
+    flips = np.flatnonzero(near & far & moving)
+    return flips[[_shortest(channel, k) < NEAR for k in flips.tolist()]]
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:

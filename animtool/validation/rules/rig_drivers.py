@@ -187,9 +187,9 @@ def _values(control: Control) -> FloatArray:
         return np.zeros(0)
     corners = [x for drive in control.drives for x, _ in drive.curve]
     spread = np.linspace(control.low, control.high, SAMPLES)
-    found = np.concatenate([spread, np.array(corners, np.float64)])
+    values = np.concatenate([spread, np.array(corners, np.float64)])
     # `numpy.unique` would import numpy.ma.
-    return np.array(sorted(set(np.clip(found, control.low, control.high).tolist())))
+    return np.array(sorted(set(np.clip(values, control.low, control.high).tolist())))
 
 
 def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from animtool.clip.points import joint_bounds
+from animtool.clip.reduction.points import joint_bounds
 from animtool.config import find_config
 from animtool.documents.document import Location, read_document
 from animtool.documents.names import is_named
@@ -175,19 +175,19 @@ def _outside(
 ) -> Iterator[Fault]:
     """Yield a range that is outside the take, wholly or in part."""
     scene, clock = subject.scene, subject.take.clock
-    wanted, start = scene.bake.frame_range, _start(subject)
-    if wanted is None or start is None:
+    frame_range, start = scene.bake.frame_range, _start(subject)
+    if frame_range is None or start is None:
         return
     last = start + clock.duration * (scene.bake.fps or clock.fps)
-    if start <= wanted.first and wanted.last <= last:
+    if start <= frame_range.first and frame_range.last <= last:
         return
-    if wholly != (wanted.last < start or wanted.first > last):
+    if wholly != (frame_range.last < start or frame_range.first > last):
         return
     what, at = "range", ("range",)
     if scene.bake.shot is not None:
         what, at = "cut with its handles,", ("shot",)
     message = (
-        f"the {what} from {wanted.first} to {wanted.last} {how}, "
+        f"the {what} from {frame_range.first} to {frame_range.last} {how}, "
         f"which the output numbers {float(start):g} to {float(last):g}"
     )
     hint = "frames count as the output does, from its start"

@@ -175,13 +175,13 @@ class _Asked:
 
 @lru_cache(maxsize=1)
 def _all_asked(subject: SceneSubject) -> tuple[_Asked, ...]:
-    found = []
+    goals = []
     for take, tracks in subject.asked:
         world = take.world()
         targets = tracks.sample(take.rig, take.clock, world)
         document = read_document(tracks.path)
-        found.append(_Asked(document, take, tracks, world, targets))
-    return tuple(found)
+        goals.append(_Asked(document, take, tracks, world, targets))
+    return tuple(goals)
 
 
 def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
@@ -214,14 +214,14 @@ def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
 
 def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
     """Return the joints that some goal may move."""
-    found: set[int] = set()
+    moving: set[int] = set()
     for track in goals:
         j = rig.index(track.goal.joint)
         root = -1 if track.goal.root is None else rig.index(track.goal.root)
         while j >= 0:
-            found.add(j)
+            moving.add(j)
             j = -1 if j == root else rig.joints[j].parent
-    return frozenset(j for j in found if rig.joints[j].type is not JointType.FIXED)
+    return frozenset(j for j in moving if rig.joints[j].type is not JointType.FIXED)
 
 
 def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
@@ -278,16 +278,16 @@ def odd_unit(subject: SceneSubject) -> Iterator[Fault]:
             if isinstance(track.values["position"], Still | Keyed | Rows)
         ]
         points = [asked.points(e)[0][asked.points(e)[1]] for e in still]
-        found = np.concatenate(points) if points else np.zeros((0, 3))
-        if not len(found):
+        cloud = np.concatenate(points) if points else np.zeros((0, 3))
+        if not len(cloud):
             continue
         root = asked.world.positions[0, asked.take.rig.roots[0]]
-        if np.linalg.norm(found - root, axis=1).min() <= FAR * size:
+        if np.linalg.norm(cloud - root, axis=1).min() <= FAR * size:
             continue
         fitting = [
             unit
             for unit in LengthUnit
-            if np.linalg.norm(found * (unit.meters / own) - root, axis=1).max()
+            if np.linalg.norm(cloud * (unit.meters / own) - root, axis=1).max()
             <= LIKELY * size
         ]
         if fitting:

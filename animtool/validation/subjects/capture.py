@@ -43,7 +43,7 @@ class TakeSubject:
     @cached_property
     def _lines(self) -> dict[str, int]:
         """Where joints begin, by name; those that the reader gave theirs have none."""
-        found: dict[str, int] = {}
+        lines: dict[str, int] = {}
         raw = open_input(self.path, None)
         with TextIOWrapper(BufferedReader(raw), "utf-8", "replace") as file:
             for number, line in enumerate(file, 1):
@@ -51,8 +51,8 @@ class TakeSubject:
                 if keyword.upper() == "MOTION":
                     break
                 if keyword.upper() in {"ROOT", "JOINT"}:
-                    found.setdefault(name.strip(), number)
-        return found
+                    lines.setdefault(name.strip(), number)
+        return lines
 
 
 def open_bvh(path: Path) -> Opened:
@@ -69,27 +69,27 @@ def open_usd(path: Path) -> Opened:
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
-    takes = tuple(_subject(path, found) for found in layer.takes)
+    takes = tuple(_subject(path, take) for take in layer.takes)
     profile = "layer" if layer.alone else None
     return Opened(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
-def _subject(path: Path, found: AnimationTake) -> MotionSubject:
+def _subject(path: Path, take: AnimationTake) -> MotionSubject:
     """Return a take of a layer; its faults are at its prim."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
         del joint, frame
-        return Fault(code, message, str(path), (), hint, where=found.path)
+        return Fault(code, message, str(path), (), hint, where=take.path)
 
     return MotionSubject(
-        found.take,
+        take.take,
         fault_at,
-        found.codes,
-        found.frame_range,
-        has_rest=found.has_rest,
-        influencing=found.influencing,
-        bind=found.bind,
-        shown_rate=found.shown_rate,
+        take.codes,
+        take.frame_range,
+        has_rest=take.has_rest,
+        influencing=take.influencing,
+        bind=take.bind,
+        shown_rate=take.shown_rate,
     )

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import BoolArray
-from animtool.clip.channels import Interp
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
     check_clip,
@@ -20,6 +19,7 @@ from animtool.clip.file import (
 )
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, Severity
+from animtool.maths.curves import Interp
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.scene.clips import clip_stream
@@ -63,13 +63,13 @@ class ClipSubject(DocumentSubject):
     def cuts(self) -> BoolArray:
         """From which frames to the next a step is keyed ``(F - 1,)``."""
         frames = np.array(self.frames)
-        found = np.zeros(len(frames) - 1, bool)
+        cuts = np.zeros(len(frames) - 1, bool)
         for channel in self.clip.channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     at = channel.times[k + 1]
-                    found |= (frames[:-1] < at) & (at <= frames[1:])
-        return found
+                    cuts |= (frames[:-1] < at) & (at <= frames[1:])
+        return cuts
 
     def key(self, channel: int, frame: float) -> Location:
         """Return the last key of a channel that is not behind a frame, or its first."""

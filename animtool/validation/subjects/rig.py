@@ -42,13 +42,13 @@ class RigSubject(DocumentSubject):
     @cached_property
     def _places(self) -> dict[tuple[str, str], Location]:
         """Where the entries of lists stand, by list and name, then by mirror."""
-        found: dict[tuple[str, str], Location] = {}
+        places: dict[tuple[str, str], Location] = {}
         for label in ("name", "mirror"):
             for key in self.document.value:
                 for i, entry in enumerate(self.written(key)):
                     if isinstance(entry, dict) and isinstance(entry.get(label), str):
-                        found.setdefault((key, entry[label]), (key, i))
-        return found
+                        places.setdefault((key, entry[label]), (key, i))
+        return places
 
     @cached_property
     def mirrored(self) -> frozenset[str]:
@@ -83,19 +83,19 @@ class RigSubject(DocumentSubject):
             if joint.tips:
                 tips = np.array(joint.tips)
                 points.append(positions[i] + so3.rotate(rotations[i], tips))
-        found = np.concatenate(points)
-        if not len(found):
+        cloud = np.concatenate(points)
+        if not len(cloud):
             return 0.0
-        return float(np.linalg.norm(found.max(axis=0) - found.min(axis=0)))
+        return float(np.linalg.norm(cloud.max(axis=0) - cloud.min(axis=0)))
 
     @cached_property
     def children(self) -> list[list[int]]:
         """Children of each joint."""
-        found: list[list[int]] = [[] for _ in self.rig.joints]
+        children: list[list[int]] = [[] for _ in self.rig.joints]
         for i, joint in enumerate(self.rig.joints):
             if joint.parent >= 0:
-                found[joint.parent].append(i)
-        return found
+                children[joint.parent].append(i)
+        return children
 
 
 def open_rig(document: Document) -> Opened:

@@ -44,11 +44,11 @@ class SceneSubject(DocumentSubject):
     def asked(self) -> list[tuple[Take, TargetTracks]]:
         """Takes that are solved, with their rigs, and what is asked of them."""
         folder = self.scene.path.resolve().parent
-        found = []
+        takes = []
         for i, given in self.solved.items():
             take, tracks = asked_of(given, self.scene.passes[i].options, folder)
-            found.append((take, tracks.placed(take.clock)))
-        return found
+            takes.append((take, tracks.placed(take.clock)))
+        return takes
 
     @property
     def targets(self) -> set[str]:
@@ -85,8 +85,8 @@ def open_scene(document: Document) -> Opened:
     else:
         # What is odd about another file is said of that one; but targets make no
         # sense alone.
-        said = {None, path, *opened.subject.targets}
-        faults = [fault for fault in notices if fault.path in said]
+        located = {None, path, *opened.subject.targets}
+        faults = [fault for fault in notices if fault.path in located]
     faults = [f if f.path else replace(f, path=path) for f in faults]
     opened.faults = [*scene.notices, *faults]
     return opened

@@ -11,8 +11,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.clip.reduction import ChannelKind
-from animtool.clip.tracks import Track
+from animtool.clip.reduction.keys import ChannelKind
+from animtool.clip.reduction.tracks import Track
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
@@ -47,9 +47,9 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     ]
     bounds = np.full(len(rig.joints), float(tolerance))
     for pattern, value in others.items():
-        found = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
-        bounds[found] = value
-        if not found:
+        matching = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
+        bounds[matching] = value
+        if not matching:
             near = similar(pattern, rig.names)
             hint = f"did you mean {near!r}?" if near else None
             message = f"{rig.name!r} has no joint {excerpt(pattern)}"
@@ -88,17 +88,17 @@ def reach(points: FloatArray) -> FloatArray:
 
 
 def point_errors(
-    points: FloatArray, truth: WorldTransforms, found: WorldTransforms
+    points: FloatArray, truth: WorldTransforms, reduced: WorldTransforms
 ) -> FloatArray:
     """Return the largest distance of a point of each joint ``(F, J)`` [m].
 
     Args:
         points: ``(J, P, 3)`` [m], in the joints' frames.
         truth: Where the joints were.
-        found: Where they are.
+        reduced: Where they are.
     """
     return _kernels.point_errors(
-        points, truth.positions, truth.linear, found.positions, found.linear
+        points, truth.positions, truth.linear, reduced.positions, reduced.linear
     )
 
 
@@ -120,9 +120,9 @@ class Budget:
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance)
         blank = np.zeros(frames)
-        made = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
-        made.settle()
-        return made
+        budget = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
+        budget.settle()
+        return budget
 
     def scale(self, factor: float) -> None:
         """Fit again with a tolerance so many times as large."""
@@ -130,12 +130,12 @@ class Budget:
         self.share = np.ones(len(self.share))
         self.fit()
 
-    def tighten(self, frames: ArrayLike, wanted: ArrayLike, *, spread: bool) -> None:
+    def tighten(self, frames: ArrayLike, factor: ArrayLike, *, spread: bool) -> None:
         """Fit the segments around some frames again, the others stay.
 
-        ``frames`` ``(N,)`` [frame], ``wanted`` ``(N,)``.
+        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
-        at, limits = np.asarray(frames), np.asarray(wanted) / self.tolerance
+        at, limits = np.asarray(frames), np.asarray(factor) / self.tolerance
         starts = self.keys.frames
         segment = np.searchsorted(starts, at, side="right") - 1
         segment = segment.clip(0, max(0, len(starts) - 2))
@@ -176,9 +176,9 @@ class Budget:
 
 def subtree_largest(parents: IntArray, values: FloatArray) -> FloatArray:
     """Return the largest of each joint's values ``(F, J)`` and its descendants'."""
-    found = np.ascontiguousarray(values.T)
-    for joint in range(len(found) - 1, -1, -1):
+    largest = np.ascontiguousarray(values.T)
+    for joint in range(len(largest) - 1, -1, -1):
         if parents[joint] >= 0:
-            above = found[parents[joint]]
-            np.maximum(above, found[joint], out=above)
-    return found.T
+            above = largest[parents[joint]]
+            np.maximum(above, largest[joint], out=above)
+    return largest.T

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.reduction import ChannelKind
+from animtool.clip.reduction.keys import ChannelKind
 from animtool.maths import euler, so3
 from animtool.maths.additive import scaled, shifted, turned
 from animtool.motion import Channel, Motion

@@ -10,11 +10,13 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.clip.channels import ClipChannel, ClipUnits, Interp, Tangent
+from animtool.clip.channels import ClipChannel, ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clock import Clock
 from animtool.maths import euler
+from animtool.maths.curves import Interp
 from animtool.maths.fit import FittedKeys, evaluate_keys
+from animtool.maths.tangents import Tangent
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 

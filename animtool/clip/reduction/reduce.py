@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clip.points import (
+from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
+from animtool.clip.reduction.points import (
     SHELL,
     Budget,
     attached_points,
@@ -17,8 +19,7 @@ from animtool.clip.points import (
     reach,
     subtree_largest,
 )
-from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
-from animtool.clip.tracks import Pose, Track, pose_of, tracks_of
+from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
 from animtool.maths.fit import FittedKeys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
@@ -42,7 +43,7 @@ def reduce_motion(
     *,
     shell: float = SHELL,
     joint_tolerances: Mapping[str, float] | None = None,
-    weight_tolerance: float = 1e-3,
+    weight_tolerance: float = WEIGHT_TOLERANCE,
     base: Take | None = None,
     tracks: Sequence[Track] | None = None,
     start: Motion | None = None,
@@ -78,7 +79,7 @@ def reduce_motion(
         start: What joints without a track do in the end; None is what the take does.
 
     Returns:
-        Keys and what they reached; `animtool.clip.reduction.evaluate_reduction`
+        Keys and what they reached; `animtool.clip.reduction.keys.evaluate_reduction`
         gives the motion back where ``tracks`` is None.
 
     Raises:
@@ -233,12 +234,12 @@ def _channels(
     rig: Rig, tracks: list[Track], budgets: list[Budget]
 ) -> tuple[ReducedChannel, ...]:
     """Return a channel a track: one key where it does not move."""
-    found = {(b.track.kind, b.track.index): b.keys for b in budgets}
+    keys = {(b.track.kind, b.track.index): b.keys for b in budgets}
     return tuple(
         _channel(
             rig,
             track,
-            found[track.kind, track.index]
+            keys[track.kind, track.index]
             if track.moves
             else fit_keys(track.samples, 1.0),
         )
