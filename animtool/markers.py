@@ -74,7 +74,8 @@ class Markers:
     @property
     def seen(self) -> BoolArray:
         """Which markers have a position in which frame ``(F, M)``."""
-        return np.isfinite(self.positions).all(axis=-1)
+        seen: BoolArray = np.isfinite(self.positions).all(axis=-1)
+        return seen
 
     def __len__(self) -> int:
         """Return the number of frames."""
