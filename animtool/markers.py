@@ -74,8 +74,7 @@ class Markers:
     @property
     def seen(self) -> BoolArray:
         """Which markers have a position in which frame ``(F, M)``."""
-        seen: BoolArray = np.isfinite(self.positions).all(axis=-1)
-        return seen
+        return np.asarray(np.isfinite(self.positions).all(axis=-1), np.bool_)
 
     def __len__(self) -> int:
         """Return the number of frames."""
