@@ -32,6 +32,7 @@ MODELS = {
     "batch": "animtool.batch.file:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",
     "map": "animtool.mocap.retarget.file:MapModel",
+    "markers": "animtool.mocap.template.file:MarkersModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",
     "targets": "animtool.ik.schema:TargetsModel",
