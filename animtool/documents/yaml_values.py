@@ -90,6 +90,9 @@ def read_values(text: str, path: Path) -> ReadValues:
         mark = error.problem_mark or error.context_mark
         spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
+        if "maximum nesting depth" in problem:  # libyaml's own limit, met first
+            reader.fault("DOC005", f"is nested deeper than {DEEPEST}", spot)
+            raise FormatError(reader.faults) from error
         hint = "tabs may not indent" if "cannot start any token" in problem else None
         if path.suffix.lower() not in SUFFIXES:
             hint = f"wanted is a file that ends in {', '.join(SUFFIXES)}"
