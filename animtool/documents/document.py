@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -183,6 +184,16 @@ def spelled(location: Location) -> str:
     for step in location:
         text += f"[{step}]" if isinstance(step, int) else f".{step}"
     return text.removeprefix(".")
+
+
+def location_of(where: str) -> Location:
+    """Return the location that a person reads as a text.
+
+    >>> location_of("joints[3].axis")
+    ('joints', 3, 'axis')
+    """
+    steps = re.findall(r"\[(\d+)\]|([^.\[\]]+)", where)
+    return tuple(int(number) if number else name for number, name in steps)
 
 
 def read_document(path: Path) -> Document:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any
 
 from animtool.documents.check import FileModel
-from animtool.documents.document import Document, Location, spelled
+from animtool.documents.document import Document, Location, location_of, spelled
 from animtool.errors import Fault, FormatError, OptionError, Severity, ToleranceError
 from animtool.passes import Pass
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
+from animtool.systems.fields import EntryRecord, SystemSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,46 +149,84 @@ class SystemFacts:
     colliders: int
 
 
-class SystemSetup(Protocol):
+STEPS = "steps"  # what a setting of a kind that has no methods is called
+
+
+@dataclass(frozen=True, slots=True)
+class SystemSetup:
     """What a system is made of, as its file says it."""
+
+    spec: SystemSpec
+    around: Any  # what it runs into: `Surroundings`
+    # What keys are read as that are neither plain nor what it runs into, by key.
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    record: EntryRecord | None = None  # what the spec makes of them
+    at: Location = ()  # place of the entry
+    carriers: tuple[Path, ...] = ()  # files of what carries it
+    resume: Path | None = None  # file of a state to go on from
+
+    @property
+    def _told(self) -> SystemSpec | EntryRecord:
+        """What says of it what it is."""
+        return self.spec if self.record is None else self.record
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
         """Names of systems that it is one with, and where they stand."""
+        names = () if self.record is None else self.record.joined
+        return tuple((name, (*self.at, *location_of(key))) for name, key in names)
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Files that are written along with the output."""
+        return () if self.spec.save is None else (self.spec.save,)
+
+    @property
+    def needs(self) -> tuple[tuple[str, Location], ...]:
+        """Systems that are to be there before it, and where they are named."""
+        named: tuple[tuple[str, Location], ...] = self.around.needs
+        return named
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies it pushes, and where that is said."""
-
-    @property
-    def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Names of systems that are to be there before it, and where they stand."""
+        named: tuple[tuple[str, Location], ...] = self.around.pushes
+        return named
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What is read beside the scene."""
+        """Files that are read along with the scene."""
+        characters = (one.file for one in self.around.characters)
+        resume = [self.resume] if self.resume else []
+        return (*characters, *self.carriers, *self.around.followed, *resume)
 
     @property
     def reads(self) -> tuple[str, ...]:
         """What acts on it, in words."""
+        return (*self._told.reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
-        """What becomes of it, in words."""
+        """What results from it, in words."""
+        by = "" if self.method == STEPS else f" by {self.method}"
+        steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
+        return f"{self._told.title},{by}{steps}"
+
+    @property
+    def method(self) -> str:
+        """Its method, or what stands for one."""
+        return str(getattr(self.spec, self.spec.method_key, STEPS))
 
     @property
     def facts(self) -> SystemFacts:
         """What it is made of, in numbers."""
+        counts, step = self._told.counts, self.spec.step
+        return SystemFacts(counts, self.method, step, self.around.count)
 
     @property
     def preroll(self) -> float:
         """Time before 0 s that it begins in [s]."""
-
-
-# Where faults are noted, place and keys of the entry, and folders files may be in.
-SystemReader: TypeAlias = Callable[
-    [Document, Location, Any, Sequence[Path]], SystemSetup | None
-]
+        return self.spec.preroll
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -29,7 +29,6 @@ from animtool.scene.entries import (
     SceneProp,
     SceneSource,
     SceneSystem,
-    SystemReader,
     kind_of,
     place_of_entry,
 )
@@ -172,7 +171,8 @@ class _SceneReader:
             return None
         at: Location = ("systems", i, kind)
         given = getattr(entry, kind)
-        read = cast(SystemReader, load_object(SYSTEM_KINDS[kind].reader))
+        # Loaded by name: systems open scenes themselves.
+        read: Any = load_object("animtool.scene.systems.derived:read_spec")
         setup = read(self.document, at, given, self.roots)
         if setup is None:
             return None

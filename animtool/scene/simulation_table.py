@@ -25,7 +25,7 @@ from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
-from animtool.scene.systems.simulation import system_trials
+from animtool.scene.systems.trial import system_trials
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialTable, measure
 from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot, Trial

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Protocol
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
@@ -33,12 +34,14 @@ class Part(StrEnum):
     """What entries of a field are read as, for a build to take from its context."""
 
     ARRAY = "array"  # numbers of a file, as floats of the shape that they have there
+    NAMES = "names"  # a name or number as it is, or numbers of a file as a list
     FORCE = "force"  # one of the shared force fields: `Force`
     PLACE = "place"  # where emitters make particles: `Place`
     SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
 
 
 ArrayEntry = Annotated[Name, Part.ARRAY]
+NameEntry = Annotated[str | Whole, Part.NAMES]
 ForceEntry = Annotated[Named, Part.FORCE]
 PlaceEntry = Annotated[Named, Part.PLACE]
 ShapeEntry = Annotated[Named, Part.SHAPE]
@@ -75,6 +78,48 @@ class FollowedPrimModel(FileModel):
         101,
         default=None,
     )
+
+
+class PrimMeshModel(FileModel):
+    """A mesh of a USD file, as at its first frame.
+
+    A part is the mesh: its points [m], y up, and faces.
+    """
+
+    file: UsdFile = Field(examples=["table.usda"])
+    prim: PrimPath = Field(examples=["/Set/cloth"])
+
+
+class _CarrierModel(FileModel):
+    """What carries others; a part is a `Carrier`, for `SimContext.poses`."""
+
+    offset: Vector | None = key(
+        "Where in its frame the particles are held [m]; the whole system "
+        "is brought there before it begins. Not given: where they are at 0 s.",
+        [0, 0.1, 0],
+        default=None,
+    )
+
+
+class CarryingJointModel(_CarrierModel):
+    """A joint of a character in motion."""
+
+    file: CharacterFile = None
+    source: OwnCharacter = False
+    joint: Name = key("Name of the joint.", "hand_r")
+
+
+class CarryingVertexModel(_CarrierModel):
+    """A vertex of a mesh of a character in motion; its frame does not turn."""
+
+    file: CharacterFile = None
+    source: OwnCharacter = False
+    mesh: Name = key("Name of the rig's mesh.", "body")
+    vertex: Annotated[Whole, Ge(0)] = key("Its number.", 120)
+
+
+class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
+    """A prim of a USD file, as that moves."""
 
 
 class RecordModel(FileModel):
@@ -234,10 +279,14 @@ class SystemSpec(FileModel):
             them, each with several steps or tolerances. None is every integrator.
         exact: The integrator that others are compared with, in finer steps; empty is
             that of the file.
+        method_key: The key that names the method, if there is one.
+        tried: Whether its simulation says itself in what `Ways` it can be simulated.
     """
 
     methods: ClassVar[Sequence[str] | None] = ()
     exact: ClassVar[str] = ""
+    method_key: ClassVar[str] = "method"
+    tried: ClassVar[bool] = False
 
     name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = key(
@@ -284,3 +333,53 @@ class SystemSpec(FileModel):
         ``parts`` are those of a `SimContext`.
         """
         return ()
+
+    def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
+        """Return what is made of it when the file is read, and all that is wrong.
+
+        A kind whose facts are not in its keys alone, or that can be joined to others,
+        returns an `EntryRecord`, or None where faults leave none; `build` finds it in
+        `SimContext.members`. Parts that cannot be read are None.
+        """
+        return None, ()
+
+    def shared(self, *, meets: bool = True) -> Mapping[str, Any]:  # noqa: ARG002
+        """Return what it states for all that it is joined to, by key.
+
+        ``meets``: whether any of them runs into anything.
+        """
+        return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """An entry of a scene, of those that are simulated as one."""
+
+    name: str
+    kind: str
+    spec: Any
+    parts: Mapping[str, Any]  # what its keys are read as, by key
+    record: Any = None  # what its spec makes of it when it is read
+
+
+class EntryRecord(Protocol):
+    """What an entry is made into when it is read; it speaks for its spec."""
+
+    @property
+    def title(self) -> str:
+        """What it is called in words."""
+
+    @property
+    def reads(self) -> Sequence[str]:
+        """What acts on it, in words; what it runs into is left out."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What it is made of, by kind."""
+
+    @property
+    def joined(self) -> Sequence[tuple[str, str]]:
+        """Names of systems that it is one with, and the keys that say so."""
+
+    def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
+        """Return what keeps it from being one with others, each with its key."""

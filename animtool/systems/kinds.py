@@ -11,42 +11,28 @@ class SystemKind:
     """A kind of system, its parts as ``module:object``."""
 
     spec: str  # the model of its keys
+    build: str  # from the spec and a `SimContext` to a `Simulation`
     description: str  # what it is, for the schema
     example: dict[str, Any]  # an entry of it
-    # Returns its setup from the keys of an entry; None where faults leave none.
-    reader: str
-    opener: str  # returns systems that are simulated as one at their beginnings
-    # Returns systems that are simulated as one, to be simulated in several ways.
-    trial: str
-    # Notes what keeps systems that are joined from being one; empty where particles
-    # cannot be joined.
-    joiner: str = ""
     surface: bool = False  # whether it has faces, which others may run into
     rigid: bool = False  # whether it is of rigid bodies, which others may push
-    # Of kinds that `derived` reads and runs: from the spec and a `SimContext` to a
-    # `Simulation`.
-    build: str = ""
+    weldable: bool = False  # whether particles of it can be one with those of others
 
 
 def system_kind(
-    module: str, description: str, example: dict[str, Any], *, rigid: bool = False
+    module: str,
+    description: str,
+    example: dict[str, Any],
+    *,
+    surface: bool = False,
+    rigid: bool = False,
 ) -> SystemKind:
     """Return a kind whose module has a `Spec` and a `build`; all else is derived.
 
-    ``rigid``: whether it is of rigid bodies, which others may run into.
+    ``surface``, ``rigid`` as in `SystemKind`; rigid bodies have surfaces.
     """
-    scene = "animtool.scene.systems"
-    return SystemKind(
-        f"{module}:Spec",
-        description,
-        example,
-        f"{scene}.derived:read_spec",
-        f"{scene}.derived:open_spec",
-        f"{scene}.trial:spec_trial",
-        surface=rigid,
-        rigid=rigid,
-        build=f"{module}:build",
-    )
+    parts = f"{module}:Spec", f"{module}:build"
+    return SystemKind(*parts, description, example, surface or rigid, rigid)
 
 
 def _springs(
@@ -54,13 +40,11 @@ def _springs(
 ) -> SystemKind:
     return SystemKind(
         f"animtool.systems.springs.spec:{model}",
+        "animtool.systems.springs.building:build",
         description,
         {**example, "springs": {"structural": {"stiffness": 1000}}},
-        "animtool.scene.springs.setup:read_springs",
-        "animtool.scene.springs.system:open_springs",
-        "animtool.scene.springs.system:spring_trial",
-        "animtool.scene.springs.setup:check_joins",
         surface,
+        weldable=True,
     )
 
 

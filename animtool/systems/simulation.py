@@ -5,19 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 
 from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
-from animtool.sim.colliders import Colliders, MovingBodies
+from animtool.sim.colliders import Colliders, MovingBodies, Poses
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
+from animtool.sim.trials.trial import Setting
+from animtool.systems.fields import Member
 from animtool.systems.surfaces import Bodies, RigidSystem, Surface
 
 State = TypeVar("State")
+# Told how far work is; None where nobody looks.
+Progress: TypeAlias = Callable[[float], None] | None
+State_contra = TypeVar("State_contra", contravariant=True)
 Watcher = TypeVar("Watcher", Surface, Bodies)
 
 
@@ -26,13 +32,15 @@ class Diagnostics:
     """What a state is like, for reports and tables."""
 
     energy: Energy | None = None  # None where it may come and go
-    values: Mapping[str, float] = field(default_factory=dict)  # for the report
+    values: Mapping[str, Any] = field(default_factory=dict)  # for the report
     notices: Sequence[Fault] = ()  # warnings so far
     if_empty: Sequence[Fault] = ()  # more of them, where no frame had a point
     steps: int | None = None  # of the method so far; None is one a step
     # Returns the largest that is stable from here on [s]: 0 where none is, infinite
     # where all are, None where it is not known.
     stable_step: Callable[[], float | None] = lambda: None
+    # Most that a spring was longer than at rest so far, over that [1].
+    stretch: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,12 @@ class Stepped(Generic[State]):
 
     state: State
     wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
+
+
+class Carrier(Protocol):
+    """What carries others: a joint, a vertex or a prim in motion."""
+
+    file: Path
 
 
 class SimContext(Protocol):
@@ -57,6 +71,8 @@ class SimContext(Protocol):
             parts again, with the ``poses`` of those that are placed. Plain values are
             in the spec alone.
         budget: Most evaluations of a step; None is the usual one.
+        members: Entries that are simulated as one: of kinds that cannot be joined, one.
+        clock: Told the time that was reached in a long call [s].
     """
 
     @property
@@ -79,12 +95,39 @@ class SimContext(Protocol):
     def budget(self) -> int | None:
         """Most evaluations of a step; None is the usual one."""
 
+    @property
+    def members(self) -> Sequence[Member]:
+        """Entries that are simulated as one."""
+
+    @property
+    def clock(self) -> Progress:
+        """Told the time that was reached in a long call [s]."""
+
+    def phase(self) -> Progress:
+        """Return what long work before the first step tells the share done, 0 to 1."""
+
+    def poses(self, carrier: Carrier) -> Poses:
+        """Return where a part that carries others is over time."""
+
+
+class SystemView(Protocol[State_contra]):
+    """What an entry shows of a simulation."""
+
+    def frame(self, state: State_contra, t: float) -> Frame:
+        """Return what a state shows at its time [s]."""
+
+    def diagnostics(self, state: State_contra, t: float) -> Diagnostics:
+        """Return what a state is like at its time [s]."""
+
 
 class Simulation(Protocol[State]):
     """A system as a scene simulates it: pure steps from state to state.
 
     One whose frames take long has an attribute ``checked``, True: its steps raise
     where numbers do not stay finite (SIM102), and frames are not made to see that.
+    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Tried`, and, where
+    others run into it, `RigidSystem` or `Skinned`. One with an attribute
+    ``step_length`` [s] chose that step itself.
     """
 
     def initial(self) -> State:
@@ -101,6 +144,54 @@ class Simulation(Protocol[State]):
 
     def diagnostics(self, state: State, t: float) -> Diagnostics:
         """Return what a state is like at its time [s]."""
+
+
+@runtime_checkable
+class ManySteps(Protocol[State]):
+    """A simulation that takes many steps at once, with the answer of each alone."""
+
+    def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
+        """Return a new state, a number of whole steps [s] after a time [s]."""
+
+
+@runtime_checkable
+class Joined(Protocol[State_contra]):
+    """A simulation of entries that are joined; its own frame shows all of them."""
+
+    @property
+    def views(self) -> Sequence[SystemView[State_contra]]:
+        """What each entry shows."""
+
+
+@runtime_checkable
+class SeenAhead(Protocol[State_contra]):
+    """A simulation whose frames need to know how it ends: it is run twice."""
+
+    @property
+    def ahead(self) -> bool:
+        """Whether they do."""
+
+    def see(self, last: State_contra) -> None:
+        """Take note of the state that it ends in, before the first frame is shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ways:
+    """In what ways a system is simulated for a table of time against error."""
+
+    chosen: Setting  # of the file
+    settings: Callable[[], list[Setting]]  # as in `Trial`
+    references: Callable[[], list[list[Setting]]]  # likewise
+    # From a setting to what of the spec is another.
+    changes: Callable[[Setting], Mapping[str, Any]]
+
+
+@runtime_checkable
+class Tried(Protocol):
+    """A simulation that says itself in what ways it can be simulated."""
+
+    def ways(self) -> Ways:
+        """Return the ways, about the one that it was built in."""
 
 
 # A time that is as near to the end of a step is that end [steps].
@@ -136,11 +227,69 @@ class StoppedError(ToleranceError):
         self.stats = stats
 
 
-# Half the thickness of a surface that is that of a body [m].
-SKIN = 1e-3
+class EntryRun:
+    """An entry of a scene under way: what it shows of a run.
+
+    Attributes:
+        name: Of the entry.
+        run: What takes it, and what it is joined to, through time.
+        simulation: What it shows of it; of an entry alone, the simulation itself.
+    """
+
+    def __init__(self, name: str, run: SimulationRun, view: SystemView[Any]) -> None:
+        self.name, self.run = name, run
+        self.simulation: Any = view
+        self._empty: bool | None = None  # None before the first look
+
+    def at(self, t: float) -> Frame:
+        """Return what there is at a time [s], not before the last one asked for.
+
+        Raises:
+            OptionError: Time runs backwards (SIM002).
+            ToleranceError: It blew up (SIM102), or the method could not go on.
+        """
+        frame: Frame = self.simulation.frame(*self.run.reach(t))
+        self._empty = self._empty is not False and not len(frame.points)
+        return frame
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it is of rigid bodies."""
+        return isinstance(self.simulation, RigidSystem)
+
+    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
+        """Return its bodies as others run into them, and push them if two-way."""
+        assert isinstance(self.simulation, RigidSystem)
+        return self.run.watching(
+            Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
+        )
+
+    def surface(self) -> Surface:
+        """Return its surface, which others run into."""
+        return self.run.watching(Surface(self.run, self.simulation))
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """What the state that was looked at last is like."""
+        found: Diagnostics = self.simulation.diagnostics(*self.run.seen)
+        return found
+
+    @property
+    def notices(self) -> list[Fault]:
+        """Warnings so far."""
+        found = self.diagnostics
+        return [*found.notices, *(found.if_empty if self._empty else ())]
+
+    def report(self) -> dict[str, object]:
+        """Return what became of it, as plain values."""
+        values = dict(self.diagnostics.values)
+        if not values:
+            return {}
+        steps = {} if "steps" in values else {"steps": self.run.taken}
+        return {"name": self.name, **steps, **values}
 
 
-class SimulationRun:
+class SimulationRun(EntryRun):
     """Takes a simulation through time in steps of one length, and looks at any time.
 
     Steps begin at the beginning and do not heed the times that are asked for: a look
@@ -149,6 +298,7 @@ class SimulationRun:
     run. One whose numbers do not stay finite is stopped.
 
     Attributes:
+        seen: The state that was looked at last, and its time [s].
         begin: Time of the first step [s].
         step_length: Of every step [s].
         state: At the end of the last whole step.
@@ -163,7 +313,7 @@ class SimulationRun:
         step_length: float,
         state: Reached[Any] | None = None,
     ) -> None:
-        self.name, self.simulation = name, simulation
+        super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
         self.state = Reached(0, simulation.initial()) if state is None else state
         self.taken = 0
@@ -176,30 +326,33 @@ class SimulationRun:
         self._pushes: list[tuple[float, int, Wrenches]] = []
         # By steps, states that bodies were pushed in, as the next step begins.
         self._begun: dict[int, Reached[Any]] = {}
-        self._seen = self.state.state, self.time(self.state.steps)
-        self._empty: bool | None = None  # None before the first look
+        self.seen: tuple[Any, float] = self.state.state, self.time(self.state.steps)
+        self._asked: float | None = None  # the last time that was asked for [s]
+        many = simulation if isinstance(simulation, ManySteps) else None
+        self._steps = None if many is None else many.steps
 
-    def at(self, t: float) -> Frame:
-        """Return what there is at a time [s], not before the last one asked for.
-
-        Raises:
-            OptionError: Time runs backwards (SIM002).
-            ToleranceError: It blew up (SIM102), or the method could not go on.
-        """
+    def reach(self, t: float) -> tuple[Any, float]:
+        """Return the state at a time [s], not before the last one, and when it is."""
+        if t == self._asked:
+            return self.seen
         whole = self.advance(t)
         if whole < self.state.steps:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
         now = self.time(whole)
         state = self._part(self.state, t)
-        self._seen = state.state, max(t, now)
-        frame = self.simulation.frame(*self._seen)
-        self._empty = self._empty is not False and not len(frame.points)
-        return frame
+        self.seen, self._asked = (state.state, max(t, now)), t
+        return self.seen
 
     def advance(self, t: float) -> int:
         """Take all whole steps that end at a time [s] or before; return how many."""
         whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
+        alone = self._kept is None and not self._met and not self._pushers
+        if self._steps is not None and alone and self.state.steps < whole:
+            steps, count = self.state.steps, whole - self.state.steps
+            step = self.step_length
+            made = self._steps(self.state.state, self.time(steps), step, count)
+            self.state, self.taken = Reached(whole, made.state), self.taken + count
         while self.state.steps < whole:
             self._go_on()
         return whole
@@ -273,18 +426,7 @@ class SimulationRun:
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
-    @property
-    def rigid(self) -> bool:
-        """Whether it is of rigid bodies."""
-        return isinstance(self.simulation, RigidSystem)
-
-    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
-        """Return its bodies as others run into them, and push them if two-way."""
-        assert isinstance(self.simulation, RigidSystem)
-        made = Bodies(self, self.simulation, restitution, friction, two_way=two_way)
-        return self._watching(made)
-
-    def _watching(self, watcher: Watcher) -> Watcher:
+    def watching(self, watcher: Watcher) -> Watcher:
         """Keep states from now on, for one who looks back to them."""
         if self._kept is None:
             self._kept = [self.state]
@@ -294,13 +436,6 @@ class SimulationRun:
     def time(self, steps: int) -> float:
         """Return when a number of steps ends [s]."""
         return self.begin + steps * self.step_length
-
-    radius = SKIN  # half the thickness of its surface [m]
-    closed = True  # its surface is met from outside alone
-
-    def watched(self, begin: float, step: float) -> Surface:  # noqa: ARG002
-        """Return its surface, which others run into."""
-        return self._watching(Surface(self))
 
     def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
         """Return the state at a time since the last that was forgotten, and when [s].
@@ -355,19 +490,3 @@ class SimulationRun:
             hint = "take shorter steps"
             raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
         return Reached(state.steps + 1, after.state), after.wrenches
-
-    @property
-    def diagnostics(self) -> Diagnostics:
-        """What the state that was looked at last is like."""
-        return self.simulation.diagnostics(*self._seen)
-
-    @property
-    def notices(self) -> list[Fault]:
-        """Warnings so far."""
-        found = self.diagnostics
-        return [*found.notices, *(found.if_empty if self._empty else ())]
-
-    def report(self) -> dict[str, object]:
-        """Return what became of it, as plain values."""
-        values = dict(self.diagnostics.values)
-        return {"name": self.name, "steps": self.taken, **values} if values else {}

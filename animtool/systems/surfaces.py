@@ -19,8 +19,6 @@ from animtool.sim.colliders.bodies import Pusher, Wrenches
 class Watched(Protocol):
     """A simulation under way that is looked at as it is, and was."""
 
-    simulation: Any
-
     def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
         """Return the state at a time [s], and when; as a step begins, or one ends."""
 
@@ -55,6 +53,19 @@ class RigidSystem(Protocol):
         """Return inverse effective masses, as `MovingBodies` does."""
 
 
+@runtime_checkable
+class Skinned(Protocol):
+    """A simulation whose surface, as others run into it, is not just its frame."""
+
+    radius: float  # half its thickness [m]
+    closed: bool  # whether it is met from outside alone
+
+    def surface(self, state: Any, t: float) -> MeshFrame:
+        """Return its surface; its corners are the same array while they are alike."""
+
+
+# Half the thickness of the surface of a body [m].
+SKIN = 1e-3
 # Times that are kept: both ends of a step, and those within.
 LOOKS = 4
 Seen = TypeVar("Seen")
@@ -90,22 +101,26 @@ class _Watching:
 
 
 class Surface(_Watching):
-    """The mesh of a simulation."""
+    """The mesh of a simulation, or what an entry shows of one."""
 
-    def __init__(self, run: Watched) -> None:
+    def __init__(self, run: Watched, view: Any) -> None:
         super().__init__(run)
-        self.points = _Looks(lambda t: self._frame(t).points)
-        self._faces: IntArray | None = None
+        skinned = isinstance(view, Skinned)
+        self.radius: float = view.radius if skinned else SKIN
+        self.closed: bool = view.closed if skinned else True
+        look = view.surface if skinned else view.frame
+        self._frames: _Looks[MeshFrame] = _Looks(lambda t: look(*run.look(t)))
+        self._indices = self._faces = np.zeros((0, 3), np.int64)
 
-    def _frame(self, t: float) -> MeshFrame:
-        frame = self._run.simulation.frame(*self._run.look(t))
-        assert isinstance(frame, MeshFrame)
-        return frame
+    def points(self, t: float) -> FloatArray:
+        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        return self._frames(t).points
 
     def triangles(self, t: float) -> IntArray:
-        """Return corners of its triangles ``(T, 3)``: always the same."""
-        if self._faces is None:
-            frame = self._frame(t)
+        """Return corners of its triangles ``(T, 3)``; the same array while alike."""
+        frame = self._frames(t)
+        if frame.indices is not self._indices:
+            self._indices = frame.indices
             self._faces = triangulated(frame.counts, frame.indices)
         return self._faces
 

@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
 from animtool.scene.systems.run import SystemRun
-from animtool.scene.systems.simulation import system_trials
+from animtool.scene.systems.trial import system_trials
 from animtool.shot import FrameRange
 from animtool.sim.trials.trial import Trial
 

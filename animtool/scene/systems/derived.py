@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeAlias,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
-from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault
+from animtool.documents.document import Document, Location, location_of
+from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.frames import MeshFrame
 from animtool.physics import Physics
-from animtool.plugins import load_object
-from animtool.scene.entries import SceneSystem, SystemFacts
+from animtool.scene.entries import SystemSetup
+from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
+from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.saved import Clocked, read_state
-from animtool.scene.systems.simulation import Opening
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.sim.colliders import Colliders
 from animtool.systems.fields import (
+    CarryingJointModel,
+    CarryingPrimModel,
+    CarryingVertexModel,
     GaitsModel,
     Part,
     PhysicsStageModel,
     PlacedModel,
+    PrimMeshModel,
     PrototypeModel,
     RecordModel,
     SystemColliderModel,
     SystemSpec,
 )
-from animtool.systems.kinds import SYSTEM_KINDS
-from animtool.systems.simulation import Simulation, SimulationRun
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
+    from animtool.usd.prims import StillMesh
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
 
@@ -99,8 +108,19 @@ def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame
     )
 
 
+CarrierT = TypeVar("CarrierT", OnJoint, OnVertex)
+
+
 class PartReader(EntryReader):
-    """Reads what the models of entries hold."""
+    """Reads what the models of entries hold.
+
+    Attributes:
+        carriers: Files of what carries others.
+    """
+
+    def __init__(self, document: Document, roots: Sequence[Path]) -> None:
+        super().__init__(document, roots)
+        self.carriers: list[Path] = []
 
     def parts(
         self, at: Location, model: FileModel, skipped: Container[str] = ()
@@ -112,6 +132,7 @@ class PartReader(EntryReader):
         among them.
         """
         parts: dict[str, Any] = {}
+        self.note_ranges(at, model)
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(at, model, model.code)
@@ -150,7 +171,8 @@ class PartReader(EntryReader):
             return lambda at, entry: self._sound(at, read(at, entry), check=check)
 
         readers: dict[Part, Reader] = {
-            Part.ARRAY: lambda at, text: self.array(at, text, "points"),
+            Part.ARRAY: lambda at, text: self.array(at, text, str(at[-1])),
+            Part.NAMES: self.names,
             Part.FORCE: self.force,
             Part.PLACE: sound(self.emitter_place),
             Part.SHAPE: sound(self.shape),
@@ -166,6 +188,10 @@ class PartReader(EntryReader):
                 PrototypeModel: self.prototype,
                 GaitsModel: self.gaits,
                 PhysicsStageModel: self.physics,
+                PrimMeshModel: self.still_mesh,
+                CarryingJointModel: self.carrying_joint,
+                CarryingVertexModel: self.carrying_vertex,
+                CarryingPrimModel: self.carrying_prim,
                 SystemColliderModel: self.collider,
             }
             own = (
@@ -231,6 +257,76 @@ class PartReader(EntryReader):
                 self.note((*at, "prim"), replace(fault, code="SIM051", message=message))
             return None
 
+    def names(self, at: Location, entry: str | int) -> list[str | int]:
+        """Return a name or number, or those of an array; none of one not read."""
+        if not isinstance(entry, str) or ".npz" not in entry:
+            return [entry]
+        above = [step for step in at[:-2] if isinstance(step, str)]
+        values = self.array(at, entry, above[-1])
+        return [] if values is None else [int(n) for n in values.ravel().tolist()]
+
+    def still_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
+        """Return a mesh of a USD file as it is at its first frame."""
+        from animtool.usd.prims import read_still_mesh
+
+        path = self.input((*at, "file"), model.file)
+        if path is None:
+            return None
+        try:
+            return read_still_mesh(path, model.prim, UpAxis.Y)
+        except OptionError as error:
+            self.note((*at, "prim"), error.faults[0])
+            return None
+
+    def carrying_joint(self, at: Location, model: CarryingJointModel) -> OnJoint | None:
+        """Return a joint that carries others."""
+        path = self.character(at, model)
+        if path is None:
+            return None
+        return self._there(at, OnJoint(path, model.joint, self.place(at, model)))
+
+    def carrying_vertex(
+        self, at: Location, model: CarryingVertexModel
+    ) -> OnVertex | None:
+        """Return a vertex that carries others."""
+        path = self.character(at, model)
+        if path is None:
+            return None
+        place = self.place(at, model)
+        return self._there(at, OnVertex(path, model.mesh, model.vertex, place))
+
+    def _there(self, at: Location, carrier: CarrierT) -> CarrierT | None:
+        """Return what carries, checked; of the scene's own character that is later."""
+        self.carriers.append(carrier.file)
+        if carrier.file == self.document.path:
+            return carrier
+        try:
+            rig = open_take(carrier.file).rig
+        except AnimtoolError as error:
+            # They are of that file, and are told with it.
+            self.document.faults.extend(error.faults)
+            self.sound = False
+            return None
+        fault = carrier.fault(rig)
+        if fault is not None:
+            self.note((*at, str(fault.where)), fault)
+        return carrier
+
+    def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
+        """Return a prim that carries others."""
+        from animtool.usd.props import PropRequest, open_prop
+
+        path = self.input((*at, "file"), model.file)
+        if path is None:
+            return None
+        self.carriers.append(path)
+        try:
+            open_prop(PropRequest(path, model.prim, model.prim), UpAxis.Y)
+        except AnimtoolError as error:
+            (fault, *_) = error.faults
+            self.note((*at, "prim"), Fault("SIM053", fault.message, hint=fault.hint))
+        return OnPrim(path, model.prim, model.frame)
+
     def _sound(self, at: Location, part: Any, *, check: bool) -> Any:
         """Return what an entry is read as, and note its own faults if asked to."""
         self.sound &= part is not None
@@ -240,82 +336,11 @@ class PartReader(EntryReader):
 
 
 _AROUND = {"colliders", "characters", "systems", "meshes"}
-STEPS = "steps"  # what a setting of a kind that has no methods is called
-
-
-@dataclass(frozen=True, slots=True)
-class SpecSetup:
-    """An entry whose kind is a spec and a build."""
-
-    spec: SystemSpec
-    around: Surroundings
-    # What keys are read as that are neither plain nor what it runs into, by key.
-    parts: Mapping[str, Any] = field(default_factory=dict)
-    joined: tuple[tuple[str, Location], ...] = ()
-    resume: Path | None = None  # file of a state to go on from
-
-    @property
-    def writes(self) -> tuple[str, ...]:
-        """Files that are written along with the output."""
-        return () if self.spec.save is None else (self.spec.save,)
-
-    @property
-    def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that are to be there before it, and where they are named."""
-        return self.around.needs
-
-    @property
-    def pushes(self) -> tuple[tuple[str, Location], ...]:
-        """Systems whose bodies it pushes, and where that is said."""
-        return self.around.pushes
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that are read along with the scene."""
-        return (*self.around.files, *([self.resume] if self.resume else []))
-
-    @property
-    def reads(self) -> tuple[str, ...]:
-        """What acts on it, in words."""
-        return (*self.spec.reads, *self.around.reads)
-
-    @property
-    def makes(self) -> str:
-        """What results from it, in words."""
-        by = "" if self.method == STEPS else f" by {self.method}"
-        return f"{self.spec.title},{by} in steps of {self.spec.step:g} s"
-
-    @property
-    def method(self) -> str:
-        """Its method, or what stands for one."""
-        return str(getattr(self.spec, "method", STEPS))
-
-    @property
-    def facts(self) -> SystemFacts:
-        """What it is made of, in numbers."""
-        spec = self.spec
-        return SystemFacts(spec.counts, self.method, spec.step, self.around.count)
-
-    @property
-    def preroll(self) -> float:
-        """Time before 0 s that it begins in [s]."""
-        return self.spec.preroll
-
-
-@dataclass(frozen=True, slots=True)
-class Context:
-    """What a build may ask for."""
-
-    begin: float  # time of the first step [s]
-    last: float  # the last time that will be asked for [s]
-    colliders: Colliders
-    parts: Mapping[str, Any]  # what other keys are read as, by key
-    budget: int | None = None  # most evaluations of a step; None is the usual one
 
 
 def read_spec(
     document: Document, at: Location, spec: SystemSpec, roots: Sequence[Path]
-) -> SpecSetup | None:
+) -> SystemSetup | None:
     """Return the setup of an entry; None where faults leave none.
 
     What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
@@ -333,6 +358,14 @@ def read_spec(
     surfaces = outside.surfaces(*entries("systems"))
     meshes = outside.meshes(*entries("meshes"))
     parts = reader.parts(at, spec, _AROUND)
+    record, faults = spec.made(parts)
+    for fault in faults:
+        document.add(
+            fault.code,
+            (*at, *location_of(fault.where or "")),
+            fault.message,
+            fault.hint,
+        )
     if reader.sound:
         reader.note_whole(at, spec, spec.faults(parts))
     resume = None
@@ -340,42 +373,9 @@ def read_spec(
         resume = reader.input((*at, "resume"), spec.resume)
     if spec.save is not None:
         reader.output((*at, "save"), spec.save)
-    if not (sound and reader.sound):
+    if record is None and (faults or not (sound and reader.sound)):
         return None
     followed = (*outside.files, *reader.files)
     around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
-    return SpecSetup(spec, around, parts, resume=resume)
-
-
-def open_spec(members: Sequence[SceneSystem], opening: Opening) -> list[SimulationRun]:
-    """Return a system at its beginning; characters are read now."""
-    (member,) = members
-    setup = cast(SpecSetup, member.setup)
-    run = run_spec(member, opening, setup.spec)
-    if setup.resume is not None:
-        run.state = read_state(setup.resume, clocked(member), run.state)
-    return [run]
-
-
-def clocked(member: SceneSystem) -> Clocked:
-    """Return which steps lead to states of a system."""
-    setup = cast(SpecSetup, member.setup)
-    return Clocked(member.kind, -setup.preroll, setup.spec.step)
-
-
-def run_spec(
-    member: SceneSystem, opening: Opening, spec: SystemSpec, budget: int | None = None
-) -> SimulationRun:
-    """Return a system at its beginning, by another spec than its own."""
-    setup = cast(SpecSetup, member.setup)
-    begin = -setup.preroll
-    colliders = setup.around.built(opening, begin, spec.step)
-    build = cast(
-        Callable[[SystemSpec, Context], Simulation[Any]],
-        load_object(SYSTEM_KINDS[member.kind].build),
-    )
-    context = Context(begin, opening.last, colliders, setup.parts, budget)
-    simulation = build(spec, context)
-    run = SimulationRun(member.name, simulation, begin, spec.step)
-    run.meet(colliders.bodies)
-    return run
+    carriers = tuple(reader.carriers)
+    return SystemSetup(spec, around, parts, record, at, carriers, resume)

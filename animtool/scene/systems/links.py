@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from graphlib import CycleError, TopologicalSorter
+from typing import Any
 
-from animtool.documents.document import Document, Location
+from animtool.documents.document import Document, Location, location_of
 from animtool.documents.names import nearest
 from animtool.errors import listed
-from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
+from animtool.systems.fields import Member
 from animtool.systems.kinds import SYSTEM_KINDS
 
 
@@ -88,17 +89,41 @@ def check_links(
     for system in systems:
         setup = system.setup
         for name, at in setup.joined:
-            sound &= _check_name(document, at, name, system, systems, names, "joiner")
+            sound &= _check_name(document, at, name, system, systems, names, "weldable")
         for name, at in setup.needs:
             sound &= _check_name(document, at, name, system, systems, names, "surface")
         for name, at in setup.pushes if sound else ():
             sound &= _check_name(document, at, name, system, systems, names, "rigid")
     sound = sound and _check_circles(document, systems)
     for group in in_order(systems) if sound else ():
-        place = SYSTEM_KINDS[systems[group[0]].kind].joiner
-        if len(group) > 1 and place:
-            check = load_object(place)
-            check(document, [systems[i] for i in group])  # type: ignore[operator]
+        if len(group) > 1:
+            _check_joined(document, [systems[i] for i in group])
+
+
+def member_of(system: SceneSystem) -> Member:
+    """Return an entry as a build sees it."""
+    setup = system.setup
+    return Member(system.name, system.kind, setup.spec, setup.parts, setup.record)
+
+
+def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
+    """Note what keeps systems that are joined from being one."""
+    members = [member_of(system) for system in systems]
+    for system in systems:
+        record = system.setup.record
+        for fault in [] if record is None else record.joined_faults(members):
+            place = (*system.setup.at, *location_of(fault.where or ""))
+            document.add(fault.code, place, fault.message, fault.hint)
+    meets = any(system.setup.around.anything for system in systems)
+    first: dict[str, tuple[str, Any]] = {}
+    for system in systems:
+        for key, value in system.setup.spec.shared(meets=meets).items():
+            name, other = first.setdefault(key, (system.name, value))
+            if value != other:
+                message = f"{key} is another than that of {name}: they are "
+                message += "joined, and simulated as one"
+                hint = "state it once, or twice the same"
+                document.add("SIM054", (*system.setup.at, key), message, hint)
 
 
 def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:

@@ -7,11 +7,10 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray
 from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
@@ -19,13 +18,13 @@ from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.saved import Clocked, write_state
 from animtool.scene.systems.simulation import (
     SystemProgress,
-    Tearable,
     located_systems,
     open_systems,
 )
-from animtool.systems.simulation import ON_STEP, Reached, SimulationRun
+from animtool.systems.simulation import ON_STEP, EntryRun, Reached, SeenAhead
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name
@@ -33,14 +32,14 @@ from animtool.usd.point_based import CachedMesh
 from animtool.usd.simulated import SimulatedJob
 
 
-def predicted_tears(
+def last_states(
     systems: Sequence[SceneSystem],
     wanted: Sequence[int],
     times: Sequence[float],
     own: CharacterMotion | None = None,
     progress: Progress = None,
-) -> Mapping[int, BoolArray]:
-    """Return which springs of some systems are torn in the end ``(S,)``.
+) -> Mapping[int, Any]:
+    """Return the states that some systems end in, by number.
 
     A mesh that parts has all its points from the first frame on, so that it keeps its
     topology: what will tear must be known before anything is written. Systems that
@@ -54,10 +53,10 @@ def predicted_tears(
     for k, t in enumerate(times):
         for i, one in found.items():
             with located_systems([systems[i]]):
-                one.at(t)
+                one.run.reach(t)
         if progress is not None:
             progress((k + 1) / len(times))
-    return {i: one.torn for i, one in found.items() if isinstance(one, Tearable)}
+    return {i: one.run.state.state for i, one in found.items()}
 
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
@@ -92,16 +91,16 @@ class SystemRun:
         self._frames: Progress = None
         # Of systems whose states are to be saved the time codes, and what was kept.
         self._saving: dict[int, float | None] = {
-            i: system.setup.spec.save_at  # type: ignore[attr-defined]
+            i: system.setup.spec.save_at
             for i, system in enumerate(systems)
-            if getattr(system.setup, "writes", ())
+            if system.setup.writes
         }
         self._kept: dict[int, tuple[float, Reached[Any]]] = {}
         self._odd: list[Fault] = []
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
-        self._open = open_systems(systems, last, own, self._shown(last))
+        self._open: list[EntryRun] = open_systems(systems, last, own, self._shown(last))
 
     def _shown(self, last: float) -> SystemProgress | None:
         """Return where systems tell how far they are."""
@@ -140,7 +139,7 @@ class SystemRun:
         """Yield every time code with what each system that is written is then."""
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
-        self._foresee(times)
+        self._see_ahead(times)
         show = None if self._phases is None else self._phases.last()
         self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
@@ -156,10 +155,9 @@ class SystemRun:
         """Refuse frames before the state that a system goes on from (SIM035)."""
         faults = []
         for system, opened in zip(self.systems, self._open, strict=True):
-            if not isinstance(opened, SimulationRun) or not opened.state.steps:
-                continue
-            reached = opened.time(opened.state.steps)
-            if times[0] < reached - ON_STEP * opened.step_length:
+            run = opened.run
+            reached = run.time(run.state.steps)
+            if run.state.steps and times[0] < reached - ON_STEP * run.step_length:
                 frame = float(codes[0]) + (reached - times[0]) * float(fps)
                 message = f"its state is of frame {frame:g}, and frame "
                 message += f"{float(codes[0]):g} is asked for"
@@ -182,29 +180,28 @@ class SystemRun:
                 fault = place.fault("SIM185", message, hint, Severity.WARNING)
                 self._odd.append(fault)
 
-    def _foresee(self, times: Sequence[float]) -> None:
-        """Let surfaces that may tear know where they will."""
-        tearing = {
-            i: opened
-            for i in self.written
-            if isinstance(opened := self._open[i], Tearable) and opened.tears
+    def _see_ahead(self, times: Sequence[float]) -> None:
+        """Let systems whose frames need to know how they end see that."""
+        runs = {i: self._open[i].run for i in self.written}
+        ahead = {
+            i: run
+            for i, run in runs.items()
+            if isinstance(run.simulation, SeenAhead) and run.simulation.ahead
         }
-        if not tearing:
+        if not ahead:
             return
-
         began = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
-        torn = predicted_tears(self.systems, list(tearing), times, self._own, phase)
-        for i, opened in tearing.items():
-            opened.part(torn[i])
-        self.seconds[min(tearing)] += time.perf_counter() - began
+        last = last_states(self.systems, list(ahead), times, self._own, phase)
+        for i, run in ahead.items():
+            run.simulation.see(last[i])
+        self.seconds[min(ahead)] += time.perf_counter() - began
 
     def _keep(self, code: Fraction) -> None:
         """Keep the states that are to be saved at a time code."""
         for i, at in self._saving.items():
             if at is None or code <= at:
-                opened = cast(SimulationRun, self._open[i])
-                self._kept[i] = float(code), opened.receive()
+                self._kept[i] = float(code), self._open[i].run.receive()
 
     def save_states(self, folder: Path) -> None:
         """Write the states that systems are to save, into the folder of their scene.
@@ -212,13 +209,11 @@ class SystemRun:
         Raises:
             OutputError: One cannot be written.
         """
-        from animtool.scene.systems.derived import clocked
-        from animtool.scene.systems.saved import write_state
-
         for i, (_, state) in self._kept.items():
-            system = self.systems[i]
-            for name in system.setup.writes:  # type: ignore[attr-defined]
-                write_state(folder / name, clocked(system), state)
+            system, run = self.systems[i], self._open[i].run
+            clocked = Clocked(system.kind, run.begin, run.step_length)
+            for name in system.setup.writes:
+                write_state(folder / name, clocked, state)
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()

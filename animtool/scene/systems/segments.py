@@ -15,16 +15,13 @@ from animtool.errors import Fault, OptionError, listed
 from animtool.maths import so3
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
-from animtool.scene.springs.pins import numbered
-from animtool.scene.springs.system import RunningSprings
 from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
-from animtool.scene.systems.simulation import (
-    RunningSystem,
-    located_systems,
-    open_systems,
-)
+from animtool.scene.systems.simulation import located_systems, open_systems
+from animtool.systems.simulation import EntryRun
 from animtool.systems.springs.drawing import Curves
+from animtool.systems.springs.pins import numbered
+from animtool.systems.springs.simulation import SpringView
 from animtool.take import Take
 from animtool.units import UpAxis, up_from_up
 
@@ -52,13 +49,13 @@ def segments_of(
     opened = open_systems(
         [systems[i] for i in numbers], float(times[-1]), replace(own, times=times)
     )
-    running = _running(opened[numbers.index(index)], name)
-    found = _particles(running, name, particle)
+    running = opened[numbers.index(index)]
+    found = _particles(_view(running, name), name, particle)
     rows = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
-            state, _ = running.run.at(t)
-        rows.append(state[0, found])
+            state, _ = running.run.reach(t)
+        rows.append(state.motion[0, found])
         if progress is not None:
             progress((k + 1) / len(times))
     ends = np.array(rows)
@@ -79,21 +76,19 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _running(opened: RunningSystem, name: str) -> RunningSprings:
-    """Return a rope or strands under way."""
-    lines = isinstance(opened, RunningSprings) and isinstance(
-        opened.setup.body.shape, Curves
-    )
-    if isinstance(opened, RunningSprings) and lines:
-        return opened
+def _view(opened: EntryRun, name: str) -> SpringView:
+    """Return what a rope or strands show."""
+    view = opened.simulation
+    if isinstance(view, SpringView) and isinstance(view.body.shape, Curves):
+        return view
     message = f"{name!r} has no segments to hang on"
     hint = "name a rope or strands"
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _particles(running: RunningSprings, name: str, particle: str) -> IntArray:
+def _particles(view: SpringView, name: str, particle: str) -> IntArray:
     """Return the particle before one, and it, as numbers of the run ``(2,)``."""
-    body = running.setup.body
+    body = view.body
     number = particle.strip().removeprefix("-").isdecimal()
     found, faults = numbered([int(particle) if number else particle], body)
     if faults or len(found) != 1:
@@ -105,4 +100,4 @@ def _particles(running: RunningSprings, name: str, particle: str) -> IntArray:
     shape = cast(Curves, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])
     before = found[0] + 1 if found[0] in starts else found[0] - 1
-    return np.asarray(running.rows[[before, found[0]]], np.int64)
+    return np.asarray(view.rows[[before, found[0]]], np.int64)

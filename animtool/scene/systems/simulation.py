@@ -2,62 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Protocol,
-    TypeAlias,
-    cast,
-    runtime_checkable,
-)
+from typing import Any, cast
 
-from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
+from animtool.scene.systems.carriers import Carrier
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.links import in_order, member_of
+from animtool.scene.systems.saved import Clocked, read_state
+from animtool.scene.systems.surroundings import Surroundings
+from animtool.sim.colliders import Colliders, Poses
+from animtool.systems.fields import Member, SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
-
-if TYPE_CHECKING:
-    from animtool.sim.trials.trial import Trial
-
-
-class RunningSystem(Protocol):
-    """A system under way."""
-
-    @property
-    def notices(self) -> list[Fault]:
-        """What is odd about it so far."""
-
-    def at(self, t: float) -> Any:
-        """Return what there is at a time [s], as the writer of its kind takes it.
-
-        Times do not descend.
-        """
-
-    def report(self) -> dict[str, object]:
-        """Return what became of it so far, as plain values; nothing to say is none."""
-
-
-@runtime_checkable
-class Tearable(RunningSystem, Protocol):
-    """A system under way whose surface may part."""
-
-    @property
-    def tears(self) -> bool:
-        """Whether it may, as it is made."""
-
-    @property
-    def torn(self) -> BoolArray:
-        """Which of its springs are torn so far ``(S,)``."""
-
-    def part(self, torn: BoolArray) -> None:
-        """Draw it so that it can part where springs of it will tear ``(S,)``."""
+from animtool.systems.simulation import (
+    EntryRun,
+    Joined,
+    Simulation,
+    SimulationRun,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +43,7 @@ class Opening:
     # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
     # Systems that are open, by name.
-    opened: dict[str, RunningSystem] = field(default_factory=dict)
+    opened: dict[str, EntryRun] = field(default_factory=dict)
     # Where they tell how far they are; None where nobody looks.
     progress: SystemProgress | None = None
 
@@ -87,17 +54,6 @@ class Opening:
     def clock(self, begin: float) -> Progress:
         """Return what a system tells the time that it reached, from its begin on."""
         return None if self.progress is None else self.progress.times.clock(begin)
-
-
-# From systems that are simulated as one to these at their beginnings.
-Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[RunningSystem]]
-
-
-# From systems that are simulated as one, what opens those that they need, each time
-# anew, and times to look at ``(F,)`` [s], to what can be simulated in several ways.
-TrialMaker: TypeAlias = Callable[
-    [Sequence[SceneSystem], Callable[[], Opening], FloatArray], "Trial"
-]
 
 
 @contextmanager
@@ -119,62 +75,119 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
         raise ToleranceError(list(map(put, error.faults))) from error
 
 
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What a build may ask for, as `SimContext` says."""
+
+    begin: float
+    last: float
+    colliders: Colliders
+    parts: Mapping[str, Any]
+    budget: int | None
+    members: Sequence[Member]
+    opening: Opening
+
+    @property
+    def clock(self) -> Progress:
+        """Told the time that was reached in a long call [s]."""
+        return self.opening.clock(self.begin)
+
+    def phase(self) -> Progress:
+        """Return what long work before the first step tells the share done, 0 to 1."""
+        return self.opening.phase()
+
+    def poses(self, carrier: Carrier) -> Poses:
+        """Return where a part that carries others is over time."""
+        return carrier.poses(self.opening.characters)
+
+
+def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
+    """Return what is simulated as one, each entry at its beginning."""
+    run = run_entries(members, opening)
+    for member in members:
+        if member.setup.resume is not None:
+            run.state = read_state(member.setup.resume, clocked(member, run), run.state)
+            break
+    if not isinstance(run.simulation, Joined):
+        return [run]
+    views = run.simulation.views
+    return [
+        EntryRun(member.name, run, view)
+        for member, view in zip(members, views, strict=True)
+    ]
+
+
+def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
+    """Return which steps lead to states of a system."""
+    return Clocked(member.kind, run.begin, run.step_length)
+
+
+def run_entries(
+    members: Sequence[SceneSystem],
+    opening: Opening,
+    changes: Mapping[str, Any] | None = None,
+    budget: int | None = None,
+) -> SimulationRun:
+    """Return what is simulated as one at its beginning; characters are read now.
+
+    ``changes`` are of their spec, by key.
+    """
+    setups = [member.setup for member in members]
+    stated: dict[str, Any] = {}
+    for setup in setups:
+        stated |= setup.spec.shared()
+    spec = setups[0].spec.model_copy(update={**stated, **(changes or {})})
+    begin = -spec.preroll
+    around = Surroundings.of([setup.around for setup in setups])
+    colliders = around.built(opening.characters, opening.opened)
+    build = cast(
+        Callable[[SystemSpec, Context], Simulation[Any]],
+        load_object(SYSTEM_KINDS[members[0].kind].build),
+    )
+    entries = [member_of(member) for member in members]
+    simulation = build(
+        spec,
+        Context(
+            begin, opening.last, colliders, setups[0].parts, budget, entries, opening
+        ),
+    )
+    name = " + ".join(member.name for member in members)
+    step = getattr(simulation, "step_length", spec.step)
+    run = SimulationRun(name, simulation, begin, step)
+    run.meet(colliders.bodies)
+    return run
+
+
 def open_systems(
     systems: Sequence[SceneSystem],
     last: float = 0.0,
     own: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
-) -> list[RunningSystem]:
+) -> list[EntryRun]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
     ``last`` [s].
     """
-    opening = Opening(last, _characters(own), progress=progress)
-    return _opened(systems, opening)
+    opening = Opening(last, characters_with(own), progress=progress)
+    return opened_with(systems, opening)
 
 
-def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[RunningSystem]:
+def opened_with(systems: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
     """Return systems at their beginnings, of which the opening takes note."""
-    found: dict[int, RunningSystem] = {}
+    found: dict[int, EntryRun] = {}
     for group in in_order(systems):
         members = [systems[i] for i in group]
-        opener = cast(Opener, load_object(SYSTEM_KINDS[members[0].kind].opener))
         with located_systems(members):
-            made = opener(members, opening)
+            made = open_entries(members, opening)
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
         opening.opened |= {member.name: one for member, one in named}
     return [found[i] for i in range(len(systems))]
 
 
-def _characters(own: CharacterMotion | None) -> CharacterMotions:
+def characters_with(own: CharacterMotion | None) -> CharacterMotions:
+    """Return characters that are read when asked for, that of the scene known."""
     characters = CharacterMotions()
     if own is not None:
         characters.found[own.path] = own
     return characters
-
-
-def system_trials(
-    systems: Sequence[SceneSystem],
-    times: FloatArray,
-    own: CharacterMotion | None = None,
-) -> list[tuple[SceneSystem, Trial]]:
-    """Return what can be simulated in several ways, with the first system of each.
-
-    ``times`` ``(F,)`` [s].
-    """
-    last, characters = float(times[-1]), _characters(own)
-    found = []
-    for group in in_order(systems):
-        members = [systems[i] for i in group]
-        others = [systems[i] for i in needed(systems, group)]
-
-        def rebuild(others: Sequence[SceneSystem] = others) -> Opening:
-            opening = Opening(last, characters)
-            _opened(others, opening)
-            return opening
-
-        maker = cast(TrialMaker, load_object(SYSTEM_KINDS[members[0].kind].trial))
-        with located_systems(members):
-            found.append((members[0], maker(members, rebuild, times)))
-    return found

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
@@ -14,16 +15,16 @@ from animtool.maths.faces import triangulated
 from animtool.options import Checked
 from animtool.scene.systems.character_motion import (
     CharacterCollider,
+    CharacterMotions,
     character_colliders,
 )
-from animtool.sim.colliders import Collider, Colliders, Sheet, SheetMotion
+from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.sim.colliders.collider import Friction, Restitution
-from animtool.systems.simulation import SimulationRun
+from animtool.systems.simulation import EntryRun
 from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
-    from animtool.scene.systems.simulation import Opening
     from animtool.usd.prims import MeshSource
 
 
@@ -115,21 +116,6 @@ class SurfaceCollider(Checked):
     two_way: bool = False  # whether it feels what runs into it
 
 
-class Watchable(Protocol):
-    """A system whose surface can be run into."""
-
-    @property
-    def radius(self) -> float:
-        """Half its thickness [m]."""
-
-    @property
-    def closed(self) -> bool:
-        """Whether only its outside is run into."""
-
-    def watched(self, begin: float, step: float) -> SheetMotion:
-        """Return its surface from a time on, looked at in steps [s]."""
-
-
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """Shapes, characters, surfaces of the scene and meshes of files."""
@@ -139,6 +125,18 @@ class Surroundings:
     surfaces: tuple[SurfaceCollider, ...] = ()
     meshes: tuple[MovingMesh, ...] = ()
     followed: tuple[Path, ...] = ()  # USD files that colliders and emitters go with
+
+    @staticmethod
+    def of(every: Sequence[Surroundings]) -> Surroundings:
+        """Return what entries run into that are simulated as one."""
+        (first, *more) = every
+        return replace(
+            first,
+            **{
+                name: sum((getattr(one, name) for one in more), getattr(first, name))
+                for name in ("colliders", "characters", "surfaces", "meshes")
+            },
+        )
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
@@ -176,39 +174,31 @@ class Surroundings:
         """Shapes and meshes; those of characters are not counted."""
         return len(self.colliders) + len(self.meshes)
 
-    def built(self, opening: Opening, begin: float, step: float) -> Colliders:
+    def built(
+        self, characters: CharacterMotions, opened: Mapping[str, EntryRun]
+    ) -> Colliders:
         """Return all of them; characters are read now.
 
         Args:
-            opening: With the systems that are needed.
-            begin: Time of the first step [s].
-            step: Its length [s].
+            characters: Those in motion.
+            opened: Systems of the scene by name, with those that are needed.
 
         Raises:
             FormatError: The file of a character is malformed.
             OptionError: A character has no colliders (SIM020), or something makes no
                 sense.
         """
-        capsules, skins = character_colliders(self.characters, opening.characters)
+        capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
         bodies: list[Bodies] = []
         for one in self.surfaces:
-            other = opening.opened[one.system]
-            if isinstance(other, SimulationRun) and other.rigid:
-                material = one.restitution, one.friction
+            other = opened[one.system]
+            material = one.restitution, one.friction
+            if other.rigid:
                 bodies.append(other.bodies(*material, two_way=one.two_way))
-            else:
-                sheets.append(_sheet(one, cast(Watchable, other), begin, step))
+                continue
+            seen = other.surface()
+            thick = seen.radius, seen.closed
+            sheets.append(Sheet(seen, *thick, one.system, *material))
         sheets += [*(mesh.sheet() for mesh in self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)
-
-
-def _sheet(one: SurfaceCollider, other: Watchable, begin: float, step: float) -> Sheet:
-    return Sheet(
-        other.watched(begin, step),
-        other.radius,
-        other.closed,
-        one.system,
-        one.restitution,
-        one.friction,
-    )

@@ -1,10 +1,10 @@
-"""Systems of derived kinds simulated in several ways: methods, steps and tolerances."""
+"""Systems simulated in several ways: methods, steps and tolerances."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,15 @@ from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, PointsFrame, TransformsFrame
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.derived import SpecSetup, run_spec
-from animtool.scene.systems.simulation import Opening
+from animtool.scene.systems.character_motion import CharacterMotion
+from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.simulation import (
+    Opening,
+    characters_with,
+    located_systems,
+    opened_with,
+    run_entries,
+)
 from animtool.sim.integrators import INTEGRATORS, find_integrator
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.options import TOLERANCE
@@ -28,7 +35,8 @@ from animtool.sim.trials.trial import (
     ladder,
     stepwise,
 )
-from animtool.systems.simulation import SimulationRun, StoppedError
+from animtool.systems.fields import SystemSpec
+from animtool.systems.simulation import SimulationRun, StoppedError, Tried, Ways
 
 # What the exact method has over the step of the file, where that is not enough.
 MUCH_FINER = 1 / 8
@@ -43,17 +51,72 @@ MAX_UNKNOWNS = 30
 MAX_EVALUATIONS = 1000
 
 
-def spec_trial(
+def system_trials(
+    systems: Sequence[SceneSystem],
+    times: FloatArray,
+    own: CharacterMotion | None = None,
+) -> list[tuple[SceneSystem, Trial]]:
+    """Return what can be simulated in several ways, with the first system of each.
+
+    ``times`` ``(F,)`` [s].
+    """
+    last, characters = float(times[-1]), characters_with(own)
+    found = []
+    for group in in_order(systems):
+        members = [systems[i] for i in group]
+        others = [systems[i] for i in needed(systems, group)]
+
+        def rebuild(others: Sequence[SceneSystem] = others) -> Opening:
+            opening = Opening(last, characters)
+            opened_with(others, opening)
+            return opening
+
+        with located_systems(members):
+            found.append((members[0], _trial(members, rebuild, times)))
+    return found
+
+
+def _trial(
     members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
 ) -> Trial:
-    """Return a system with the method and the step of its file, and with others."""
-    (member,) = members
-    setup = cast(SpecSetup, member.setup)
-    spec, own = setup.spec, setup.method
+    """Return what is simulated as one in the way of its file, and in others.
+
+    ``rebuild`` opens what it needs, each time anew; ``times`` ``(F,)`` [s].
+    """
+    most = 0  # points at once in any run so far
+    spec = members[0].setup.spec
+    if spec.tried:
+        built = run_entries(members, rebuild())
+        assert isinstance(built.simulation, Tried)
+        ways = built.simulation.ways()
+    else:
+        ways = _ways(spec, members[0].setup.method)
+
+    def run(setting: Setting) -> Outcome:
+        nonlocal most
+        other = setting.method != ways.chosen.method
+        budget = None if spec.tried else _budget(setting.method, most, other=other)
+        begun = run_entries(members, rebuild(), ways.changes(setting), budget)
+        outcome = _outcome(begun, times)
+        most = max([most, *(len(shot.points) for shot in outcome.shots)])
+        return outcome
+
+    return Trial(
+        " + ".join(member.name for member in members),
+        " + ".join(dict.fromkeys(member.kind for member in members)),
+        float(times[-1]) + max(member.setup.preroll for member in members),
+        ways.chosen,
+        ways.settings,
+        ways.references,
+        run,
+    )
+
+
+def _ways(spec: SystemSpec, own: str) -> Ways:
+    """Return methods, steps and tolerances about those of a file."""
     tolerance = getattr(spec, "tolerance", None)
     usual = TOLERANCE if tolerance is None else tolerance
     options = {} if _is_fixed(own) else {"tolerance": usual}
-    most = 0  # points at once in any run so far
 
     def settings() -> list[Setting]:
         """Return each method with several steps or tolerances."""
@@ -80,46 +143,39 @@ def spec_trial(
             shares.append((exact, MUCH_FINER))
         return [stepwise(method, share * spec.step, FINER) for method, share in shares]
 
-    def begun(setting: Setting) -> SimulationRun:
-        """Return it at its beginning, in one way.
-
-        Raises:
-            OptionError: The method is not for it (SIM006), or for so much (SIM024).
-        """
-        changes: dict[str, Any] = dict(setting.options)
-        budget = None
-        if setting.method in INTEGRATORS:
-            integrator, other = find_integrator(setting.method), setting.method != own
-            unknowns = 3 * most
-            if other and integrator.implicit and unknowns > MAX_UNKNOWNS:
-                message = f"{setting.method} would solve for {unknowns} unknowns at "
-                raise OptionError(Fault("SIM024", f"{message}once", where="method"))
-            if integrator.solver:
-                # What it takes to import is no part of the simulation.
-                load_object(integrator.solver)
-            budget = MAX_EVALUATIONS if other else None
+    def changes(setting: Setting) -> dict[str, Any]:
         keys = type(spec).model_fields
-        changes |= {"method": setting.method} if "method" in keys else {}
+        changes: dict[str, Any] = dict(setting.options)
+        changes |= {spec.method_key: setting.method} if spec.method_key in keys else {}
         if "tolerance" in keys:
             stated = tolerance if setting.method == own else None
             changes.setdefault("tolerance", stated)
-        return run_spec(member, rebuild(), spec.model_copy(update=changes), budget)
+        return changes
 
-    def run(setting: Setting) -> Outcome:
-        nonlocal most
-        outcome = _outcome(begun(setting), times)
-        most = max([most, *(len(shot.points) for shot in outcome.shots)])
-        return outcome
+    chosen = Setting.of(own, step=spec.step, **options)
+    return Ways(chosen, settings, references, changes)
 
-    return Trial(
-        member.name,
-        member.kind,
-        float(times[-1]) + spec.preroll,
-        Setting.of(own, step=spec.step, **options),
-        settings,
-        references,
-        run,
-    )
+
+def _budget(method: str, most: int, *, other: bool) -> int | None:
+    """Return the most evaluations that a step of a method may take; None is any.
+
+    ``most`` is how many points there were at once in a run, ``other`` whether the
+    method is another than that of the file.
+
+    Raises:
+        OptionError: The method is not for so much (SIM024).
+    """
+    if method not in INTEGRATORS:
+        return None
+    integrator = find_integrator(method)
+    unknowns = 3 * most
+    if other and integrator.implicit and unknowns > MAX_UNKNOWNS:
+        message = f"{method} would solve for {unknowns} unknowns at "
+        raise OptionError(Fault("SIM024", f"{message}once", where="method"))
+    if integrator.solver:
+        # What it takes to import is no part of the simulation.
+        load_object(integrator.solver)
+    return MAX_EVALUATIONS if other else None
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
@@ -148,6 +204,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> Outcome:
         reason,
         last.stable_step() if stable is None else stable,
         known if whole else None,
+        last.stretch,
     )
 
 

@@ -165,7 +165,7 @@ def _motion(
     grid: Grid,
     progress: Callable[[float], None] | None,
 ) -> SpringMotion:
-    run = _Run(system, options, grid, progress)
+    run = SpringRun(system, options, grid, progress)
     states = [run.states_at(float(moments[0]))]
     energies = [run.energy_of(float(moments[0]), states[0])]
     for t in moments[1:].tolist():
@@ -175,24 +175,18 @@ def _motion(
         states.append(state)
         energies.append(run.energy_of(t, state))
     reached = moments[: len(states)]
-    step = run.grid.cell / run.most_substeps
-    stable = choice.limit if run.status is Status.UNSTABLE else None
-    stats = Stats(
-        run.status, float(reached[-1]) if not run.sign else run.grid.time, run.sign,
-        run.grid.steps, None, run.grid.evaluations, step,
-        run.grid.cell / grid.substeps, None, stable_step=stable,
-    )  # fmt: skip
+    stats = run.stats(choice, float(reached[-1]))
     return SpringMotion(
         reached,
         np.array(states),
         np.array(energies),
         stats,
-        tuple(_notices(system, options, choice, grid, run, stats)),
+        tuple(run.notices(choice, stats)),
         Checkpoint(float(reached[-1]), states[-1], run.kept),
         second_order=True,
         solver=choice.solver,
         reason=choice.reason,
-        step=step,
+        step=run.shortest,
         stretch=run.grid.stretch,
         torn=run.torn,
         unresolved=run.grid.unresolved,
@@ -201,8 +195,15 @@ def _motion(
     )
 
 
-class _Run:
-    """A motion under way."""
+class SpringRun:
+    """A motion under way.
+
+    Attributes:
+        grid: Where it stands.
+        kept: Where the last time that was reached can be gone on from.
+        status: Whether it can go on.
+        wrenches: What rigid bodies of others were pushed by in the last cells.
+    """
 
     def __init__(
         self,
@@ -214,9 +215,8 @@ class _Run:
         self._system = system
         self._progress = progress
         self._options = options
-        self.grid = grid
-        # Where the last time that was reached can be gone on from.
-        self.kept = grid
+        self._begun = self.grid = self.kept = grid
+        self.wrenches: list[Wrenches] = []
         self.most_substeps = grid.substeps
         self.status = Status.OK
         self.sign = ""
@@ -236,28 +236,57 @@ class _Run:
         self._watch.start(grid.time, grid.state)
 
     def states_at(self, t: float) -> FloatArray:
-        """Return the state at a time, not before the one asked for last."""
+        """Return the state at a time, not before the one asked for last.
+
+        What is pressed on bodies of others pushes them.
+        """
         place = (t - self.grid.origin) / self.grid.cell
         near = round(place)
         on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
-        target = near if on_grid else int(np.floor(place))
-        while self.grid.index < target and self.status is Status.OK:
-            self._advance(min(self._cells, target - self.grid.index))
-            if self._progress is not None:
-                self._progress(self.grid.time)
+        self.cross(near if on_grid else int(np.floor(place)), push=True)
         if self.status is not Status.OK:
             return self.grid.state
         self.kept = self.grid
         if on_grid:
             return self.grid.state
+        return self.within((t - self.grid.time) / self.grid.cell)
+
+    def cross(self, target: int, *, push: bool = False) -> None:
+        """Go on to the begin of a cell of a number, as far as it can."""
+        while self.grid.index < target and self.status is Status.OK:
+            self._advance(min(self._cells, target - self.grid.index))
+            bodies = self._system.colliders.bodies if push else ()
+            for own, wrenches in zip(bodies, self.wrenches, strict=False):
+                own.push(self.grid.time, wrenches)
+                own.forget(self.grid.time)
+            if self._progress is not None:
+                self._progress(self.grid.time)
+
+    def within(self, share: float) -> FloatArray:
+        """Return the state at a share of the next cell, which is not kept."""
         begun = self._entered()
         with np.errstate(all="ignore"):
             ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
-            made = _between(begun, ahead, t)
+            made = _between(begun, ahead, share)
         if np.isfinite(made).all():
             return made
         self.status, self.sign = Status.UNSTABLE, "its state is not finite"
         return self.grid.state
+
+    @property
+    def shortest(self) -> float:
+        """The shortest step so far [s]."""
+        return self.grid.cell / self.most_substeps
+
+    def stats(self, choice: Choice, reached: float) -> Stats:
+        """Return what it took to reach a time [s]."""
+        grid = self.grid
+        stable = choice.limit if self.status is Status.UNSTABLE else None
+        return Stats(
+            self.status, reached if not self.sign else grid.time, self.sign,
+            grid.steps, None, grid.evaluations, self.shortest,
+            grid.cell / self._begun.substeps, None, stable_step=stable,
+        )  # fmt: skip
 
     def energy_of(self, t: float, state: FloatArray) -> float:
         """Return the energy of a state that was reached last [J]."""
@@ -289,7 +318,7 @@ class _Run:
             self._watch.look_at(self.left)
 
     def _advance(self, cells: int) -> None:
-        begun = self._entered()
+        begun, self.wrenches = self._entered(), []
         cells = int(min(cells, self._system.jumps.cells(begun)))
         with np.errstate(all="ignore"):
             self.grid = ADVANCE[begun.solver](self._system, self._options, begun, cells)
@@ -305,17 +334,16 @@ class _Run:
             self.status = Status.NOT_SOLVED
             self.sign = "Newton's method found no solution"
         else:
-            self._push()
+            self.wrenches = self._pressed()
 
-    def _push(self) -> None:
-        """Push bodies of other systems by what was pressed on them.
+    def _pressed(self) -> list[Wrenches]:
+        """Return what is pressed on bodies of other systems.
 
         What is heavier than a body would throw it off, faster than it came: it gives no
         more than as much mass as that of the body would.
         """
-        colliders, t = self._system.colliders, self.grid.time
-        first = len(colliders)
-        for own in colliders.bodies:
+        found, first = [], len(self._system.colliders)
+        for own in self._system.colliders.bodies:
             rows = self.grid.pushes[first : first + len(own.colliders)]
             first += len(own.colliders)
             sums = np.zeros((own.count, 7))
@@ -325,69 +353,61 @@ class _Run:
             self.taken = min(self.taken, float(share.min(initial=1.0)))
             now = sums[:, :6] * share[:, None]
             # What presses all through a cell has moved bodies as from its middle.
-            own.push(t, Wrenches(now, self.grid.cell / 2 * now))
-            own.forget(t)
+            found.append(Wrenches(now, self.grid.cell / 2 * now))
+        return found
+
+    def notices(self, choice: Choice, stats: Stats) -> list[Fault]:
+        """Return what is odd about it so far."""
+        system, options = self._system, self._options
+        begins = self._begun.index == 0
+        notices = system.notices() if begins else system.colliders.surfaces.notices()
+        limit = choice.limit
+        h = choice.cell / self._begun.substeps
+        if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
+            message = f"{choice.solver} is not stable with steps of {plain(h)} s"
+            notices.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
+        if stats.status is Status.UNSTABLE:
+            message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
+            hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
+            notices.append(warning("SIM102", message, hint))
+        elif stats.status is Status.NOT_SOLVED:
+            message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
+            notices.append(warning("SIM105", message, "take a shorter step"))
+        if not self.grid.stretch <= options.stretch:
+            message = (
+                f"a spring was {self.grid.stretch:.1%} longer than at rest, and not by "
+                f"its own give; {options.stretch:.1%} is allowed"
+            )
+            notices.append(
+                warning("SIM131", message, "take bdf2, or less stiffness or mass")
+            )
+        elif self.longest > 1 + GIVES * options.stretch:
+            message = (
+                f"springs are longer than at rest by {GIVES * options.stretch:.3g} of "
+                "that or more, mostly by their own give: more steps do not change that"
+            )
+            hint = "raise their stiffness, or lighten what hangs on them"
+            notices.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
+        if self.grid.unresolved:
+            many = counted(self.grid.unresolved, "particle")
+            message = f"{many} could not be brought out of colliders at once"
+            hint = "they start inside, or colliders close in on them from several sides"
+            notices.append(warning("SIM123", message, hint))
+        if self.taken < 1:
+            message = "what presses on a rigid body has more mass than it: it is "
+            message += f"pushed by {self.taken:.0%} of that, "
+            message += "so that it is not thrown off"
+            hint = "give the body more mass, or less to what lies on it"
+            notices.append(warning("SIM135", message, hint))
+        return notices + through_notices(self.grid.through)
 
 
-def _between(grid: Grid, ahead: Grid, t: float) -> FloatArray:
-    """Return the state at a time in a cell, on the cubic through its ends."""
+def _between(grid: Grid, ahead: Grid, s: float) -> FloatArray:
+    """Return the state at a share of a cell, on the cubic through its ends."""
     h = grid.cell
-    s = (t - grid.time) / h
     (x0, v0), (x1, v1) = grid.state, ahead.state
     slope = x1 - x0
     x = x0 + s * (
         h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))
     )
     return np.array((x, v0 + s * (v1 - v0)))
-
-
-def _notices(
-    system: SpringSystem,
-    options: SpringOptions,
-    choice: Choice,
-    begun: Grid,
-    run: _Run,
-    stats: Stats,
-) -> list[Fault]:
-    begins = begun.index == 0
-    notices = system.notices() if begins else system.colliders.surfaces.notices()
-    limit = choice.limit
-    h = choice.cell / choice.substeps
-    if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
-        message = f"{choice.solver} is not stable with steps of {plain(h)} s"
-        notices.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
-    if stats.status is Status.UNSTABLE:
-        message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
-        hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
-        notices.append(warning("SIM102", message, hint))
-    elif stats.status is Status.NOT_SOLVED:
-        message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
-        notices.append(warning("SIM105", message, "take a shorter step"))
-    if not run.grid.stretch <= options.stretch:
-        message = (
-            f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
-            f"own give; {options.stretch:.1%} is allowed"
-        )
-        notices.append(
-            warning("SIM131", message, "take bdf2, or less stiffness or mass")
-        )
-    elif run.longest > 1 + GIVES * options.stretch:
-        message = (
-            f"springs are longer than at rest by {GIVES * options.stretch:.3g} of that "
-            "or more, mostly by their own give: more steps do not change that"
-        )
-        hint = "raise their stiffness, or lighten what hangs on them"
-        notices.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
-    if run.grid.unresolved:
-        message = (
-            f"{counted(run.grid.unresolved, 'particle')} could not be brought out of "
-            "colliders at once"
-        )
-        hint = "they start inside, or colliders close in on them from several sides"
-        notices.append(warning("SIM123", message, hint))
-    if run.taken < 1:
-        message = "what presses on a rigid body has more mass than it: it is pushed by "
-        message += f"{run.taken:.0%} of that, so that it is not thrown off"
-        hint = "give the body more mass, or less to what lies on it"
-        notices.append(warning("SIM135", message, hint))
-    return notices + through_notices(run.grid.through)

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar
 
 from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole, key, with_fields
+from animtool.documents.fields import Real, Vector, Whole, key, with_fields
+from animtool.errors import Fault
 from animtool.options import above, or_more
+from animtool.plugins import load_object
 from animtool.systems.fields import (
+    ArrayEntry,
     CharacterModel,
     MovingMeshModel,
-    Preroll,
+    PrimMeshModel,
     PrimName,
-    PrimPath,
     SystemColliderModel,
+    SystemSpec,
     SystemSurfaceModel,
-    UsdFile,
 )
 from animtool.systems.springs import SpringOptions
 from animtool.systems.springs.spec_parts import (
     ClothSpringsModel,
     FaceWindField,
+    FaceWindModel,
     LineSpringsModel,
     PinModel,
     SelfContactField,
@@ -31,10 +35,22 @@ from animtool.systems.springs.spec_parts import (
     WindModel,
 )
 
+# What systems that are joined have in common, where one of them states it.
+_OPTIONS = ("solver", "step", "error", "stretch")
+_SHARED = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
+_SAVED = ("save_at", "resume")
 
-@with_fields(SpringOptions, "solver", "step", "error", "stretch", before="preroll")
-class SpringsModel(FileModel):
+
+@with_fields(SpringOptions, *_OPTIONS)
+class SolvedModel(SystemSpec):
+    """What a solver takes through time."""
+
+
+class SpringsModel(SolvedModel):
     """What ropes, strands, cloth and volumes have in common."""
+
+    method_key: ClassVar[str] = "solver"
+    tried: ClassVar[bool] = True
 
     mass: Real = key("Mass of the whole [kg].", 0.5)
     pins: list[PinModel] = key(
@@ -80,12 +96,29 @@ class SpringsModel(FileModel):
         500,
         default=200.0,
     )
-    preroll: Preroll = 0.0
     settle: bool = key(
         "Whether it begins where it comes to rest, without the air and colliders.",
         True,
         default=False,
     )
+
+    def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
+        """Return particles and springs, and what holds them, with all that is wrong."""
+        # Loaded by name: it looks at models.
+        read: Any = load_object("animtool.systems.springs.entry:read_entry")
+        made: tuple[Any, Sequence[Fault]] = read(self, parts)
+        return made
+
+    def shared(self, *, meets: bool = True) -> Mapping[str, Any]:
+        """Return what it states for all that it is joined to; a radius if any meets."""
+        names = [*_OPTIONS, *_SHARED, *_SAVED]
+        names += ["wind"] if isinstance(self._wind, FaceWindModel) else []
+        stated = self.model_fields_set - (set() if meets else {"radius"})
+        return {name: getattr(self, name) for name in names if name in stated}
+
+    @property
+    def _wind(self) -> WindModel | None:
+        return getattr(self, "wind", None)
 
 
 class RopeModel(SpringsModel):
@@ -114,7 +147,7 @@ class StrandsModel(SpringsModel):
     """Many strands, written as curves. Lengths are in metres."""
 
     name: PrimName = Field(default="strands", examples=["fringe"])
-    points: Name = key(
+    points: ArrayEntry = key(
         "Array in an npz file, (strands, particles of each, 3) [m], roots first.",
         "hair.npz#points",
     )
@@ -124,13 +157,6 @@ class StrandsModel(SpringsModel):
     wind: WindModel | None = key(
         "The air; `drag` takes them along.", {"velocity": [4, 0, 0]}, default=None
     )
-
-
-class PrimMeshModel(FileModel):
-    """A mesh of a USD file, as at its first frame."""
-
-    file: UsdFile = Field(examples=["table.usda"])
-    prim: PrimPath = Field(examples=["/Set/cloth"])
 
 
 class ClothModel(SpringsModel):
@@ -166,8 +192,8 @@ class ClothModel(SpringsModel):
 class TetrahedraModel(FileModel):
     """A volume of tetrahedra, in npz files."""
 
-    points: Name = key("Array of points, (particles, 3) [m].", "jelly.npz")
-    cells: Name = key(
+    points: ArrayEntry = key("Array of points, (particles, 3) [m].", "jelly.npz")
+    cells: ArrayEntry = key(
         "Array of the four corners of each, (tetrahedra, 4).", "jelly.npz"
     )
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Len
+from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole, key, with_fields
 from animtool.options import or_more
 from animtool.systems.fields import (
-    CharacterFile,
-    FollowedPrimModel,
-    OwnCharacter,
+    CarryingJointModel,
+    CarryingPrimModel,
+    CarryingVertexModel,
+    NameEntry,
     TimedVector,
 )
 from animtool.systems.springs import Air, Family, SelfContact
@@ -111,36 +112,6 @@ class VolumeSpringsModel(FileModel):
     )
 
 
-class _FramedModel(FileModel):
-    offset: Vector | None = key(
-        "Where in its frame the particles are held [m]; the whole system "
-        "is brought there before it begins. Not given: where they are at 0 s.",
-        [0, 0.1, 0],
-        default=None,
-    )
-
-
-class CarryingJointModel(_FramedModel):
-    """A joint of a character in motion."""
-
-    file: CharacterFile = None
-    source: OwnCharacter = False
-    joint: Name = key("Name of the joint.", "hand_r")
-
-
-class CarryingVertexModel(_FramedModel):
-    """A vertex of a mesh of a character in motion; its frame does not turn."""
-
-    file: CharacterFile = None
-    source: OwnCharacter = False
-    mesh: Name = key("Name of the rig's mesh.", "body")
-    vertex: Annotated[Whole, Ge(0)] = key("Its number.", 120)
-
-
-class CarryingPrimModel(FollowedPrimModel, _FramedModel):
-    """A prim of a USD file, as that moves."""
-
-
 class JoinedModel(FileModel):
     """Particles of another system."""
 
@@ -154,7 +125,7 @@ class JoinedModel(FileModel):
 class PinModel(FileModel):
     """Particles that are held, drawn, or joined to others."""
 
-    particles: Annotated[list[str | Whole], Len(1)] = Field(
+    particles: Annotated[list[NameEntry], Len(1)] = Field(
         description="Which: names of places, numbers from 0 on (-1 is the last), or "
         "an array of numbers, such as cape.npz#pins.",
         examples=[["start"], ["top_left", 40]],

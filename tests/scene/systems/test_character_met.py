@@ -91,7 +91,7 @@ def test_a_character_walks_into_a_rope(
     character = f"{{file: {str(clip)!r}, mesh: body, {flags}}}"
     loaded = scene(tmp_path, root, text, character)
     (rope,) = open_systems(loaded.systems, 1.0)
-    system = rope.run.system  # type: ignore[attr-defined]
+    system = rope.run.simulation.system
     assert not len(system.colliders)
     assert [sheet.name for sheet in system.colliders.sheets] == ["body"]
     nearest = []

@@ -17,8 +17,9 @@ from animtool.errors import FormatError, OptionError, ToleranceError
 from animtool.frames import TransformsFrame
 from animtool.scene.entries import Place, SceneSystem
 from animtool.scene.simulation_table import SimulationTable
-from animtool.scene.systems.derived import SpecSetup, read_spec
-from animtool.scene.systems.simulation import open_systems, system_trials
+from animtool.scene.systems.derived import SystemSetup, read_spec
+from animtool.scene.systems.simulation import open_systems
+from animtool.scene.systems.trial import system_trials
 from animtool.sim.colliders import Plane
 from animtool.sim.trials.measuring import measure
 from animtool.sim.trials.trial import Setting
@@ -39,7 +40,7 @@ def _kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SYSTEM_KINDS, "swing", kind)
 
 
-def read(folder: Path, **keys: Any) -> tuple[SpecSetup | None, Document]:
+def read(folder: Path, **keys: Any) -> tuple[SystemSetup | None, Document]:
     """Return the setup of an entry with some keys, and its file."""
     keys = {"name": "it", "speed": 2.0, **keys}
     path = folder / "a.scene.yaml"

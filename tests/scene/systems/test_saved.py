@@ -13,9 +13,8 @@ from support.cli import animtool
 from support.simulated import Simulator
 
 from animtool.errors import FormatError
-from animtool.scene.systems.derived import clocked
 from animtool.scene.systems.saved import write_state
-from animtool.scene.systems.simulation import open_systems
+from animtool.scene.systems.simulation import clocked, open_systems
 from animtool.systems.simulation import SimulationRun
 
 SCENE = """\
@@ -161,7 +160,7 @@ def opened(folder: Path, **keys: Any) -> SimulationRun:
     assert isinstance(run, SimulationRun)
     if "resume" not in keys:
         run.at(0.253)
-        write_state(folder / "half.npz", clocked(system), run.state)
+        write_state(folder / "half.npz", clocked(system, run), run.state)
     return run
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from support.simulated import Simulator
 
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.measuring import TrialRow, measure
 from animtool.sim.trials.trial import Setting, Trial
-from animtool.systems.springs import Family, Pins, SpringOptions, SpringSystem, rope
-from animtool.systems.springs.trial import trial_of
 
 
 @pytest.fixture(autouse=True)
@@ -20,22 +21,28 @@ def _once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
 
 
-def hanging(stiffness: float = 200.0, drag: float = 0.0) -> SpringSystem:
-    body = rope([0, 0, 0], [0.3, 0, -1], 4, Family(stiffness), mass=0.5)
-    return SpringSystem(body, pins=Pins([0]), drag=drag)
-
-
-def trial(system: SpringSystem, options: SpringOptions | None = None) -> Trial:
-    times = np.linspace(0, 0.25, 7)
-    return trial_of("lead", "rope", system, options or SpringOptions(), -0.1, times)
+def trial(folder: Path, stiffness: float = 200.0, **keys: Any) -> Trial:
+    """Return a rope that hangs and swings."""
+    rope = {
+        "name": "lead",
+        "from": [0, 0, 0],
+        "to": [0.3, -1, 0],
+        "count": 4,
+        "mass": 2,
+        "springs": {"structural": {"stiffness": stiffness}},
+        "pins": [{"particles": ["start"]}],
+        "preroll": 0.1,
+        **keys,
+    }
+    return Simulator(folder).trial([{"rope": rope}], np.linspace(0, 0.25, 7).tolist())
 
 
 def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
     return [row for row in rows if row.setting.method == method]
 
 
-def test_errors_go_with_the_order_of_each_solver() -> None:
-    table = measure(trial(hanging()))
+def test_errors_go_with_the_order_of_each_solver(tmp_path: Path) -> None:
+    table = measure(trial(tmp_path))
     assert (table.name, table.kind, table.points) == ("lead", "rope", 4)
     assert table.span == pytest.approx(0.35)
     assert table.reference is not None
@@ -51,18 +58,27 @@ def test_errors_go_with_the_order_of_each_solver() -> None:
     assert chosen.stretch > 0
 
 
-def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated() -> None:
-    auto = trial(hanging())
-    asked = SpringOptions(auto.chosen.method, step=dict(auto.chosen.options)["step"])
-    same = trial(hanging(), asked)
+def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated(
+    tmp_path: Path,
+) -> None:
+    auto = trial(tmp_path)
+    asked = {"solver": auto.chosen.method, "step": auto.chosen["step"]}
+    same = trial(tmp_path, **asked)
     assert same.chosen == auto.chosen
     one, other = auto.run(auto.chosen), same.run(same.chosen)
     np.testing.assert_allclose(one.shots[-1].points, other.shots[-1].points, atol=1e-12)
     assert one.steps == other.steps
 
 
-def test_steps_beyond_the_limit_blow_up_and_say_so() -> None:
-    ours = trial(hanging(1e6), SpringOptions("xpbd"))
+def test_an_error_is_kept_by_the_steps_that_it_came_to(tmp_path: Path) -> None:
+    kept = trial(tmp_path, error=0.001)
+    (step,) = [value for name, value in kept.chosen.options if name == "step"]
+    assert step < 1 / 240
+    assert kept.run(kept.chosen).status is Status.OK
+
+
+def test_steps_beyond_the_limit_blow_up_and_say_so(tmp_path: Path) -> None:
+    ours = trial(tmp_path, 1e6, solver="xpbd")
     done = ours.run(Setting("symplectic_euler", (("step", 0.01),)))
     assert done.status is Status.UNSTABLE
     assert done.reason
@@ -71,17 +87,17 @@ def test_steps_beyond_the_limit_blow_up_and_say_so() -> None:
     assert ours.chosen.method == "xpbd"
 
 
-def test_energy_is_told_where_nothing_takes_it() -> None:
-    slowed = trial(hanging(drag=0.5))
+def test_energy_is_told_where_nothing_takes_it(tmp_path: Path) -> None:
+    slowed = trial(tmp_path, drag=0.5)
     assert slowed.run(slowed.chosen).energies is None
-    free = trial(hanging())
+    free = trial(tmp_path)
     energies = free.run(free.chosen).energies
     assert energies is not None
     assert len(energies) == 7
 
 
-def test_where_no_implicit_step_is_solved_explicit_ones_serve() -> None:
-    ours = trial(hanging())
+def test_where_no_implicit_step_is_solved_explicit_ones_serve(tmp_path: Path) -> None:
+    ours = trial(tmp_path)
     methods = [settings[0].method for settings in ours.references()]
     assert methods == ["bdf2", "symplectic_euler"]
     for settings in ours.references():

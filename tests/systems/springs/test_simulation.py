@@ -267,7 +267,7 @@ def torn_at(folder: Path, text: str, frames: int) -> np.ndarray:
     for frame in range(frames):
         for system in opened:
             system.at(frame / 24)
-    return run.torn  # type: ignore[attr-defined]
+    return run.run.simulation.torn(run.run.state.state)
 
 
 def test_cloth_parts_where_springs_tear(tmp_path: Path) -> None:
@@ -587,7 +587,7 @@ def test_mass_is_spread_over_the_area(tmp_path: Path) -> None:
     points = [*SQUARE, [200.0, 0, 0]]
     text = table(tmp_path, points, [[0, 1, 2, 3], [1, 4, 2]])
     (system,) = load_scene(written(tmp_path, text)).systems
-    masses = system.setup.body.body.masses  # type: ignore[attr-defined]
+    masses = system.setup.record.body.body.masses  # type: ignore[attr-defined]
     assert masses.sum() == pytest.approx(0.1)
     np.testing.assert_allclose(
         masses * 15, [0.25, 0.25 + 1 / 6, 0.25 + 1 / 6, 0.25, 1 / 6]

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
-from animtool.documents.document import Location
+from animtool.documents.document import spelled
 from animtool.errors import Fault, listed
 from animtool.options import OF_ENTRY, range_faults
-from animtool.scene.systems.entries import EntryReader
 from animtool.systems.springs import Body, Family
 from animtool.systems.springs.drawing import Shape
 
@@ -38,51 +37,68 @@ class SpringBody:
     notices: tuple[Fault, ...] = ()  # what is odd about them
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class BodyEntry:
-    """An entry that becomes a body: where its faults are noted, springs and mass."""
+    """An entry that becomes a body, and what is wrong with it.
 
-    reader: EntryReader
-    at: Location
-    families: Families
-    mass: float  # [kg]
+    What is in doubt has something that stands in for it, so that the rest is checked;
+    what is noted otherwise leaves no body.
+    """
 
-    def note(self, code: str, message: str, *keys: str) -> None:
+    spec: Any
+    parts: Mapping[str, Any]
+    families: Families = field(default_factory=dict)
+    mass: float = 1.0  # [kg]
+    faults: list[Fault] = field(default_factory=list)
+    sound: bool = True  # whether nothing was noted that leaves no body
+
+    def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
+        """Add a fault at a key of the entry."""
+        self.faults.append(replace(fault, where=spelled(keys)))
+        self.sound &= doubt
+
+    def note(
+        self, code: str, message: str, *keys: str | int, hint: str | None = None
+    ) -> None:
         """Note a fault at a key of the entry."""
-        self.reader.note((*self.at, *keys), Fault(code, message))
+        self.add(Fault(code, message, hint=hint), *keys)
+
+    def doubt(
+        self, code: str, message: str, *keys: str | int, hint: str | None = None
+    ) -> None:
+        """Note a fault of what something stands in for."""
+        self.add(Fault(code, message, hint=hint), *keys, doubt=True)
+
+    def mass_of(self, key: str, mass: float) -> float:
+        """Return a mass; what is none is noted, and 1 kg stands in for it."""
+        if mass >= LIGHTEST:
+            return mass
+        allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
+        self.doubt("SIM040", f"its mass must be {allowed}, not {mass:g} kg", key)
+        return 1.0
 
 
-def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
-    """Return a mass; what is none is noted, and 1 kg stands in for it."""
-    if mass >= LIGHTEST:
-        return mass
-    allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
-    message = f"its mass must be {allowed}, not {mass:g} kg"
-    reader.document.add("SIM040", at, message)
-    return 1.0
-
-
-def families_of(reader: EntryReader, at: Location, model: FileModel) -> Families:
+def families_of(entry: BodyEntry, model: FileModel) -> Families:
     """Return the families of springs of an entry.
 
     One of impossible numbers is noted, and one without force stands in for it.
     """
     entries = dict(model)
     families = {
-        name: None if entry is None else _family(reader, (*at, name), dict(entry))
-        for name, entry in entries.items()
+        name: None if keys is None else _family(entry, name, dict(keys))
+        for name, keys in entries.items()
     }
     if not any(families.values()):
         message = "it has no springs, and its particles fall apart"
         hint = f"give it some of {', '.join(entries)}"
-        reader.document.add("SIM050", at, message, hint)
+        entry.doubt("SIM050", message, "springs", hint=hint)
     return families
 
 
-def _family(reader: EntryReader, at: Location, keys: dict[str, Any]) -> Family:
+def _family(entry: BodyEntry, name: str, keys: dict[str, Any]) -> Family:
     """Return a family; ropes and strands may have the axial stiffness instead."""
     axial, stiffness = keys.get("axial_stiffness"), keys.pop("stiffness")
-    if not _has_one_stiffness(reader, at, stiffness, axial, keys["rest"]):
+    if not _has_one_stiffness(entry, name, stiffness, axial, keys["rest"]):
         return Family(0.0)
     keys.pop("ways", None)  # which diagonals they are
     family = Family(stiffness or 0.0, **keys)
@@ -91,15 +107,13 @@ def _family(reader: EntryReader, at: Location, keys: dict[str, Any]) -> Family:
         message, hint = "springs of no length tear at once", "leave tear out"
         faults.append(Fault("SIM042", message, hint=hint, where="tear"))
     for fault in faults:
-        reader.document.add(
-            fault.code, (*at, fault.where or ""), fault.message, fault.hint
-        )
+        entry.add(fault, "springs", name, fault.where or "", doubt=True)
     return Family(0.0) if faults else family
 
 
 def _has_one_stiffness(
-    reader: EntryReader,
-    at: Location,
+    entry: BodyEntry,
+    name: str,
     stiffness: float | None,
     axial: float | None,
     rest: float,
@@ -109,16 +123,16 @@ def _has_one_stiffness(
     if axial is None:
         if stiffness is not None:
             return True
-        message, where = "it has no stiffness", at
+        message, where = "it has no stiffness", []
     elif stiffness is not None:
         message = "it has both stiffness and axial_stiffness"
-        where = (*at, "axial_stiffness")
+        where = ["axial_stiffness"]
     elif rest == 0:
         message = "springs without a length at rest have no axial_stiffness"
-        where, both = (*at, "axial_stiffness"), "stiffness, or a rest above 0"
+        where, both = ["axial_stiffness"], "stiffness, or a rest above 0"
     else:
         return True
-    reader.document.add("SIM190", where, message, f"give {both}")
+    entry.doubt("SIM190", message, "springs", name, *where, hint=f"give {both}")
     return False
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.scene.springs.bodies import MAX_NAMED, some_of
+from animtool.systems.springs.bodies import MAX_NAMED, some_of
 
 
 @pytest.mark.parametrize(("more", "words"), [(0, ""), (1, " and 1 more")])

@@ -5,18 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, listed
+from animtool.errors import Fault, Severity, counted, listed
 from animtool.maths.faces import edge_counts, sides
-from animtool.scene.springs.bodies import (
-    MOST,
-    BodyEntry,
-    SpringBody,
-    check_grid,
-    mass_of,
-    refuse_keys,
-    share_out,
-    some_of,
-)
 from animtool.systems.springs import (
     Body,
     block,
@@ -27,6 +17,15 @@ from animtool.systems.springs import (
     surface,
     tetrahedra,
 )
+from animtool.systems.springs.bodies import (
+    MOST,
+    BodyEntry,
+    SpringBody,
+    check_grid,
+    refuse_keys,
+    share_out,
+    some_of,
+)
 from animtool.systems.springs.drawing import Curves, Faces
 from animtool.systems.springs.spec import (
     ClothModel,
@@ -34,7 +33,6 @@ from animtool.systems.springs.spec import (
     StrandsModel,
     VolumeModel,
 )
-from animtool.units import UpAxis
 
 
 def rope_body(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
@@ -47,8 +45,8 @@ def rope_body(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
         entry.note("SIM050", message, "to")
     tip = model.tip_mass
     if tip is not None:
-        tip = mass_of(entry.reader, (*entry.at, "tip_mass"), tip)
-    if not entry.reader.sound:
+        tip = entry.mass_of("tip_mass", tip)
+    if not entry.sound:
         return None
     count = model.count
     body = rope(
@@ -67,11 +65,11 @@ def rope_body(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
 
 def strands_body(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     """Return strands; None where what is noted leaves none."""
-    points = entry.reader.array((*entry.at, "points"), model.points, "points")
+    points = entry.parts["points"]
     if points is not None and not _are_strands(points):
         message = f"strands have the shape (strands, 2 or more, 3), not {points.shape}"
         entry.note("SIM050", message, "points")
-    if points is None or not entry.reader.sound:
+    if points is None or not entry.sound:
         return None
     many, length = points.shape[:2]
     each = entry.mass / (many * length)
@@ -98,7 +96,7 @@ def cloth_body(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     if not np.cross(model.across, model.up).any():
         message = "it has no area: across and up are nothing, or along each other"
         entry.note("SIM050", message, "across")
-    if not entry.reader.sound:
+    if not entry.sound:
         return None
     both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
     crossing = entry.families["diagonals"]
@@ -137,24 +135,17 @@ def _sheet_places(grid: IntArray) -> dict[str, IntArray]:
 
 
 def _mesh_cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
-    from animtool.usd.prims import read_still_mesh
-
+    mesh = entry.parts["mesh"]
+    if mesh is None:
+        return None
     assert model.mesh is not None
-    path = entry.reader.input((*entry.at, "mesh", "file"), model.mesh.file)
-    if path is None:
-        return None
-    try:
-        mesh = read_still_mesh(path, model.mesh.prim, UpAxis.Y)
-    except OptionError as error:
-        entry.reader.note((*entry.at, "mesh", "prim"), error.faults[0])
-        return None
     share, flat = _shares(mesh.points, mesh.counts, mesh.indices)
     light = np.flatnonzero(share == 0)
     if len(light):
         message = f"points of {model.mesh.prim} are in no face with an area: "
         message += some_of(light)
         entry.note("SIM051", message, "mesh", "prim")
-    if not entry.reader.sound:
+    if not entry.sound:
         return None
     body = surface(
         mesh.points,
@@ -214,13 +205,13 @@ def volume_body(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     if model.tetrahedra is not None:
         why = "is for a block, and this is of tetrahedra"
         refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
-        return _tetrahedra(entry, model)
+        return _tetrahedra(entry)
     x, y, z = model.resolution
     check_grid(entry, "a volume", model.resolution)
     if min(model.size) <= 0:
         message = f"its size must be above 0 each way, not {listed(model.size)}"
         entry.note("SIM050", message, "size")
-    if not entry.reader.sound:
+    if not entry.sound:
         return None
     body = block(
         (x, y, z),
@@ -241,11 +232,8 @@ def volume_body(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     return SpringBody(body, places, _skin(body))
 
 
-def _tetrahedra(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
-    assert model.tetrahedra is not None
-    place = (*entry.at, "tetrahedra")
-    points = entry.reader.array((*place, "points"), model.tetrahedra.points, "points")
-    cells = entry.reader.array((*place, "cells"), model.tetrahedra.cells, "cells")
+def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
+    points, cells = (entry.parts["tetrahedra"][name] for name in ("points", "cells"))
     edges = entry.families["structural"]
     if edges is None:
         message = "tetrahedra have structural springs, along their edges"
@@ -259,7 +247,7 @@ def _tetrahedra(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
     message = _tetrahedra_fault(points, cells)
     if message:
         entry.note("SIM051", message, "tetrahedra")
-    if not entry.reader.sound:
+    if not entry.sound:
         return None
     corners = cells.astype(np.int64)
     share = _volumes(points, corners)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,24 +11,14 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.documents.names import nearest
-from animtool.errors import AnimtoolError, Fault, listed
+from animtool.errors import Fault, listed
 from animtool.maths import so3
-from animtool.scene.springs.bodies import SpringBody
-from animtool.scene.systems.carriers import Carrier, OnJoint, OnPrim, OnVertex
-from animtool.scene.systems.character_motion import CharacterMotions, open_take
-from animtool.scene.systems.entries import EntryReader
 from animtool.sim.colliders import Poses
+from animtool.systems.simulation import Carrier
 from animtool.systems.springs import Air, Pins, Targets
+from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.paths import over_knots
-from animtool.systems.springs.spec_parts import (
-    CarryingJointModel,
-    CarryingPrimModel,
-    CarryingVertexModel,
-    FaceWindModel,
-    PinModel,
-    WindModel,
-)
-from animtool.units import UpAxis
+from animtool.systems.springs.spec_parts import FaceWindModel, PinModel, WindModel
 
 # The first frame of what carries, in which it is when particles are bound to it.
 BOUND_AT = 0.0
@@ -53,10 +43,10 @@ class Pin:
     stiffness: float | None = None
     damping: float = 0.0  # likewise [N s/m]
 
-    def poses(self, characters: CharacterMotions) -> Poses:
-        """Return the frame that they are in, over time."""
+    def poses(self, poses_of: Callable[[Carrier], Poses]) -> Poses:
+        """Return the frame that they are in over time, as what carries them is."""
         if self.carrier is not None:
-            return self.carrier.poses(characters)
+            return poses_of(self.carrier)
         if self.moves is None:
             return Poses()
         turns = np.tile(so3.IDENTITY, (len(self.moves), 1))
@@ -79,59 +69,51 @@ class Join:
     particles: IntArray  # which ``(P,)``
     system: str  # name of the other
     others: tuple[str | int, ...]  # names and numbers of its particles, as written
-    at: tuple[Location, Location]  # place of the other's name, and of its particles
+    where: str  # key of the pin that says so
 
 
 def read_pins(
-    reader: EntryReader, at: Location, models: Sequence[PinModel], body: SpringBody
+    entry: BodyEntry, body: SpringBody
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
     """Return what holds particles of a body, and what joins them to other systems."""
     pins, joins = [], []
     held: set[int] = set()
-    for i, model in enumerate(models):
-        place = (*at, i)
-        particles = particles_of(reader, (*place, "particles"), model.particles, body)
+    models: Sequence[PinModel] = entry.spec.pins
+    for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
+        at: Location = ("pins", i)
+        particles = _particles_of(entry, (*at, "particles"), parts["particles"], body)
         if model.stiffness is None and model.to is None:
             twice = sorted(held.intersection(particles.tolist()))
             if twice:
                 message = f"particles that another pin holds: {listed(twice)}"
-                reader.note((*place, "particles"), Fault("SIM052", message))
+                entry.note("SIM052", message, *at, "particles")
             held.update(particles.tolist())
         if model.to is not None:
-            _check_alone(reader, place, model, "to")
-            to = (*place, "to")
-            names = ((*to, "system"), (*to, "particles"))
+            _check_alone(entry, at, model, "to")
             others = tuple(model.to.particles)
-            joins.append(Join(particles, model.to.system, others, names))
+            joins.append(Join(particles, model.to.system, others, f"pins[{i}].to"))
         else:
-            pins.append(_pin(reader, place, model, particles))
+            pins.append(_pin(entry, at, model, parts, particles))
     return tuple(pins), tuple(joins)
 
 
-def particles_of(
-    reader: EntryReader, at: Location, names: Sequence[str | int], body: SpringBody
+def _particles_of(
+    entry: BodyEntry, at: Location, names: Sequence[list[str | int]], body: SpringBody
 ) -> IntArray:
     """Return the numbers of particles, those of each name in its order.
 
     Names are of places, numbers, and arrays of numbers.
     """
     particles: list[int] = []
-    for i, name in enumerate(names):
-        if isinstance(name, str) and name not in body.places and ".npz" in name:
-            values = reader.array((*at, i), name, "pins")
-            written: list[str | int] = []
-            if values is not None:
-                written += values.astype(np.int64).ravel().tolist()
-        else:
-            written = [name]
+    for i, written in enumerate(names):
         numbers, faults = numbered(written, body)
         for _, fault in faults:
-            reader.note((*at, i), fault)
+            entry.add(fault, *at, i)
         particles += numbers
     if len(set(particles)) < len(particles):
         twice = sorted({n for n in particles if particles.count(n) > 1})
         message = f"particles that are named twice: {listed(twice)}"
-        reader.note(at, Fault("SIM052", message))
+        entry.note("SIM052", message, *at)
     return np.array(particles, np.int64)
 
 
@@ -157,97 +139,39 @@ def numbered(
     return numbers, faults
 
 
-def _check_alone(reader: EntryReader, at: Location, model: PinModel, kept: str) -> None:
+def _check_alone(entry: BodyEntry, at: Location, model: PinModel, kept: str) -> None:
     """Note what cannot be beside one of the keys that say where particles go."""
-    keys = {"moves", "joint", "vertex", "prim", "to", "stiffness", "damping"}
+    keys = {"moves", *CARRIERS, "to", "stiffness", "damping"}
     allowed = {kept} if kept == "to" else {kept, "stiffness", "damping"}
     for key in sorted((keys & model.model_fields_set) - allowed):
-        message = f"{key} is not for a pin that has {kept}"
-        reader.note((*at, key), Fault("SIM052", message))
+        entry.note("SIM052", f"{key} is not for a pin that has {kept}", *at, key)
+
+
+# Keys of what carries.
+CARRIERS = ("joint", "vertex", "prim")
 
 
 def _pin(
-    reader: EntryReader, at: Location, model: PinModel, particles: IntArray
+    entry: BodyEntry,
+    at: Location,
+    model: PinModel,
+    parts: Mapping[str, Any],
+    particles: IntArray,
 ) -> Pin:
     moves = None
     if model.moves:
-        _check_alone(reader, at, model, "moves")
+        _check_alone(entry, at, model, "moves")
         moves = np.array(model.moves)
         if (np.diff(moves[:, 0]) <= 0).any():
-            message = "its times must ascend"
-            reader.note((*at, "moves"), Fault("SIM044", message))
-    reader.note_ranges(at, model)
+            entry.note("SIM044", "its times must ascend", *at, "moves")
     carrier, offset = None, None
-    for key, read in _CARRIERS.items():
+    for key in CARRIERS:
         carrying = getattr(model, key)
         if carrying is not None:
-            _check_alone(reader, at, model, key)
-            carrier = read(reader, (*at, key), carrying)
+            _check_alone(entry, at, model, key)
+            carrier = parts[key]
             offset = None if carrying.offset is None else tuple(carrying.offset)
     return Pin(particles, moves, carrier, offset, model.stiffness, model.damping)
-
-
-def _on_joint(
-    reader: EntryReader, at: Location, model: CarryingJointModel
-) -> Carrier | None:
-    path = reader.character(at, model)
-    if path is None:
-        return None
-    return _there(reader, at, OnJoint(path, model.joint, reader.place(at, model)))
-
-
-def _on_vertex(
-    reader: EntryReader, at: Location, model: CarryingVertexModel
-) -> Carrier | None:
-    path = reader.character(at, model)
-    if path is None:
-        return None
-    return _there(
-        reader, at, OnVertex(path, model.mesh, model.vertex, reader.place(at, model))
-    )
-
-
-def _there(
-    reader: EntryReader, at: Location, carrier: OnJoint | OnVertex
-) -> Carrier | None:
-    """Return what carries, checked; that of the scene's own character is so later."""
-    if carrier.file == reader.document.path:
-        return carrier
-    try:
-        rig = open_take(carrier.file).rig
-    except AnimtoolError as error:
-        # They are of that file, and are told with it.
-        reader.document.faults.extend(error.faults)
-        reader.sound = False
-        return None
-    fault = carrier.fault(rig)
-    if fault is not None:
-        reader.note((*at, str(fault.where)), fault)
-    return carrier
-
-
-def _on_prim(
-    reader: EntryReader, at: Location, model: CarryingPrimModel
-) -> Carrier | None:
-    path = reader.input((*at, "file"), model.file)
-    if path is None:
-        return None
-    from animtool.usd.props import PropRequest, open_prop
-
-    try:
-        open_prop(PropRequest(path, model.prim, model.prim), UpAxis.Y)
-    except AnimtoolError as error:
-        fault = error.faults[0]
-        message = fault.message
-        reader.note((*at, "prim"), Fault("SIM053", message, hint=fault.hint))
-    return OnPrim(path, model.prim, model.frame)
-
-
-_CARRIERS: dict[str, Callable[[EntryReader, Location, Any], Carrier | None]] = {
-    "joint": _on_joint,
-    "vertex": _on_vertex,
-    "prim": _on_prim,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

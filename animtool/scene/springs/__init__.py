@@ -1,1 +1,0 @@
-"""Ropes, strands, cloth and volumes of a scene."""

@@ -1,0 +1,464 @@
+"""Springs of a scene in steps, and what each entry shows of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, counted, percent
+from animtool.frames import Frame, MeshFrame, PointsFrame
+from animtool.quantities import length_text, plain
+from animtool.sim.system import Energy
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.trial import FINER, Setting, stepwise
+from animtool.systems.fields import Member
+from animtool.systems.simulation import (
+    ON_STEP,
+    Diagnostics,
+    Progress,
+    SimContext,
+    Stepped,
+    StoppedError,
+    Ways,
+    growing,
+    later,
+)
+from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.drawing import Faces, TornMesh
+from animtool.systems.springs.motion import Grid, warning
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.simulating import SpringRun, simulate_springs
+from animtool.systems.springs.solvers import choose
+from animtool.systems.springs.system import SpringSystem
+
+# Times of a whole motion that are compared with those of one in half steps.
+COMPARED = 64
+# Notices whose message says how much it is so far.
+_GROWING = {"SIM131", "SIM123"}
+# Over how long they were at the beginning, springs that are as long as this are
+# hardly meant: no rope or cloth becomes twice as long [1].
+LONG = 2.0
+# Surfaces of others are asked for from one look before a step on [s].
+LOOK_BACK = 1 / 240
+# What settings of a table are compared with: of the second order, and stable.
+EXACT = Solver.BDF2
+# Instead, where the stiffest springs let no implicit step be solved.
+EXPLICIT = Solver.SYMPLECTIC_EULER
+
+
+@dataclass(frozen=True, slots=True)
+class SpringState:
+    """Where springs stand at the begin of a cell of time, as in `Grid`."""
+
+    motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
+    torn: npt.NDArray[np.uint8]  # which springs are, in the order of kernels ``(S,)``
+    substeps: int
+    least: int
+    calm: int = 0
+    before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    passages: IntArray = field(
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+    )
+
+
+class SpringSimulation:
+    """Springs in cells of time, each of as many steps as their solver needs.
+
+    What went on is counted for warnings alone.
+
+    Attributes:
+        system: What acts on the particles.
+        options: How they are simulated.
+        views: What each entry shows.
+        step_length: Of a cell [s].
+        error: Of positions, where it was asked for [m].
+        notices: What is odd so far.
+
+    Raises:
+        OptionError: An option makes no sense.
+        ToleranceError: An error is to be kept, and it blew up.
+    """
+
+    checked = True
+    views: Sequence[SpringView] = ()
+
+    def __init__(
+        self,
+        system: SpringSystem,
+        options: SpringOptions,
+        begin: float,
+        context: SimContext,
+    ) -> None:
+        self.system, self._begin = system, begin
+        self.error: float | None = None
+        self._said: dict[str, Fault] = {}
+        self._worst = 0.0
+        self.clock: Progress = None
+        reason = ""
+        if options.error is not None:
+            options, reason = self._fine_enough(options, context)
+        self.options = options
+        solver = check_options(options)
+        self._choice = choose(system, options, solver, begin, system.state)
+        self.reason = reason or self._choice.reason
+        self.step_length = self._choice.cell
+        self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
+        self._measured: FloatArray | None = None
+        start = self.initial()
+        self._take_note(self._run(start, begin), begin)
+        self.measure(start)
+        self.begun = self.stretch
+        self.clock = context.clock
+
+    def _fine_enough(
+        self, options: SpringOptions, context: SimContext
+    ) -> tuple[SpringOptions, str]:
+        """Return options whose steps keep the error over the whole motion, and why."""
+        begin, last = self._begin, max(context.last, self._begin)
+        times = np.linspace(begin, last, COMPARED)
+        progress = _by_motions(context.phase, begin, last)
+        motion = simulate_springs(self.system, times, options, progress=progress)
+        if motion.stats.status is not Status.OK:
+            raise StoppedError(_as_errors(motion.notices), motion.stats)
+        self._say(motion.notices, motion.stretch)
+        self.error = motion.stats.error
+        fine = replace(options, solver=motion.solver, step=motion.step, error=None)
+        return fine, motion.reason
+
+    def initial(self) -> SpringState:
+        """Return the state that they begin in."""
+        substeps, state = self._choice.substeps, self.system.state
+        torn = np.zeros(len(self.system.body.springs.rest), np.uint8)
+        return SpringState(np.ascontiguousarray(state), torn, substeps, substeps)
+
+    def step(
+        self, state: SpringState, t: float, dt: float
+    ) -> SpringState | Stepped[SpringState]:
+        """Return the state a cell later, or on the way to it.
+
+        Raises:
+            StoppedError: It blew up (SIM102), or could not go on (SIM105).
+        """
+        if dt >= (1 - ON_STEP) * self.step_length:
+            return self.steps(state, t, dt, 1)
+        run = self._run(state, t)
+        motion = run.within(dt / self.step_length)
+        self._take_note(run, t + dt)
+        return replace(state, motion=motion)
+
+    def steps(
+        self,
+        state: SpringState,
+        t: float,
+        dt: float,  # noqa: ARG002
+        count: int,
+    ) -> Stepped[SpringState]:
+        """Return the state some cells later, and what pressed on bodies of others.
+
+        Raises:
+            StoppedError: It blew up (SIM102), or could not go on (SIM105).
+        """
+        run = self._run(state, t)
+        run.cross(run.grid.index + count)
+        self._take_note(run, run.grid.time)
+        grid = run.grid
+        for sheet in self.system.colliders.sheets:
+            sheet.motion.forget(grid.time - max(LOOK_BACK, grid.cell))
+        after = SpringState(
+            grid.state,
+            grid.torn,
+            grid.substeps,
+            grid.least,
+            grid.calm,
+            grid.before,
+            grid.passages,
+        )
+        return Stepped(after, run.wrenches)
+
+    def _run(self, state: SpringState, t: float) -> SpringRun:
+        """Return a motion that goes on from a state at its time [s]."""
+        choice, begin = self._choice, self._begin
+        grid = Grid(
+            choice.solver,
+            begin,
+            choice.cell,
+            round((t - begin) / choice.cell),
+            state.substeps,
+            state.motion,
+            state.torn,
+            state.before,
+            state.calm,
+            state.least,
+            passages=state.passages,
+        )
+        return SpringRun(self.system, self.options, grid, self.clock)
+
+    def _take_note(self, run: SpringRun, reached: float) -> None:
+        """Count what a motion took, and stop where it ended."""
+        stats = run.stats(self._choice, reached)
+        notices = run.notices(self._choice, stats)
+        if stats.status is not Status.OK:
+            raise StoppedError(_as_errors(notices), stats)
+        self._say(notices, run.grid.stretch)
+        self.shortest = min(self.shortest, run.shortest)
+        self.taken += run.grid.steps
+        self.unresolved = max(self.unresolved, run.grid.unresolved)
+
+    def _say(self, notices: Sequence[Fault], stretch: float) -> None:
+        """Keep what a motion says, the worst of each kind."""
+        for fault in notices:
+            # Of what has a number that changes, the first, or the worst.
+            key = fault.code if fault.code in _GROWING else str(fault)
+            worse = fault.code == "SIM131" and stretch >= self._worst
+            if key not in self._said or worse:
+                self._said[key] = fault
+        self._worst = max(self._worst, stretch)
+
+    def torn(self, state: SpringState) -> BoolArray:
+        """Return which springs are torn ``(S,)``."""
+        torn = np.zeros(len(state.torn), np.bool_)
+        torn[self.system.order] = state.torn.astype(np.bool_)
+        return torn
+
+    def measure(self, state: SpringState) -> None:
+        """Count how long springs are in a state that is looked at."""
+        if state.motion is self._measured:
+            return
+        self._measured = state.motion
+        springs = self.system.body.springs
+        whole = ~self.torn(state) & (springs.rest > 0)
+        if whole.any():
+            x, ends = state.motion[0], springs.ends[whole]
+            lengths = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+            longest = float((lengths / springs.rest[whole]).max()) - 1.0
+            self.stretch = max(self.stretch, longest)
+
+    @property
+    def ahead(self) -> bool:
+        """Whether a surface may part, which has all its points from the first frame."""
+        return any(view.tears for view in self.views)
+
+    def see(self, last: SpringState) -> None:
+        """Let surfaces part where springs are torn in the end."""
+        torn = self.torn(last)
+        for view in self.views:
+            if view.tears:
+                view.part(torn)
+
+    def frame(self, state: SpringState, t: float) -> PointsFrame:  # noqa: ARG002
+        """Return all particles."""
+        self.measure(state)
+        points, velocities = state.motion
+        radii = np.full(len(points), self.system.radius)
+        return PointsFrame(np.arange(len(points)), points, velocities, radii, {})
+
+    def diagnostics(self, state: SpringState, t: float) -> Diagnostics:
+        """Return the energy where nothing takes or brings any, and what was counted."""
+        long = (self.system.body.springs.rest > 0).any()
+        return Diagnostics(
+            self._energy(state, t),
+            notices=self.notices,
+            steps=self.taken,
+            stretch=self.stretch if long else None,
+        )
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd so far."""
+        return list(self._said.values())
+
+    def _energy(self, state: SpringState, t: float) -> Energy | None:
+        if self._slowed or state.torn.any():
+            return None
+        energy = self.system.energy(t, state.motion)
+        return None if energy.supply else energy
+
+    @cached_property
+    def _slowed(self) -> bool:
+        """Whether anything takes energy."""
+        system = self.system
+        slowing = [system.drags, system.body.springs.damping, system.draws.damping]
+        slowing.append(np.array(system.pressures))
+        return system.colliders.meet or any(values.any() for values in slowing)
+
+    def ways(self) -> Ways:
+        """Return solvers in several steps, about those that each takes itself."""
+        own, free = self.options, replace(self.options, step=None)
+
+        def usual(solver: Solver, options: SpringOptions = free) -> Setting:
+            """Return a solver with the step that options come to."""
+            system, begin = self.system, self._begin
+            choice = choose(system, options, solver, begin, system.state)
+            return Setting.of(choice.solver, step=choice.cell / choice.substeps)
+
+        chosen = usual(Solver(own.solver), own)
+
+        def settings() -> list[Setting]:
+            each = [usual(solver) for solver in Solver if solver is not Solver.AUTO]
+            each = [chosen if one.method == chosen.method else one for one in each]
+            return [way for one in each for way in stepwise(one.method, one["step"])]
+
+        def references() -> list[list[Setting]]:
+            """Return shorter and shorter steps of backward differences.
+
+            Where these cannot be solved, of semi-implicit Euler.
+            """
+            step = min(chosen["step"], usual(EXACT)["step"])
+            return [
+                stepwise(EXACT, step, FINER),
+                stepwise(EXPLICIT, usual(EXPLICIT)["step"], FINER),
+            ]
+
+        def changes(setting: Setting) -> Mapping[str, Any]:
+            if setting == chosen:
+                return {"error": None, "solver": own.solver, "step": own.step}
+            step = setting["step"]
+            return {"error": None, "solver": setting.method, "step": step}
+
+        return Ways(chosen, settings, references, changes)
+
+    @property
+    def long(self) -> bool:
+        """Whether springs that never tear became very long."""
+        tears = np.isfinite(self.system.body.springs.limit).any()
+        return bool(not tears and 1 + self.stretch > LONG * (1 + self.begun))
+
+    @property
+    def solver(self) -> Solver:
+        """What takes them through time."""
+        return self._choice.solver
+
+
+@dataclass
+class SpringView:
+    """What a rope, strands, cloth or a volume shows."""
+
+    simulation: SpringSimulation
+    member: Member  # its entry
+    rows: IntArray  # its particles in the simulation ``(N,)``
+    springs: slice  # its springs there
+    own: Sequence[Fault]  # what is odd about it alone
+    first: bool  # whether it speaks for all that it is joined to
+    _torn_mesh: TornMesh | Faces | None = None
+    # How many springs are torn, and the faces that are whole then.
+    _whole: tuple[int, IntArray, IntArray] | None = None
+
+    @property
+    def body(self) -> Any:
+        """Its particles and springs, and what is drawn of them."""
+        return self.member.record.body
+
+    @property
+    def tears(self) -> bool:
+        """Whether it is a surface that may part."""
+        return isinstance(self.body.shape, Faces) and self.body.shape.tears
+
+    def part(self, torn: BoolArray) -> None:
+        """Draw it so that it can part where springs of all will tear ``(S,)``."""
+        shape = cast(Faces, self.body.shape)
+        self._torn_mesh = shape.parted(torn[self.springs], self.body.body.positions)
+
+    def frame(self, state: SpringState, t: float) -> Frame:  # noqa: ARG002
+        """Return what is drawn of it."""
+        self.simulation.measure(state)
+        points, velocities = state.motion[:, self.rows]
+        torn = self.simulation.torn(state)[self.springs]
+        frame: Frame = (self._torn_mesh or self.body.shape).row(
+            points, velocities, torn
+        )
+        return frame
+
+    @property
+    def radius(self) -> float:
+        """Half its thickness [m]."""
+        radius: float = self.member.spec.radius
+        return radius
+
+    @property
+    def closed(self) -> bool:
+        """Whether only its outside is run into."""
+        return getattr(self.body.shape, "closed", False)
+
+    def surface(self, state: SpringState, t: float) -> MeshFrame:  # noqa: ARG002
+        """Return those of its faces that are not torn."""
+        self.simulation.measure(state)
+        shape, torn = cast(Faces, self.body.shape), self.simulation.torn(state)
+        gone = int(torn[self.springs].sum())
+        if self._whole is None or gone != self._whole[0]:
+            whole = shape.counts, shape.indices
+            if gone:
+                whole = shape.whole(torn[self.springs])
+            self._whole = gone, *whole
+        points, velocities = state.motion[:, self.rows]
+        return MeshFrame(points, velocities, *self._whole[1:], self.closed)
+
+    def diagnostics(self, state: SpringState, t: float) -> Diagnostics:  # noqa: ARG002
+        """Return what became of it, and what is odd so far."""
+        made, body, name = self.simulation, self.body.body, self.member.name
+        torn = made.torn(state)
+        values: dict[str, Any] = {
+            "kind": self.member.kind,
+            "particles": len(body.positions),
+            "springs": len(body.springs.rest),
+            "solver": str(made.solver),
+            "reason": made.reason,
+            "step": made.shortest,
+            "steps": made.taken,
+            "stretch": made.stretch,
+            "torn": int(torn[self.springs].sum()),
+            "unresolved": made.unresolved,
+        }
+        if made.error is not None:
+            values["error"] = made.error if math.isfinite(made.error) else None
+        notices = list(self.own)
+        if self.first:
+            notices += made.notices
+            if made.long:
+                message = f"{name}: springs become {percent(made.stretch)} longer than "
+                hint = "raise the stiffness [N/m], which is that of each spring, or "
+                hint += "lower the mass [kg]"
+                notices.append(warning("SIM187", f"{message}at rest", hint))
+            notices.append(self._note(torn))
+        return Diagnostics(values=values, notices=notices)
+
+    def _note(self, torn: BoolArray) -> Fault:
+        made = self.simulation
+        parts = [
+            f"{made.solver} ({made.reason})",
+            f"steps of {plain(made.shortest)} s and more",
+            f"springs up to {percent(made.stretch)} longer than at rest",
+        ]
+        if made.error is not None and math.isfinite(made.error):
+            parts.append(f"error {length_text(made.error)}")
+        if torn.any():
+            parts.append(f"{counted(int(torn.sum()), 'spring')} torn")
+        message = f"{self.member.name}: {', '.join(parts)}"
+        return Fault("SIM130", message, severity=Severity.NOTE)
+
+
+def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
+    return [replace(fault, severity=Severity.ERROR) for fault in notices]
+
+
+def _by_motions(
+    phase: Callable[[], Progress], begin: float, last: float
+) -> Callable[[float], None]:
+    """Return a function of the time reached; each motion it sees is a phase."""
+    span, before, tell = max(last - begin, 1e-9), math.inf, None
+
+    def show(t: float) -> None:
+        nonlocal before, tell
+        if t < before:
+            tell = phase()
+        before = t
+        if tell is not None:
+            tell((t - begin) / span)
+
+    return show
