@@ -150,7 +150,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class FoundFile:
+class MatchedFile:
     """A file that was meant."""
 
     path: Path  # the file, spelled as its folder was
@@ -235,7 +235,7 @@ class InputFile(io.FileIO):
 
 
 def open_input(
-    path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, noted: bool = True
+    path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, recorded: bool = True
 ) -> InputFile:
     """Open a file that a user or another file names: the one way to do so.
 
@@ -249,7 +249,7 @@ def open_input(
         _check_regular(path, path.stat())
         handle = os.open(path, _FLAGS)
     except (OSError, ValueError) as error:
-        if noted:
+        if recorded:
             note_input(path)
         reason = error if isinstance(error, OSError) else str(error)
         raise unreadable(path, reason) from error
@@ -261,16 +261,16 @@ def open_input(
     except BaseException:
         os.close(handle)
         raise
-    if noted:
+    if recorded:
         note_input(path, file.state)
     return file
 
 
 def read_input(
-    path: Path, max_bytes: int = MAX_INPUT_BYTES, *, noted: bool = True
+    path: Path, max_bytes: int = MAX_INPUT_BYTES, *, recorded: bool = True
 ) -> bytes:
     """Return the content of a file, see `open_input`; if it changes: IO004."""
-    with open_input(path, max_bytes, noted=noted) as file:
+    with open_input(path, max_bytes, recorded=recorded) as file:
         return file.whole()
 
 
@@ -322,7 +322,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 
-def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
+def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[MatchedFile]:
     """Yield the files that a name, a folder or a glob means, in order.
 
     Of a folder all files with one of the suffixes, lower case, those of folders in it
@@ -335,7 +335,7 @@ def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
         known = tuple(suffixes)
         for file in sorted(path.rglob("*")):
             if file.name.lower().endswith(known) and _is_shown(file, path):
-                yield FoundFile(file, path)
+                yield MatchedFile(file, path)
     elif _WILD & set(text) and not path.exists():
         # Folders without a wildcard stay as the user spells them.
         parts = path.parts
@@ -344,9 +344,9 @@ def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
         named = any(part.startswith(".") for part in parts[first:])
         for file in sorted(base.glob("/".join(parts[first:]))):
             if file.is_file() if named else _is_shown(file, base):
-                yield FoundFile(file, base)
+                yield MatchedFile(file, base)
     else:
-        yield FoundFile(path, path.parent)
+        yield MatchedFile(path, path.parent)
 
 
 def _is_shown(file: Path, folder: Path) -> bool:

@@ -21,7 +21,7 @@ class JunitCase:
     code: str = ""  # of what is wrong
     message: str = ""  # what is wrong, in a line
     text: str = ""  # all of it
-    said: str = ""  # what there is to say beside that
+    output: str = ""  # what there is to say beside that
     seconds: float | None = None  # how long it took; None says nothing of it
 
 
@@ -60,5 +60,5 @@ def _add(suite: ElementTree.Element, case: JunitCase) -> None:
             entry.set("message", escaped(case.message))
         if case.text:
             entry.text = escaped_lines(case.text)
-    if case.said:
-        ElementTree.SubElement(element, "system-out").text = escaped_lines(case.said)
+    if case.output:
+        ElementTree.SubElement(element, "system-out").text = escaped_lines(case.output)

@@ -131,7 +131,7 @@ class Journal:
         self.end()
 
     def _files(self, folder: Path) -> list[PlacedFile]:
-        content = read_input(folder / self.name, _MAX_BYTES, noted=False)
+        content = read_input(folder / self.name, _MAX_BYTES, recorded=False)
         try:
             entries = json.loads(content)["files"]
             return [_placed(folder, entry) for entry in entries]
@@ -185,11 +185,11 @@ def _undo(path: Path) -> bool:
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
-        with open_input(path, _MAX_BYTES, noted=False) as file:
+        with open_input(path, _MAX_BYTES, recorded=False) as file:
             if not _locked(file.fileno()):
                 return False
             # Complete now: whoever wrote it is dead.
-            content = read_input(path, _MAX_BYTES, noted=False)
+            content = read_input(path, _MAX_BYTES, recorded=False)
             folders = _folders(content)
             Journal(path.name, (*folders, path.parent)).take_back()
     except (OSError, FormatError):

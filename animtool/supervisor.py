@@ -78,10 +78,10 @@ class _Notes:
     path: str = ""  # the file that is being read; empty is none
     folders: list[str] = field(default_factory=list)  # where outputs go
     # Whether a result was printed or a file was named, which a second run would repeat.
-    said: bool = False
+    reported: bool = False
 
     def write(self) -> None:
-        text = json.dumps([self.path, self.said, self.folders]).encode()
+        text = json.dumps([self.path, self.reported, self.folders]).encode()
         if len(text) < NOTED - _LENGTH:
             _put(self.shared, text)
 
@@ -91,10 +91,10 @@ class _Notes:
 
     def read(self) -> None:
         """Take over what a child noted."""
-        self.path, self.said, self.folders = "", False, []
+        self.path, self.reported, self.folders = "", False, []
         text = _got(self.shared)
         if text is not None:
-            self.path, self.said, self.folders = json.loads(text)
+            self.path, self.reported, self.folders = json.loads(text)
         self.shared[:_LENGTH] = bytes(_LENGTH)
 
 
@@ -169,9 +169,9 @@ def note_said() -> None:
     if notes is not None:
         # What stays in a buffer is lost in a crash.
         sys.stdout.flush()
-        if not notes.said:
+        if not notes.reported:
             with _lock:
-                notes.said = True
+                notes.reported = True
                 notes.write()
 
 
@@ -287,7 +287,7 @@ def supervise(
         if -code not in CRASHES:
             return 128 - code
         crash = Crash(-code, notes.path)
-        if not crash.path or notes.said or crash.name == "SIGKILL":
+        if not crash.path or notes.reported or crash.name == "SIGKILL":
             return refuse(crash)
         _state.crashed[str(Path(crash.path).absolute())] = crash.number
 

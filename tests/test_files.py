@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from animtool import files
-from animtool.batch.recipe import read_rules
+from animtool.batch.item import read_rules
 from animtool.cli.main import run
 from animtool.config import find_config
 from animtool.errors import AnimtoolError, FormatError

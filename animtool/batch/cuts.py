@@ -36,7 +36,7 @@ from animtool.errors import (
     excerpt,
     listed,
 )
-from animtool.files import FoundFile
+from animtool.files import MatchedFile
 from animtool.rates import rate_label
 from animtool.scene.sources import source_stem
 from animtool.shot import SHOT_START, Shot, frames_within
@@ -75,7 +75,7 @@ class CutOptions:
 class Cut:
     """What an item is made of: a clip of a timeline, or a file."""
 
-    found: FoundFile  # the media
+    media: MatchedFile  # the media
     # What names stand for in its scene and its output, `SHOT_NAMES`.
     names: Mapping[str, str] = field(default_factory=dict)
     # The clip's frames; None for a file that no timeline shows.
@@ -93,7 +93,7 @@ class CutList:
 
 def read_cuts(
     path: Path,
-    media: Sequence[FoundFile] = (),
+    media: Sequence[MatchedFile] = (),
     options: CutOptions | None = None,
     left_out: Callable[[Path], bool] = lambda _: False,
 ) -> CutList:
@@ -147,12 +147,12 @@ class _Reader:
     def __init__(
         self,
         path: Path,
-        media: Sequence[FoundFile],
+        media: Sequence[MatchedFile],
         options: CutOptions,
         left_out: Callable[[Path], bool] = lambda _: False,
     ) -> None:
         self.path, self.options, self.left_out = path, options, left_out
-        self.found = CutList()
+        self.cuts = CutList()
         self.entries: list[_Entry] = []
         self.faults: list[Fault] = []
         # Names of shots, and up to which number each has others behind it.
@@ -160,7 +160,7 @@ class _Reader:
         self.gaps = 0
         self.own = CutMetadata()
         self.fps = Fraction(24)
-        self.media: dict[str, FoundFile] = {}
+        self.media: dict[str, MatchedFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
@@ -190,12 +190,12 @@ class _Reader:
             self.faults[MAX_FAULTS:] = [rest_fault]
         if self.faults:
             raise FormatError(self.faults)
-        return self.found
+        return self.cuts
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
         """Say something about the timeline."""
         fault = Fault(code, message, str(self.path), severity=severity)
-        self.found.notices.append(fault)
+        self.cuts.notices.append(fault)
 
     def fault(self, code: str, message: str, hint: str | None = None) -> None:
         """Say what makes the timeline unusable."""
@@ -297,7 +297,7 @@ class _Reader:
             **shot.names(),
             **_media_names(shot, media_fps),
         }
-        self.found.shots.append(Cut(medium, names, shot))
+        self.cuts.shots.append(Cut(medium, names, shot))
 
     def shot(
         self,
@@ -335,14 +335,14 @@ class _Reader:
         url = getattr(clip.media_reference, "target_url", None)
         return None if not url else media_path(str(url), self.path.parent)
 
-    def medium(self, clip: Any, named: str) -> FoundFile | None:
+    def medium(self, clip: Any, named: str) -> MatchedFile | None:
         """Return the media of a clip; None where it has none, or it is missing."""
         path = self.referred(clip)
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is left out, as asked: {path}")
             return None
         if path is not None and _is_file(path):
-            return FoundFile(path, path.parent)
+            return MatchedFile(path, path.parent)
         for stem in (clip.name, None if path is None else source_stem(path)):
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]

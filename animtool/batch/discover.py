@@ -10,23 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from animtool.batch.cuts import SHOT_NAMES, Cut, CutList, CutOptions, read_cuts
-from animtool.batch.overrides import Overridden, overridden
-from animtool.batch.recipe import (
+from animtool.batch.item import (
     INPUT_NAMES,
     Item,
+    ItemTask,
     NamedOutputs,
-    Recipe,
     UnsafeNameError,
     file_pattern,
     input_names,
     output_root,
     unknown_names,
 )
+from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.documents.names import check_given, is_named
 from animtool.errors import Fault, NothingFoundError, OptionError, Severity, listed
-from animtool.files import FoundFile, Places, files_meant
+from animtool.files import MatchedFile, Places, files_meant
 from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
@@ -52,14 +52,14 @@ MAX_FAULTS = 50
 
 
 def sample_source(
-    spec: BatchSpec, recipe: Recipe, shot: Cut, variables: Mapping[str, str]
+    spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
     """Return what the first item of an input is baked from.
 
     variables: what overrides give the input.
     """
-    names, file = {**shot.names, **spec.rows[0]}, shot.found
-    return recipe.source(
+    names, file = {**shot.names, **spec.rows[0]}, shot.media
+    return item_task.source(
         Item(1, file, file.path, names, variables=variables, shot=shot.shot)
     )
 
@@ -82,10 +82,10 @@ def check_columns(spec: BatchSpec) -> None:
 
 
 def check_effects(
-    spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut], own: Overridden
+    spec: BatchSpec, item_task: ItemTask, shots: Sequence[Cut], own: Overridden
 ) -> None:
     """Refuse scenes of which all items, or all variants, would be the same."""
-    kinds = {spec.scene or shot.found.path: shot for shot in reversed(shots)}
+    kinds = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
     for path, shot in sorted(kinds.items()):
@@ -97,8 +97,8 @@ def check_effects(
             continue
         if spec.scene is None and not names:
             continue
-        values = own.values.get(shot.found.path, {})
-        scene = cast("Scene", sample_source(spec, recipe, shot, values))
+        values = own.values.get(shot.media.path, {})
+        scene = cast("Scene", sample_source(spec, item_task, shot, values))
         inputs = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
         if spec.scene is not None and not scene.effective_variables & inputs:
             faults.append(_unused(scene, len(shots)))
@@ -128,11 +128,11 @@ class Batch:
 
     name: str  # what its records are called
     items: tuple[Item, ...]  # in order
-    recipe: Recipe  # how each is made
+    item_task: ItemTask  # how each is made
     limits: Limits  # what each may take
     jobs: int | None  # how many processes; None is one for each processor
     root: Path  # folder of all outputs, absolute, from which records name files
-    given: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
+    named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
     # What the first item is baked from, where all are of one scene.
     sample: Source | None = None
     # What is to be said of a timeline that items are of.
@@ -147,10 +147,10 @@ class Batch:
         """Return the files that an item writes."""
         if item.files:
             return list(item.files)
-        source = item.found.path if self.sample is None else self.sample
-        if self.sample is None and is_named(item.found.path, "scene"):
-            source = self.recipe.source(item)
-        return self.recipe.outputs(item, source)
+        source = item.file.path if self.sample is None else self.sample
+        if self.sample is None and is_named(item.file.path, "scene"):
+            source = self.item_task.source(item)
+        return self.item_task.outputs(item, source)
 
 
 def find_batch(spec: BatchSpec) -> Batch:
@@ -174,18 +174,18 @@ def find_batch(spec: BatchSpec) -> Batch:
     shots = cuts.shots
     if not shots:
         raise _nothing(spec)
-    files = [shot.found for shot in shots]
-    recipe = _recipe(spec, files)
+    files = [shot.media for shot in shots]
+    item_task = _item_task(spec, files)
     own = overridden(spec.overrides, files, spec.folder, _suffixes(spec), spec.path)
     sample = None
     if spec.scene is not None:
         values = own.values.get(files[0].path, {})
-        sample = sample_source(spec, recipe, shots[0], values)
+        sample = sample_source(spec, item_task, shots[0], values)
         if spec.output is not None:
-            recipe.refuse_several(sample)
-    _check_variables(spec, recipe, sample)
-    check_effects(spec, recipe, shots, own)
-    items = _Items(spec, recipe, shots, sample, own).made()
+            item_task.refuse_several(sample)
+    _check_variables(spec, item_task, sample)
+    check_effects(spec, item_task, shots, own)
+    items = _Items(spec, item_task, shots, sample, own).made()
     _check_roots(spec, items)
     options = spec.options
     table = None if spec.variants is None else spec.variants.path
@@ -194,7 +194,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     return Batch(
         spec.name,
         items,
-        recipe,
+        item_task,
         spec.limits,
         spec.jobs,
         Path(spec.folder, output_root(spec.output or "")).absolute(),
@@ -220,20 +220,24 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         check_suffix(Path(pattern))
 
 
-def _recipe(spec: BatchSpec, files: Sequence[FoundFile]) -> Recipe:
+def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
     paths = [file.path for file in files]
     kinds = {(path.suffix.lower(), is_named(path, "scene")): path for path in paths}
-    return Recipe(spec.scene, dict(spec.variables), spec.options, tuple(kinds.values()))
+    return ItemTask(
+        spec.scene, dict(spec.variables), spec.options, tuple(kinds.values())
+    )
 
 
-def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> None:
+def _check_variables(
+    spec: BatchSpec, item_task: ItemTask, sample: Source | None
+) -> None:
     """Refuse variables that neither the scene nor the output uses."""
     own = [name for one in spec.overrides for name in one.variables]
     given = [*dict.fromkeys([*spec.variables, *own]), *spec.rows[0]]
     used = {name for name in given if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
-    elif any(is_named(path, "scene") for path in recipe.kinds):
+    elif any(is_named(path, "scene") for path in item_task.kinds):
         # Each has its own, and says what is wrong with them when it is made.
         used |= set(given)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
@@ -245,7 +249,7 @@ class _Items:
     """The items, each with its output: the pattern's, its scene's, or beside."""
 
     spec: BatchSpec
-    recipe: Recipe
+    item_task: ItemTask
     shots: Sequence[Cut]
     sample: Source | None
     own: Overridden
@@ -274,7 +278,7 @@ class _Items:
         row: Mapping[str, str],
         outputs: NamedOutputs | None,
     ) -> Item:
-        spec, file, own = self.spec, shot.found, {**shot.names, **row}
+        spec, file, own = self.spec, shot.media, {**shot.names, **row}
         variables = self.own.values.get(file.path, {})
         parts = {name: file_name(value) for name, value in row.items()}
         more = "".join(f"_{part}" for part in parts.values())
@@ -293,7 +297,7 @@ class _Items:
         if outputs is None and (
             named_by_scene or (spec.scene is None and is_named(file.path, "scene"))
         ):
-            item = self.recipe.named(item)
+            item = self.item_task.named(item)
         return item
 
     def _refuse(
@@ -301,7 +305,7 @@ class _Items:
     ) -> None:
         """Note an output with an unsafe name, at the file that states the name."""
         spec, name = self.spec, error.name
-        source: Path | None = shot.found.path
+        source: Path | None = shot.media.path
         hint = "rename the input, or leave the name out of -o"
         if name in shot.names:
             source = spec.cuts
@@ -366,14 +370,14 @@ def _with_timeline(spec: BatchSpec) -> BatchSpec:
     return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
 
 
-def _found(spec: BatchSpec) -> tuple[list[FoundFile], Callable[[Path], bool]]:
+def _found(spec: BatchSpec) -> tuple[list[MatchedFile], Callable[[Path], bool]]:
     """Return the inputs, each once, in order; and whether a file is left out."""
     suffixes = _suffixes(spec)
     place = Places()
     left_out = {
         place(file.path) for file in _meant(spec.folder, spec.exclude, suffixes)
     }
-    files: dict[Path, FoundFile] = {}
+    files: dict[Path, MatchedFile] = {}
     for file in _meant(spec.folder, spec.inputs, suffixes):
         where = place(file.path)
         if where not in left_out:
@@ -400,6 +404,6 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
 
 def _meant(
     folder: Path, inputs: Sequence[str], suffixes: Sequence[str]
-) -> Iterator[FoundFile]:
+) -> Iterator[MatchedFile]:
     for text in inputs:
         yield from files_meant(os.fspath(folder / text), suffixes)

@@ -15,12 +15,12 @@ from threading import Thread
 from typing import Any, TypeAlias, cast
 from uuid import uuid4
 
+from animtool.batch.item import Item, ItemTask
 from animtool.batch.pool import run_processes
-from animtool.batch.recipe import Item, Recipe
 from animtool.batch.records import RecordError, json_of_file, text_in
 from animtool.batch.spec import Limits, made_by
-from animtool.batch.work import Maker, Outcome
-from animtool.batch.worker_process import Task, WorkerProcess
+from animtool.batch.work import ItemBuilder, Outcome
+from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, OutputError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
@@ -33,7 +33,7 @@ class Work:
     """What an executor is given.
 
     Attributes:
-        maker: Makes an item, whatever happens short of the end of its process; it
+        builder: Makes an item, whatever happens short of the end of its process; it
             can be sent to other processes.
         items: What is to be made. One is to be taken only when it can be begun:
             taking it says that it is.
@@ -44,7 +44,7 @@ class Work:
             room for.
     """
 
-    maker: Maker
+    builder: ItemBuilder
     items: Iterator[Item]
     limits: Limits
     jobs: int
@@ -63,7 +63,7 @@ class Executor:
     Attributes:
         about: How it makes items, one line.
         run: ``module:object`` of a function from `Work` to outcomes.
-        ready: ``module:object`` of a function from a `Recipe` that begins, and does
+        ready: ``module:object`` of a function from a `ItemTask` that begins, and does
             not wait for, what takes long before the first item; empty is nothing.
     """
 
@@ -75,10 +75,10 @@ class Executor:
         """Return the function that makes items."""
         return cast(Run, load_object(self.run))
 
-    def get_ready(self, recipe: Recipe) -> None:
+    def get_ready(self, item_task: ItemTask) -> None:
         """Begin what takes long before the first item, of a batch that has some."""
         if self.ready:
-            cast(Callable[[Recipe], None], load_object(self.ready))(recipe)
+            cast(Callable[[ItemTask], None], load_object(self.ready))(item_task)
 
 
 EXECUTORS = {
@@ -89,7 +89,7 @@ EXECUTORS = {
     "processes": Executor(
         "several processes on this machine",
         "animtool.batch.executors:processes",
-        "animtool.batch.pool:warm_up",
+        "animtool.batch.pool:preload",
     ),
     "serial": Executor(
         "one after another, in animtool's own process",
@@ -102,7 +102,7 @@ def processes(work: Work) -> Iterator[Outcome]:
     """Yield what becomes of items, made by several processes of this machine."""
     if work.argument:
         raise _argument("processes", "-j says how many")
-    return run_processes(work.maker, work.items, work.limits, work.jobs)
+    return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
 def serial(work: Work) -> Iterator[Outcome]:
@@ -113,7 +113,7 @@ def serial(work: Work) -> Iterator[Outcome]:
         message = "serial makes items in its own process, which cannot be limited"
         hint = "processes keeps limits, with -j 1 too"
         raise OptionError(Fault("BAT031", message, hint=hint))
-    return map(work.maker.make, work.items)
+    return map(work.builder.build, work.items)
 
 
 def _argument(name: str, hint: str) -> OptionError:
@@ -215,7 +215,7 @@ def _outcomes(work: Work, address: str) -> Iterator[Outcome]:
     client = _client(address)
     name = f"animtool-{uuid4().hex}"
     try:
-        task = Task(work.maker, work.limits, str(Path.cwd()))
+        task = WorkerTask(work.builder, work.limits, str(Path.cwd()))
         _prepare(client, work.argument, name, task)
         yield from _made(client, name, work)
     finally:
@@ -248,7 +248,7 @@ def _client(address: str) -> Any:
         raise _unreachable(address, error) from error
 
 
-def _prepare(client: Any, about: str, name: str, task: Task) -> None:
+def _prepare(client: Any, about: str, name: str, task: WorkerTask) -> None:
     """Let each worker, of now and of later, know how items are made."""
     from distributed import WorkerPlugin
 
@@ -358,14 +358,14 @@ def _outcome(future: Any, item: Item) -> Outcome:
             return outcome
         why = "what it returned is no outcome of it"
     message = f"no worker of the cluster made it: {why}"
-    return Outcome.failed(item, Fault("BAT020", message, str(item.found.path)))
+    return Outcome.failed(item, Fault("BAT020", message, str(item.file.path)))
 
 
 @dataclass(slots=True)
 class _WorkerProcesses:
     """The programs of a worker that make items: as many as it has threads at work."""
 
-    task: Task  # how they make items
+    task: WorkerTask  # how they make items
     versions: Mapping[str, str]  # of what items are made by, where the run is
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
@@ -388,7 +388,7 @@ class _WorkerProcesses:
             self._busy.remove(process)
             process.end()
             message = f"cannot be made here: {error}"
-            return Outcome.failed(item, Fault("BAT020", message, str(item.found.path)))
+            return Outcome.failed(item, Fault("BAT020", message, str(item.file.path)))
         self._busy.remove(process)
         self._idle.append(process)
         return outcome

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from annotated_types import Ge, Gt, Le
 
 from animtool.batch.cuts import SHOT_NAMES
-from animtool.batch.recipe import INPUT_NAMES, unknown_names
+from animtool.batch.item import INPUT_NAMES, unknown_names
 from animtool.batch.spec import MAX_SECONDS, BatchSpec, Limits, parse_bytes
 from animtool.batch.variables_file import (
     OverrideModel,

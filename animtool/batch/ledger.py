@@ -103,7 +103,7 @@ MAX_OWNER = 4096
 class History:
     """What earlier runs left."""
 
-    made: Manifest = field(default_factory=Manifest)  # by all of them
+    manifest: Manifest = field(default_factory=Manifest)  # by all of them
     # Why items failed that were not made since, by key.
     failed: dict[str, str] = field(default_factory=dict)
     # Warnings of lines that cannot be used.
@@ -158,7 +158,7 @@ def read_history(folder: Path, name: str) -> History:
 class _Own:
     """What there is in the files that a run adds to."""
 
-    made: Manifest = field(default_factory=Manifest)
+    manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
@@ -169,7 +169,7 @@ def _read(files: _Files) -> tuple[History, _Own]:
     for source in (whole, *whole.others()):
         manifest = read_manifest(source.named(".jsonl"))
         failures = read_failures(source.named(".failed.jsonl"))
-        history.made.join(manifest)
+        history.manifest.join(manifest)
         history.failed |= failures.why
         history.damaged += [*manifest.damaged, *failures.damaged]
         if source == files:
@@ -191,23 +191,23 @@ class Ledger:
         # What is damaged is told once.
         self._grown = bool(self.history.damaged)
         self._closing = ExitStack()
-        writer = ManifestWriter(files.named(".jsonl"), own.made)
+        writer = ManifestWriter(files.named(".jsonl"), own.manifest)
         self._writer = self._closing.enter_context(writer)
         self._failed_length = own.failures
 
     def claim(self, names: Iterable[str]) -> None:
         """Say which files are about to be written."""
-        new = [name for name in names if name not in self.history.made.known]
+        new = [name for name in names if name not in self.history.manifest.known]
         if new:
             self._writer.claim(new)
             self._grown = True
-            self.history.made.known.update(new)
+            self.history.manifest.known.update(new)
 
-    def made(self, record: ItemRecord) -> None:
+    def add(self, record: ItemRecord) -> None:
         """Note an item that was made."""
         self._writer.add(record)
         self._grown = True
-        self.history.made.add(record)
+        self.history.manifest.add(record)
         self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, why: str) -> None:
@@ -227,7 +227,7 @@ class Ledger:
         others = [] if self._files.part else self._files.others()
         if self._files.part or not (self._grown or any(o.holds() for o in others)):
             return
-        manifest = self.history.made
+        manifest = self.history.manifest
         kept = [item for item in manifest.items.values() if keep(item)]
         recorded = {output.path for item in kept for output in item.outputs}
         root = self._files.folder.parent

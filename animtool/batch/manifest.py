@@ -146,7 +146,7 @@ def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file's content; empty of a folder, a device or a pipe."""
     if path.exists() and not path.is_file():
         return ""
-    with open_input(path, None, noted=False) as file:
+    with open_input(path, None, recorded=False) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         file.check()
     return digest

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from animtool.errors import Fault, Severity, listed
-from animtool.files import FoundFile, Places, files_meant
+from animtool.files import MatchedFile, Places, files_meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Overridden:
 
 def overridden(
     overrides: Sequence[Override],
-    files: Sequence[FoundFile],
+    files: Sequence[MatchedFile],
     folder: Path,
     suffixes: Sequence[str],
     path: Path | None,

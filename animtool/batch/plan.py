@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.batch.discover import Batch
+from animtool.batch.item import Item
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
-from animtool.batch.recipe import Item
 from animtool.batch.spec import made_by, named_from, place_of
 from animtool.errors import Fault, FormatError, OptionError, OutputError
 from animtool.files import FileState, Places
@@ -79,7 +79,7 @@ class Planner:
 
     def how(self, item: Item) -> str:
         """Return a digest of everything but files that decides how an item is made."""
-        return digest_of(self._batch.recipe.described(item, self._batch.root))
+        return digest_of(self._batch.item_task.described(item, self._batch.root))
 
     @cached_property
     def versions(self) -> str:
@@ -94,7 +94,7 @@ class Planner:
     def decide(self, item: Item) -> Decision:
         """Return what becomes of an item."""
         key = self.key(item)
-        record = self._history.made.items.get(key)
+        record = self._history.manifest.items.get(key)
         failed = self._history.failed.get(key)
         if self._force:
             return Decision(item, Reason.FORCED)
@@ -170,8 +170,8 @@ def check_places(batch: Batch) -> None:
     encoded.
     """
     place = Places()
-    inputs = {place(item.found.path) for item in batch.items}
-    inputs |= {place(path) for path in batch.given}
+    inputs = {place(item.file.path) for item in batch.items}
+    inputs |= {place(path) for path in batch.named}
     faults = list(_clashes(batch, place, inputs))
     _refuse(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
@@ -205,7 +205,7 @@ def _apart(item: Item, other: Item) -> str:
     """Return what keeps the outputs of two items apart."""
     if item.shot is not None and item.shot != other.shot:
         return "{shot} in -o keeps the shots apart"
-    if item.found != other.found:
+    if item.file != other.file:
         return "{parent} in -o keeps the folders of inputs apart"
     differing = [k for k, v in item.values.items() if other.values.get(k) != v]
     if not differing:

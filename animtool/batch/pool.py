@@ -20,11 +20,11 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, cast
 
-from animtool.batch.recipe import Item, Recipe
+from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
     READY,
-    Maker,
+    ItemBuilder,
     Outcome,
     Reading,
     Status,
@@ -119,7 +119,7 @@ class _Worker:
 class _Pool:
     """The processes of a run."""
 
-    maker: Maker  # what makes items
+    builder: ItemBuilder  # what makes items
     items: Iterator[Item]  # what is to be made
     limits: Limits  # what each may take
     ahead: bool  # whether the next item is begun before it is told how the last ended
@@ -128,9 +128,9 @@ class _Pool:
     failed_starts: int = 0  # how many in a row ended before they could take an item
 
     def start(self) -> None:
-        context = _context(self.maker.recipe)
+        context = _context(self.builder.item_task)
         here, there = context.Pipe()
-        arguments = (there, self.maker, self.limits.memory)
+        arguments = (there, self.builder, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
         try:
             with _environment():
@@ -233,7 +233,7 @@ class _Pool:
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
-        path = fault.path or str(item.found.path)
+        path = fault.path or str(item.file.path)
         named = Fault(fault.code, fault.message, path, hint=fault.hint)
         return Outcome.failed(item, named, seconds=seconds)
 
@@ -273,9 +273,9 @@ class _Pool:
                 worker.end(kill=False)
 
 
-def warm_up(recipe: Recipe) -> None:
+def preload(item_task: ItemTask) -> None:
     """Begin to import what processes need, beside what this one does meanwhile."""
-    context = _context(recipe)
+    context = _context(item_task)
     if isinstance(context, SpawnContext):
         return
     from multiprocessing.forkserver import ensure_running
@@ -285,7 +285,7 @@ def warm_up(recipe: Recipe) -> None:
 
 
 def run_processes(
-    maker: Maker,
+    builder: ItemBuilder,
     items: Iterator[Item],
     limits: Limits,
     jobs: int,
@@ -296,7 +296,7 @@ def run_processes(
 
     An item is taken only when a process can make it. Closing the iterator ends them.
     """
-    pool, well = _Pool(maker, items, limits, ahead), False
+    pool, well = _Pool(builder, items, limits, ahead), False
     try:
         while True:
             while pool.left and len(pool.workers) < jobs:
@@ -311,7 +311,7 @@ def run_processes(
         pool.end(kill=not well)
 
 
-def _context(recipe: Recipe) -> ForkServerContext | SpawnContext:
+def _context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
     """Return how processes are started: forked from a warm one where that is sound.
 
     Where it is warm already, by another batch of this very process, they import the
@@ -320,7 +320,7 @@ def _context(recipe: Recipe) -> ForkServerContext | SpawnContext:
     if sys.platform != "linux":
         return get_context("spawn")
     context = get_context("forkserver")
-    context.set_forkserver_preload(needed_modules(recipe))
+    context.set_forkserver_preload(needed_modules(item_task))
     return context
 
 

@@ -62,7 +62,7 @@ def json_object(data: bytes, *, unique: bool = True) -> dict[str, Any]:
 def json_of_file(path: Path, most: int) -> dict[str, Any]:
     """Return the JSON object in a file of at most so many bytes."""
     try:
-        data = read_input(path, most, noted=False)
+        data = read_input(path, most, recorded=False)
     except FormatError as error:
         raise RecordError(error.faults[0].message) from error
     return json_object(data)
@@ -159,7 +159,7 @@ class LineReader:
         a line adds what is wrong with its content.
         """
         try:
-            raw = open_input(self.path, None, noted=False)
+            raw = open_input(self.path, None, recorded=False)
         except FormatError as error:
             if isinstance(error.__cause__, FileNotFoundError):
                 return

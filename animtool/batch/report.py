@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from animtool.batch.discover import Batch
+from animtool.batch.item import Item
 from animtool.batch.plan import Reason
-from animtool.batch.recipe import Item
 from animtool.batch.work import Measured, Outcome, Status
 from animtool.errors import ExitCode, Fault, Severity
 from animtool.junit import JunitCase, junit_xml
@@ -64,7 +64,7 @@ class ItemReport:
         files = self.item.files
         report: dict[str, object] = {
             "item": self.item.number,
-            "input": str(self.item.found.path),
+            "input": str(self.item.file.path),
             **({"values": dict(self.item.values)} if self.item.values else {}),
             **({"variables": dict(self.item.variables)} if self.item.variables else {}),
             "output": str(self.item.output),
@@ -193,5 +193,5 @@ def _case(report: ItemReport) -> JunitCase:
             report.seconds,
         )
     if report.status is Status.DONE:
-        return JunitCase(name, said=listed_faults, seconds=report.seconds)
+        return JunitCase(name, output=listed_faults, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.executors import Executor, Work, find_executor
+from animtool.batch.item import Item
 from animtool.batch.ledger import History, Ledger, held_ledger, read_history
 from animtool.batch.manifest import ItemRecord
 from animtool.batch.plan import (
@@ -18,10 +19,9 @@ from animtool.batch.plan import (
     check_overwrites,
     check_places,
 )
-from animtool.batch.recipe import Item
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, named_from, place_of
-from animtool.batch.work import Maker, Outcome, Status
+from animtool.batch.work import ItemBuilder, Outcome, Status
 from animtool.errors import Fault, OptionError
 from animtool.leftovers import remove_leftovers
 
@@ -105,7 +105,7 @@ def run_batch(
         run = _Run(batch, options, listener, ledger)
         run.plan(items)
         run.make()
-        ledger.settle(run.wanted)
+        ledger.settle(run.keeps)
     seconds, damaged = time.perf_counter() - began, tuple(ledger.history.damaged)
     return BatchReport(batch, tuple(run.reports()), seconds, damaged)
 
@@ -156,7 +156,7 @@ class _Run:
             force=options.force,
         )
         self.decisions: dict[int, Decision] = {}
-        self.found: dict[int, ItemReport] = {}
+        self.ended: dict[int, ItemReport] = {}
         self.begun: set[int] = set()
         self.failures = 0
 
@@ -169,10 +169,10 @@ class _Run:
             self.decisions[item.number] = decision
             if decision.due:
                 if not due:
-                    self._executor()[0].get_ready(self.batch.recipe)
+                    self._executor()[0].get_ready(self.batch.item_task)
                 due.append(item)
             if decision.refreshed is not None:
-                self.ledger.made(decision.refreshed)
+                self.ledger.add(decision.refreshed)
         self._tidy()
         if not self.options.overwrite:
             check_overwrites(self.batch, due, self._is_known)
@@ -180,7 +180,7 @@ class _Run:
 
     def _is_known(self, path: Path) -> bool:
         """Return whether a run of the batch made a file, or began to."""
-        return named_from(path, self.batch.root) in self.ledger.history.made.known
+        return named_from(path, self.batch.root) in self.ledger.history.manifest.known
 
     def _executor(self) -> tuple[Executor, str]:
         """Return what makes items, and what that is told."""
@@ -201,11 +201,11 @@ class _Run:
             return
         executor, argument = self._executor()
         execute = executor.load()
-        maker = Maker(self.batch.recipe, self.batch.root)
+        builder = ItemBuilder(self.batch.item_task, self.batch.root)
         asked = self.options.jobs or self.batch.jobs
         jobs = min(asked or _processors(), len(due))
         items = self._begun(due)
-        work = Work(maker, items, self.batch.limits, jobs, argument, asked)
+        work = Work(builder, items, self.batch.limits, jobs, argument, asked)
         outcomes = execute(work)
         close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:
@@ -215,10 +215,10 @@ class _Run:
                     self._ended(outcome)
         finally:
             close()
-        for number in sorted(self.begun - self.found.keys()):
+        for number in sorted(self.begun - self.ended.keys()):
             item = self.decisions[number].item
             message = "whatever made it has not said what became of it"
-            fault = Fault("BAT020", message, str(item.found.path))
+            fault = Fault("BAT020", message, str(item.file.path))
             self._ended(Outcome.failed(item, fault))
         # A process of a run that was killed may have lived a moment longer.
         self._tidy()
@@ -243,7 +243,7 @@ class _Run:
             yield item
 
     def _ended(self, outcome: Outcome) -> None:
-        if outcome.number not in self.begun or outcome.number in self.found:
+        if outcome.number not in self.begun or outcome.number in self.ended:
             # An executor of a plug-in said it twice, or of what it was not given.
             return
         decision = self.decisions[outcome.number]
@@ -251,7 +251,7 @@ class _Run:
         report = ItemReport.of(item, decision.reason, decision.detail, outcome)
         key = self.planner.key(item)
         if outcome.status is Status.DONE:
-            self.ledger.made(
+            self.ledger.add(
                 ItemRecord(
                     key,
                     self.planner.how(item),
@@ -265,10 +265,10 @@ class _Run:
         else:
             self.failures += 1
             self.ledger.failed(key, report.why)
-        self.found[item.number] = report
+        self.ended[item.number] = report
         self.listener.ended(report)
 
-    def wanted(self, record: ItemRecord) -> bool:
+    def keeps(self, record: ItemRecord) -> bool:
         """Return whether a record is of interest: its output is there, or to be."""
         return any(
             place_of(file.path, self.batch.root).exists() for file in record.outputs
@@ -277,7 +277,7 @@ class _Run:
     def reports(self) -> Iterator[ItemReport]:
         """Yield what became of every item that was looked at, in order."""
         for number, decision in self.decisions.items():
-            yield self.found.get(number) or _planned(decision)
+            yield self.ended.get(number) or _planned(decision)
 
 
 def _processors() -> int:

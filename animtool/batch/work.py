@@ -14,8 +14,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.batch.item import Item, ItemTask
 from animtool.batch.manifest import FileRecord, record_of
-from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import named_from
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, excerpt
@@ -70,14 +70,14 @@ class Outcome:
 
 
 @dataclass(slots=True)
-class Maker:
+class ItemBuilder:
     """Makes the items of a batch, one after another."""
 
-    recipe: Recipe  # how
+    item_task: ItemTask  # how
     root: Path  # folder from which records name files
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
-    def make(self, item: Item) -> Outcome:
+    def build(self, item: Item) -> Outcome:
         """Return what became of an item; only what ends the process is raised."""
         began = time.perf_counter()
         retired = False
@@ -106,13 +106,13 @@ class Maker:
 
     def _made(self, item: Item, began: float) -> Outcome:
         with recorded_inputs() as inputs:
-            note_input(item.found.path)
+            note_input(item.file.path)
             for folder in item.folders:
                 try:
                     folder.mkdir(parents=True, exist_ok=True)
                 except OSError as error:
                     raise output_error(folder, error) from error
-            reports = self.recipe.bake(item)
+            reports = self.item_task.bake(item)
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
         at = max(file.state.changed for file in outputs if file.state is not None)
@@ -169,7 +169,7 @@ def _one_measured(report: OutputReport) -> Measured:
 
 
 def _named(item: Item) -> str:
-    return str(item.found.path)
+    return str(item.file.path)
 
 
 def _forget_layers() -> None:
@@ -181,7 +181,7 @@ def _forget_layers() -> None:
 
 
 # The last freezes what the others brought.
-WARM = "animtool.batch.warm"
+PRELOAD = "animtool.batch.preload"
 ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.author")
 READING = {
     BVH: ("animtool.formats.bvh.read",),
@@ -203,23 +203,23 @@ SCENES = (
 )
 
 
-def needed_modules(recipe: Recipe) -> list[str]:
+def needed_modules(item_task: ItemTask) -> list[str]:
     """Return what is imported before the first item; less is known of plug-ins.
 
     >>> from pathlib import Path
-    >>> needed_modules(Recipe(kinds=(Path("walk.bvh"),)))[-2:]
-    ['animtool.formats.bvh.read', 'animtool.batch.warm']
+    >>> needed_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
+    ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
-    return [*dict.fromkeys([*ALWAYS, *_by_kind(recipe), WARM])]
+    return [*dict.fromkeys([*ALWAYS, *_by_kind(item_task), PRELOAD])]
 
 
-def _by_kind(recipe: Recipe) -> Iterator[str]:
-    scenes = any(is_named(path, "scene") for path in recipe.kinds)
-    if recipe.scene is not None or scenes:
+def _by_kind(item_task: ItemTask) -> Iterator[str]:
+    scenes = any(is_named(path, "scene") for path in item_task.kinds)
+    if item_task.scene is not None or scenes:
         yield from SCENES
-    if recipe.options.rig_layer is not None:
+    if item_task.options.rig_layer is not None:
         yield from LAYERS
-    for path in recipe.kinds:
+    for path in item_task.kinds:
         reader = READERS.get(path.suffix.lower())
         yield from READING.get(reader, ()) if reader is not None else ()
 
@@ -235,7 +235,7 @@ class Reading:
     path: str
 
 
-def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
+def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
     """Make the items that come in, and send what became of each, until none comes.
 
     ``memory`` [bytes].
@@ -243,7 +243,7 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     follow_parent()
     # What is imported before the first item takes none of its time.
-    for name in needed_modules(maker.recipe):
+    for name in needed_modules(builder.item_task):
         import_module(name)
     from animtool.usd.layers import compute_alone
 
@@ -254,7 +254,7 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
         connection.send(READY)
         report_reading(lambda path: connection.send(Reading(path)))
         while (item := connection.recv()) is not None:
-            outcome = maker.make(item)
+            outcome = builder.build(item)
             connection.send(outcome)
             if outcome.retired:
                 return

@@ -1,8 +1,8 @@
 """A program that makes items one after another in a process that it may lose.
 
-``python -m animtool.batch.worker_process`` reads a `Task` and then items, pickled, from
-stdin, and writes to stdout what became of each. It is for workers of others, such as
-those of dask, which may start no processes of their own kind and hold no item to its
+``python -m animtool.batch.worker_process`` reads a `WorkerTask`, then items, pickled,
+from stdin, and writes the outcome of each to stdout. It is for workers of others, such
+as those of dask, which may start no processes of their own kind and hold no item to its
 limits.
 """
 
@@ -16,17 +16,17 @@ from dataclasses import dataclass, field
 from subprocess import PIPE, Popen
 from typing import IO, cast
 
+from animtool.batch.item import Item
 from animtool.batch.pool import run_processes
-from animtool.batch.recipe import Item
 from animtool.batch.spec import Limits
-from animtool.batch.work import Maker, Outcome
+from animtool.batch.work import ItemBuilder, Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class WorkerTask:
     """How a lane makes items."""
 
-    maker: Maker  # makes them
+    builder: ItemBuilder  # makes them
     limits: Limits  # what each may take
     folder: str  # the current folder, from which paths of items start
 
@@ -35,7 +35,7 @@ class Task:
 class WorkerProcess:
     """Such a program, and the way to it."""
 
-    task: Task  # how it makes items
+    task: WorkerTask  # how it makes items
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
     def make(self, item: Item) -> Outcome:
@@ -81,9 +81,9 @@ def main() -> None:
     # What anything prints must not come between outcomes.
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)
-        task: Task = pickle.load(sys.stdin.buffer)
+        task: WorkerTask = pickle.load(sys.stdin.buffer)
         # Whoever sends an item waits for what became of it before it sends the next.
-        outcomes = run_processes(task.maker, _items(), task.limits, 1, ahead=False)
+        outcomes = run_processes(task.builder, _items(), task.limits, 1, ahead=False)
         for outcome in outcomes:
             pickle.dump(outcome, results)
             results.flush()

@@ -178,4 +178,4 @@ def bake_shot(
         return sources, output
     params |= {"shot": cut.shot, "start": None}
     name = cut.names["shot"]
-    return [cut.found.path], output or sources[0].with_name(f"{name}.usdc")
+    return [cut.media.path], output or sources[0].with_name(f"{name}.usdc")

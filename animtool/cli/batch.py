@@ -296,7 +296,7 @@ def _spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
     if params["path_mapping"] is not None:
-        from animtool.batch.recipe import mapped_spec, read_rules
+        from animtool.batch.item import mapped_spec, read_rules
 
         spec = mapped_spec(spec, read_rules(params["path_mapping"]))
     here = Path.cwd()
@@ -345,7 +345,7 @@ class _Repeat:
         # What came on stdin does not come again.
         listed = "-" in inputs
         if listed:
-            inputs = [str(item.found.path)]
+            inputs = [str(item.file.path)]
             output = str(item.output).replace("{", "{{").replace("}", "}}")
         words = ["animtool", "batch", *inputs]
         words += [] if output is None else ["-o", output]
@@ -398,7 +398,7 @@ def _tell(
 def _tell_notices(console: Console, report: BatchReport) -> None:
     """Say what is odd about items, each once, and of which items."""
     for notice, entries in report.notices_of_items().items():
-        paths = {entry.item.found.path.absolute() for entry in entries}
+        paths = {entry.item.file.path.absolute() for entry in entries}
         # One that names the only input needs no more.
         named = notice.path is not None and paths == {Path(notice.path).absolute()}
         of = [] if named else [f"  of {listed([e.item.label for e in entries])}"]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from animtool.batch.recipe import values_text
+from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
@@ -20,7 +20,7 @@ from animtool.quantities import escaped, json_printed, length_text
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from animtool.batch.recipe import Item
+    from animtool.batch.item import Item
 
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:

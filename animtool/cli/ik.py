@@ -186,7 +186,7 @@ def ik(console: Console, /, **params: Any) -> None:
     _check(params)
     cut = timeline_shot(console, params["start"], params, params["first_code"])
     if cut is not None:
-        params |= {"start": cut.found.path, "shot": cut.shot, "first_code": None}
+        params |= {"start": cut.media.path, "shot": cut.shot, "first_code": None}
     as_json = params["report_format"] == "json"
     output = params["output"]
     to_stdout = goes_to_stdout(output, params)

@@ -66,7 +66,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
         values[end] = None if values[end] is None else float(values[end])
     find = values["first"] is None or values["last"] is None
     with all_named(), console.progress(f"loop {source.name}") as progress:
-        cycle, report = loop_source(
+        result, report = loop_source(
             source,
             output,
             LoopOptions(find=find, **values),
@@ -75,7 +75,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
             strict=params["strict"],
             progress=progress,
         )
-    notices = cycle.notices if report is None else report.notices
+    notices = result.notices if report is None else report.notices
     console.faults(notices)
     if params["report_format"] == "json":
         console.result_json(
@@ -83,18 +83,18 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
                 "loop": "animtool/1",
                 "source": str(source),
                 "output": None if output is None else str(output),
-                "first": cycle.found.first,
-                "last": cycle.found.last,
-                "seconds": cycle.seconds,
-                "apart": cycle.found.apart,
-                "share": cycle.found.share,
+                "first": result.cycle.first,
+                "last": result.cycle.last,
+                "seconds": result.seconds,
+                "apart": result.cycle.apart,
+                "share": result.cycle.share,
                 "notices": [notice.as_dict() for notice in notices],
             }
         )
         return
-    best = cycle.found
+    best = result.cycle
     console.say(
-        f"{source}: a cycle of {plain(cycle.seconds, 4)} s, frames {best.first:g} to "
+        f"{source}: a cycle of {plain(result.seconds, 4)} s, frames {best.first:g} to "
         f"{best.last:g}; its ends differ by {length_text(best.apart)}, "
         f"{percent(best.share)} of what moves"
     )

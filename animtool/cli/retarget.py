@@ -205,7 +205,7 @@ def retarget_json(report: RetargetResult) -> dict[str, object]:
                 "found": str(pair.found),
                 "confidence": pair.confidence,
             }
-            for pair in report.found.pairs
+            for pair in report.joint_map.pairs
         ],
         "seconds": report.seconds,
         "notices": [notice.as_dict() for notice in report.notices],

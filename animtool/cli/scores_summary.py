@@ -44,7 +44,7 @@ def scores_table(items: Sequence[ItemReport]) -> list[str]:
 
 def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator[str]:
     """Yield the lines of the pass of a name and place."""
-    from animtool.batch.recipe import values_text
+    from animtool.batch.item import values_text
 
     table_rows = [
         (entry, one)

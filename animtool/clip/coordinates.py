@@ -236,13 +236,13 @@ class _OneJoint:
     joint: Joint
     index: int
     motion: JointMotion
-    given: Mapping[str, FloatArray]
+    stated: Mapping[str, FloatArray]
     fitted: Mapping[str, FloatArray]
     same: Same
 
     def driven(self, part: str, *, fitted: bool = False) -> FloatArray:
         """Return what controls add to a part ``(F or 1,)``."""
-        source = self.fitted if fitted else self.given
+        source = self.fitted if fitted else self.stated
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
     def vector(self, part: str, *, fitted: bool = False) -> FloatArray:
@@ -310,7 +310,7 @@ class _OneJoint:
     def _differs(self, off: FloatArray, same: float, *, rests: bool) -> bool:
         """Return whether a coordinate needs keys: of an undriven joint, if it moves."""
         name = f"joint/{self.joint.name}."
-        driven = any(target.startswith(name) for target in self.given)
+        driven = any(target.startswith(name) for target in self.stated)
         if not driven and self.joint.mimic is None:
             return not rests
         return bool(np.abs(off).max(initial=0.0) > same)

@@ -103,11 +103,11 @@ def keyed_take(
     solved = _solved(take, rig, joints, same, additive=base is not None)
     weights = own_weights_of(take, rig)
     job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
-    result = job.made(1.0)
+    result = job.reduced(1.0)
     for i in range(TRIES):
         if result.reduction.held:
             break
-        finer = job.made(FINER ** (i + 1))
+        finer = job.reduced(FINER ** (i + 1))
         result = min(result, finer, key=lambda keyed: keyed.reduction.error)
     return result
 
@@ -152,7 +152,7 @@ class _Job:
     others: Mapping[str, float]
     base: Take | None
 
-    def made(self, factor: float) -> KeyedTake:
+    def reduced(self, factor: float) -> KeyedTake:
         """Return the take's keys at a part of the tolerance."""
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}

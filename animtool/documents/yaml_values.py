@@ -270,7 +270,7 @@ class _Reader:
 class _Open:
     """A mapping or list that is not at its end yet."""
 
-    made: Any  # what there is of it
+    value: Any  # what there is of it
     key: str | None = None  # of a mapping, the one whose value comes next
     keys: dict[str, int] = field(default_factory=dict)  # line of each key
     flow: bool = False  # whether it stands between brackets
@@ -284,11 +284,11 @@ class _Open:
     def put(
         self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""
     ) -> None:
-        if isinstance(self.made, list):
-            self.made.append(value)
+        if isinstance(self.value, list):
+            self.value.append(value)
             return
         if self.key is not None:
-            self.made[self.key] = value
+            self.value[self.key] = value
             self.key = None
             if self.flow and (self.pieces or "(" in plain):
                 self._piece(value, place, reader, plain)

@@ -1,4 +1,4 @@
-"""Other ways through a stretch of a clip, and the best path that they make."""
+"""Other ways through a interval of a clip, and the best path that they make."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ SPREAD = (0.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Interval:
     """Consecutive frames, to be passed through some other way."""
 
     problem: Problem  # what is asked
     targets: Targets  # of all F frames of the clip
-    frames: range  # of the stretch, the first of which is where paths part
+    frames: range  # of the interval, the first of which is where paths part
     broken: int  # the frame that is not to be come to by a jump
     poses: FloatArray  # the path as it is, chain coordinates ``(L, C)``
     costs: FloatArray  # of what it misses, see `price` ``(L,)``
@@ -102,57 +102,59 @@ def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
     return np.where(reached, 0.0, cost)
 
 
-def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return paths through a stretch ``(K, L, C)`` and the cost of their misses.
+def branches(
+    interval: Interval, count: int, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return paths through a interval ``(K, L, C)`` and the cost of their misses.
 
     The path as it is; what other solutions of the broken frame and of the last come to,
     followed through time both ways; and paths that pass from the first to each of these
     little by little, brought to the goals. Costs are ``(K, L)``, 0 where goals are
     reached.
     """
-    at = stretch.broken - stretch.frames.start
-    starts = [stretch.poses[at], stretch.poses[at - 1]]
-    starts += list(_scattered(stretch, stretch.poses[at], count, seed))
-    frames = np.full(len(starts), stretch.broken)
-    solutions, cost = stretch.solved(np.array(starts), frames)
-    kept = _distinct(stretch.chain, solutions[cost == 0])
+    at = interval.broken - interval.frames.start
+    starts = [interval.poses[at], interval.poses[at - 1]]
+    starts += list(_scattered(interval, interval.poses[at], count, seed))
+    frames = np.full(len(starts), interval.broken)
+    solutions, cost = interval.solved(np.array(starts), frames)
+    kept = _distinct(interval.chain, solutions[cost == 0])
     if not len(kept):
         kept = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = _followed(stretch, kept, at)
-    own = stretch.poses[None]
+    tracks, costs = _followed(interval, kept, at)
+    own = interval.poses[None]
     paths = [own, tracks]
-    prices = [stretch.costs[None], costs]
-    for path, cost in _passing(stretch, tracks, at):
+    prices = [interval.costs[None], costs]
+    for path, cost in _passing(interval, tracks, at):
         paths.append(path[None])
         prices.append(cost[None])
     return np.concatenate(paths), np.concatenate(prices)
 
 
 def search_branches(
-    stretch: Stretch, spacing: int, seed: int
+    interval: Interval, spacing: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return paths through a long stretch ``(K, L, C)``, as of `branches`.
+    """Return paths through a long interval ``(K, L, C)``, as of `branches`.
 
     The path as it is, and solutions from seeded starts, looked for every ``spacing``
     frames and each followed both ways through time until it ends, or others that began
     later take its place.
     """
-    length, width = stretch.poses.shape
+    length, width = interval.poses.shape
     paths = np.zeros((1 + LAYERS * STRANDS, length, width))
     costs = np.full((len(paths), length), 2 * MISSED)
-    paths[0] = stretch.poses
-    costs[0] = stretch.costs
+    paths[0] = interval.poses
+    costs[0] = interval.costs
     far = LAYERS * spacing // 2
     for i, at in enumerate(range(0, length, spacing)):
-        frames = np.full(STRANDS, stretch.frames[at])
-        starts = _scattered(stretch, stretch.poses[at], STRANDS, seed + i)
-        solutions, cost = stretch.solved(np.array(list(starts)), frames)
+        frames = np.full(STRANDS, interval.frames[at])
+        starts = _scattered(interval, interval.poses[at], STRANDS, seed + i)
+        solutions, cost = interval.solved(np.array(list(starts)), frames)
         layer = 1 + i % LAYERS * STRANDS
         paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = solutions[:, None]
         for k in np.flatnonzero(cost == 0):
             for way in (slice(at, min(at + far, length)), slice(at, at - far, -1)):
                 rows = np.arange(length)[_clipped(way)]
-                poses, ok = stretch.tracked(solutions[k], rows)
+                poses, ok = interval.tracked(solutions[k], rows)
                 paths[layer + k, rows[:ok]] = poses[:ok]
                 costs[layer + k, rows[:ok]] = 0.0
     return paths, costs
@@ -164,11 +166,11 @@ def _clipped(way: slice) -> slice:
 
 
 def _scattered(
-    stretch: Stretch, home: FloatArray, count: int, seed: int
+    interval: Interval, home: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
     """Return poses anywhere within the limits, or about one where there are none."""
-    rng = np.random.default_rng([seed, stretch.broken])
-    chain = stretch.chain
+    rng = np.random.default_rng([seed, interval.broken])
+    chain = interval.chain
     for i in range(count):
         step = rng.normal(size=chain.degrees) * SPREAD[i % len(SPREAD)]
         pose = moved(chain, home, step)
@@ -192,38 +194,38 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def _followed(
-    stretch: Stretch, poses: FloatArray, at: int
+    interval: Interval, poses: FloatArray, at: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses ``(K, C)`` of a row followed to both ends of the stretch."""
-    length = len(stretch.frames)
+    """Return poses ``(K, C)`` of a row followed to both ends of the interval."""
+    length = len(interval.frames)
     tracks = np.zeros((len(poses), length, poses.shape[1]))
     costs = np.zeros((len(poses), length))
     for way, stop in ((1, length), (-1, -1)):
         now = poses
         for row in range(at, stop, way):
             if row != at:
-                change = stretch.changed(now, row - way)
-                now = moved(stretch.chain, stretch.reference[row], change)
-            frames = np.full(len(now), stretch.frames[row])
-            now, costs[:, row] = stretch.solved(now, frames)
+                change = interval.changed(now, row - way)
+                now = moved(interval.chain, interval.reference[row], change)
+            frames = np.full(len(now), interval.frames[row])
+            now, costs[:, row] = interval.solved(now, frames)
             tracks[:, row] = now
     return tracks, costs
 
 
 def _passing(
-    stretch: Stretch, tracks: FloatArray, at: int
+    interval: Interval, tracks: FloatArray, at: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Return paths from the one as it is to others, over the rows before ``at``."""
-    share = np.clip(np.arange(len(stretch.frames)) / max(at, 1), 0.0, 1.0)
+    share = np.clip(np.arange(len(interval.frames)) / max(at, 1), 0.0, 1.0)
     eased = (share**3 * (10 + share * (6 * share - 15)))[:, None]
     for track in tracks:
-        step = difference(stretch.chain, stretch.poses, track)
-        between = moved(stretch.chain, stretch.poses, eased * step)
-        yield stretch.solved(between, np.array(stretch.frames))
+        step = difference(interval.chain, interval.poses, track)
+        between = moved(interval.chain, interval.poses, eased * step)
+        yield interval.solved(between, np.array(interval.frames))
 
 
 def best_path(
-    stretch: Stretch,
+    interval: Interval,
     paths: FloatArray,
     costs: FloatArray,
     *,
@@ -239,15 +241,15 @@ def best_path(
 
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
-    chain = stretch.chain
-    drifts = difference(chain, stretch.reference[:-1], stretch.reference[1:])
+    chain = interval.chain
+    drifts = difference(chain, interval.reference[:-1], interval.reference[1:])
     chosen = _kernels.cheapest_ik_path(
         chain.nodes,
         with_periods(chain),
         paths,
         costs,
         drifts,
-        stretch.easy,
+        interval.easy,
         opened,
         closed,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
+from animtool.ik.branches import Interval, best_path, branches, price, search_branches
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, rows_of
 from animtool.ik.options import IkMethod
@@ -27,7 +27,7 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, pose_rows, solve
 
-# A stretch that is looked through begins this long before a jump [s], then twice that.
+# A interval that is looked through begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
 # It ends this long after it, at most [s].
 MAX_AHEAD = 0.5
@@ -208,13 +208,13 @@ class _Clip:
         were straight bend, a path that avoids the jump is not worth looking for.
         """
         window = slice(frame - 1, frame + 1)
-        stretch = self._stretch(poses[window], window, frame)
+        interval = self._stretch(poses[window], window, frame)
         options = self.options
-        pairs, costs = branches(stretch, options.branches, options.solving.seed)
+        pairs, costs = branches(interval, options.branches, options.solving.seed)
         own = self._strain(poses[window], window.start)
         return any(
             self._strain(pair, window.start) < SMALLER * own
-            for pair in pairs[(costs <= stretch.costs + NO_WORSE).all(axis=1)]
+            for pair in pairs[(costs <= interval.costs + NO_WORSE).all(axis=1)]
         )
 
     def _is_thin(self) -> bool:
@@ -226,11 +226,11 @@ class _Clip:
         """Return the best way through the whole clip, if it jumps less."""
         poses = self._poses(result)
         whole = slice(0, self.count)
-        stretch = self._stretch(poses, whole, 0)
+        interval = self._stretch(poses, whole, 0)
         spacing = max(round(WEAVE * self.options.fps), 1)
         seed = self.options.solving.seed + attempt * self.count
-        paths, costs = search_branches(stretch, spacing, seed)
-        path = self._way(stretch, paths, costs, closed=False)
+        paths, costs = search_branches(interval, spacing, seed)
+        path = self._way(interval, paths, costs, closed=False)
         if self._strain(path, 0) < SMALLER * self._strain(poses, 0):
             return self._joined(result, whole, path)
         return result
@@ -282,10 +282,10 @@ class _Clip:
         allowed = self.allowed[first : frames.stop - 1]
         return strain(self.path.frames(frames), poses, allowed)
 
-    def _stretch(self, poses: FloatArray, window: slice, frame: int) -> Stretch:
+    def _stretch(self, poses: FloatArray, window: slice, frame: int) -> Interval:
         path = self.path.frames(window)
         misses = path.measured(poses)
-        return Stretch(
+        return Interval(
             self.problem,
             self.targets,
             range(window.start, window.stop),
@@ -300,28 +300,28 @@ class _Clip:
 
     def _detour(self, poses: FloatArray, window: slice, frame: int) -> FloatArray:
         """Return the best path through a window, its speed evened out."""
-        stretch = self._stretch(poses[window], window, frame)
+        interval = self._stretch(poses[window], window, frame)
         options = self.options
-        paths, costs = branches(stretch, options.branches, options.solving.seed)
+        paths, costs = branches(interval, options.branches, options.solving.seed)
         closed = (self.moving or self._is_thin()) and window.stop < self.count
-        return self._way(stretch, paths, costs, closed=closed)
+        return self._way(interval, paths, costs, closed=closed)
 
     def _way(
-        self, stretch: Stretch, paths: FloatArray, costs: FloatArray, *, closed: bool
+        self, interval: Interval, paths: FloatArray, costs: FloatArray, *, closed: bool
     ) -> FloatArray:
         """Return the best way, its speed evened out.
 
         Where it still jumps and begins with the clip, its first pose is any, as no
         motion has to be kept.
         """
-        window = slice(stretch.frames.start, stretch.frames.stop)
+        window = slice(interval.frames.start, interval.frames.stop)
         path = self.path.frames(window)
-        best = best_path(stretch, paths, costs, closed=closed)
+        best = best_path(interval, paths, costs, closed=closed)
         best = path.evened(best)[0]
         least = self._strain(best, window.start)
         if window.start > 0 or self.moving or least <= 1:
             return best
-        other = best_path(stretch, paths, costs, closed=closed, opened=True)
+        other = best_path(interval, paths, costs, closed=closed, opened=True)
         other = path.evened(other, opened=True)[0]
         better = self._strain(other, window.start) < SMALLER * least
         return other if better else best

@@ -118,7 +118,7 @@ def match_take(
     keyed = clock.count <= FEW or clock.step != 1
     # Arrays have a row for each frame that the file's own range counts.
     keyed = keyed or last - first != clock.count - 1 or "#" in path.name
-    maker = _Values(
+    values = _Values(
         clock,
         ClipUnits.of_rig(take.rig),
         None if keyed else arrays_of(path).name,
@@ -126,7 +126,7 @@ def match_take(
         reduce,
     )
     goals = tuple(
-        _track(take.rig, chain, e, matched, maker) for e, chain in enumerate(chains)
+        _track(take.rig, chain, e, matched, values) for e, chain in enumerate(chains)
     )
     return TargetTracks(path, clock.fps, first, last, goals)
 
@@ -187,14 +187,14 @@ def _track(
     chain: IkChain,
     e: int,
     matched: Matched,
-    maker: _Values,
+    form: _Values,
 ) -> GoalTrack:
     goal = matched.goals[e]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
     for kind in goal.kinds:
         rows = np.asarray(getattr(matched.targets, kind.targets))[:, e]
         name = f"{chain.name}_{kind.name}"
-        values[kind.name] = maker.value(rows, name, rig.joints[rig.index(chain.tip)])
+        values[kind.name] = form.value(rows, name, rig.joints[rig.index(chain.tip)])
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), USUAL_EASE, frozenset[str]()
     )

@@ -168,7 +168,7 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Solved:
     """What a solver found: chain coordinates, misses, reports, seconds."""
 
     coordinates: FloatArray
@@ -192,7 +192,7 @@ class _Asked:
         return _Asked(targets, limbs, self.starts[rows], self.wished[rows])
 
 
-def _explain(solved: _Found, asked: _Asked, reached: BoolArray) -> None:
+def _explain(solved: _Solved, asked: _Asked, reached: BoolArray) -> None:
     """Say of targets that were brought into reach whether they were out of it."""
     status = solved.reports[:, 0]
     short = (status == _STATUSES.index(IkStatus.CONVERGED)) & ~reached.all(axis=1)
@@ -201,7 +201,7 @@ def _explain(solved: _Found, asked: _Asked, reached: BoolArray) -> None:
     status[short & only_eased] = _STATUSES.index(IkStatus.YIELDED)
 
 
-def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
+def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
     chain = problem.chain
     solved = _kernels.solve_ik(
         chain.nodes,
@@ -225,17 +225,17 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
         options.warm,
         KERNEL_METHODS[options.method],
     )
-    return _Found(*solved)
+    return _Solved(*solved)
 
 
-def _met(solved: _Found, options: IkOptions) -> BoolArray:
+def _met(solved: _Solved, options: IkOptions) -> BoolArray:
     """Return which goals are reached ``(B, E)``."""
     tolerances = by_unit(options.tolerance, options.angle_tolerance)
     return np.asarray((solved.misses <= tolerances).all(axis=2), np.bool_)
 
 
 def _settle(
-    problem: Problem, asked: _Asked, options: IkOptions, solved: _Found
+    problem: Problem, asked: _Asked, options: IkOptions, solved: _Solved
 ) -> None:
     """Draw poses that came of new starts to those preferred, while goals stay met.
 
@@ -247,7 +247,7 @@ def _settle(
     if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
         return
     near = replace(options, method=IkMethod.DAMPED, restarts=0)
-    drawn = _Found(*(getattr(solved, field.name)[rows] for field in fields(_Found)))
+    drawn = _Solved(*(getattr(solved, field.name)[rows] for field in fields(_Solved)))
     for weight in DRAWN:
         here = replace(asked[rows], starts=drawn.coordinates)
         drawn = _damped(replace(problem, rest_weight=weight), here, near)
@@ -261,14 +261,14 @@ def _settle(
     solved.misses[rows[kept]] = drawn.misses[kept]
 
 
-def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
+def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
     """Solve limbs in closed form, and those that their limits stop by descent."""
     limbs = solve_limb(
         problem, asked.starts, asked.targets, asked.limbs.sought, asked.limbs.scales
     )
     reports = np.zeros((len(asked.starts), 3), np.int64)
     seconds = np.zeros(len(reports))
-    closed_form = _Found(limbs.coordinates, limbs.misses, reports, seconds)
+    closed_form = _Solved(limbs.coordinates, limbs.misses, reports, seconds)
     rest = np.flatnonzero(~limbs.valid)
     if len(rest):
         other = _damped(problem, asked[rest], options)
@@ -281,7 +281,7 @@ def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     return closed_form
 
 
-def _stay(solved: _Found, idle: BoolArray) -> None:
+def _stay(solved: _Solved, idle: BoolArray) -> None:
     """Leave limbs of which a frame asks nothing where the last frame left them."""
     rows = np.arange(len(idle))
     last = np.maximum.accumulate(np.where(idle, -1, rows))

@@ -211,7 +211,7 @@ class _Problem:
         self.targets = _reached_targets(controls, direct)
         every = sorted({t for targets in self.targets.values() for t in targets})
         self.order = [target for target in every if target in goals]
-        self.wanted = goals
+        self.goals = goals
         self.tolerances = tolerances
         self.masters = {
             name
@@ -225,9 +225,9 @@ class _Problem:
         """Yield the problem with angles on the turns that one of them leads to."""
         angles = [target for target in self.order if target.endswith(".angle")]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
-            alone = self._of({anchor: self.wanted[anchor]})
+            alone = self._of({anchor: self.goals[anchor]})
             driven = evaluate_controls(self.controls, alone.solve(start, free)).targets
-            turned = dict(self.wanted)
+            turned = dict(self.goals)
             for target in angles:
                 turns = np.round((driven[target] - turned[target]) / (2 * np.pi))
                 turned[target] = turned[target] + 2 * np.pi * turns
@@ -248,7 +248,7 @@ class _Problem:
         rows = []
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.order:
-                off = self.wanted[target][frames] - driven[target]
+                off = self.goals[target][frames] - driven[target]
                 if turns and target.endswith(".angle"):
                     off = off - 2 * np.pi * np.round(off / (2 * np.pi))
                 rows.append(off / self.tolerances[target])

@@ -70,7 +70,7 @@ class _Entry:
 class _Tree:
     """Joints made so far, parents first; where they are once a mirror image asks."""
 
-    made: list[Joint] = field(default_factory=list)
+    built: list[Joint] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=dict)
     world: list[Transform] = field(default_factory=list)
 
@@ -78,7 +78,7 @@ class _Tree:
         """Return where a joint is at rest, the world for none."""
         if joint < 0:
             return ORIGIN
-        for transform in self.made[len(self.world) : joint + 1]:
+        for transform in self.built[len(self.world) : joint + 1]:
             parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
             self.world.append(
                 placed(parent, Pose(transform.translation, transform.rotation))
@@ -99,16 +99,16 @@ def joints_of(
         if entry.mirrored:
             source, parent_world = tree.places[entry.source], tree.at(parent)
             joint = mirrored_joint(
-                tree.made[source], tree.at(source), parent, parent_world
+                tree.built[source], tree.at(source), parent, parent_world
             )
-            if parent >= 0 and tree.made[source].parent == parent:
-                _note_off_middle(document, entry, joint, parent_world, tree.made)
+            if parent >= 0 and tree.built[source].parent == parent:
+                _note_off_middle(document, entry, joint, parent_world, tree.built)
         else:
             joint = _joint(document, entry.index, models[entry.index], units, parent)
-        tree.places[name] = len(tree.made)
-        tree.made.append(joint)
+        tree.places[name] = len(tree.built)
+        tree.built.append(joint)
     joints = FileJoints(
-        tuple(tree.made),
+        tuple(tree.built),
         frozenset(name for name, entry in entries.items() if entry.adrift),
         frozenset(name for name, entry in entries.items() if entry.mirrored),
         frozenset(

@@ -45,7 +45,7 @@ class PartReader:
     document: Document  # the file
     model: RigModel  # its content
     units: FileUnits  # what its numbers count
-    found: FileJoints  # the rig's joints
+    file_joints: FileJoints  # the rig's joints
     arrays: ArrayReader  # looks at the arrays that the file refers to
     # Number of points of each mesh, as far as known.
     vertices: dict[str, int] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class PartReader:
 
     def __post_init__(self) -> None:
         """Index the joints."""
-        self.joints = {joint.name: joint for joint in self.found.joints}
+        self.joints = {joint.name: joint for joint in self.file_joints.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:
         """Return the meshes, their arrays looked at."""
@@ -149,7 +149,7 @@ class PartReader:
         """Note a control that drives what a joint has no longer."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
-            if not part or name in self.found.untyped:
+            if not part or name in self.file_joints.untyped:
                 continue
             kind = self.joints[name].type
             if kind not in DRIVEN_PARTS[part]:
@@ -356,7 +356,7 @@ class PartReader:
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
-            known = joint not in self.found.untyped
+            known = joint not in self.file_joints.untyped
             if known and self.joints[joint].type not in types:
                 fitting = [
                     p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
@@ -384,17 +384,17 @@ class PartReader:
         if name in names:
             return True
         unnamed = self.document.unnamed(_LISTS[kind])
-        if not (self.found.unnamed if kind == "joint" else unnamed):
+        if not (self.file_joints.unnamed if kind == "joint" else unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
         return False
 
     def _below(self, root: str, tip: str) -> bool:
         """Return whether a joint is below another, or is it, or may be."""
-        joints = self.found.joints
+        joints = self.file_joints.joints
         place = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while place >= 0 and joints[place].name != root:
-            if joints[place].name in self.found.adrift:
+            if joints[place].name in self.file_joints.adrift:
                 return True
             place = joints[place].parent
         return place >= 0

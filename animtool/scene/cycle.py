@@ -17,10 +17,10 @@ from animtool.scene.sources import SourceOptions, open_source
 
 
 @dataclass(frozen=True, slots=True)
-class FoundCycle:
-    """A cycle of a take, and what is worth saying of it."""
+class LoopResult:
+    """The cycle of a take, its length, and notices."""
 
-    found: Cycle
+    cycle: Cycle
     seconds: float  # its length
     notices: list[Fault]
 
@@ -34,7 +34,7 @@ def loop_source(
     overwrite: bool = False,
     strict: bool = False,
     progress: Progress = None,
-) -> tuple[FoundCycle, ConvertReport | None]:
+) -> tuple[LoopResult, ConvertReport | None]:
     """Return the cycle of a take; with an output, also write it, repeated.
 
     Args:
@@ -63,7 +63,7 @@ def loop_source(
             best = measure_cycle(take, options.first, options.last)
     seconds = (best.last - best.first) / float(take.clock.fps)
     notices = [*stream.notices, *said_of(best, searched=options.find)]
-    cycle = FoundCycle(best, seconds, notices)
+    cycle = LoopResult(best, seconds, notices)
     if output is None:
         refuse_warnings(notices, strict=strict)
         return cycle, None

@@ -108,7 +108,7 @@ class MissedGoalsError(ToleranceError):
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class IkContext:
     """A rig, its targets, and the take to bring to them."""
 
     tracks: TargetTracks  # the targets
@@ -118,7 +118,7 @@ class Opened:
     notices: list[Fault]  # what is odd so far
 
 
-def open_ik(job: IkJob, *, progress: Progress = None) -> Opened:
+def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
     """Open the files of a job.
 
     Raises:
@@ -134,11 +134,11 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> Opened:
             clock = replace(clock, start=job.frame, count=1)
             tracks = tracks.placed(tracks.clock)
         take = rest_take(rig, clock)
-        return Opened(tracks, take, True, 0 if job.pose else None, notices)
+        return IkContext(tracks, take, True, 0 if job.pose else None, notices)
     take = open_start(job.start, rig, job.rig, job.source, progress=progress)
     notices += take.notices
     only = frame_index(take, job.frame, job.start) if job.pose else None
-    return Opened(tracks, take, False, only, notices)
+    return IkContext(tracks, take, False, only, notices)
 
 
 def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
@@ -257,22 +257,22 @@ def _named_rig(rig: Path, output: Path) -> Path | None:
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
     with sparing_inputs(ik_outputs(job)):
-        opened = open_ik(job, progress=progress)
+        context = open_ik(job, progress=progress)
     read = time.perf_counter()
     with naming(job.rig):
         solved = solve_take(
-            opened.take,
-            opened.tracks,
+            context.take,
+            context.tracks,
             _as_fine(job),
-            still=opened.still,
-            only=opened.only,
+            still=context.still,
+            only=context.only,
             progress=progress,
         )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, *_missed_by(job))
     missed = missed_notices(solved, goals)
     odd = [
-        *opened.notices,
+        *context.notices,
         *span_notices(solved),
         *apart_notices(solved, smooth=job.options.smooth > 0),
         *away_notices(solved, goals),

@@ -11,7 +11,7 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.options import IkMethod
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
-from animtool.scene.ik import IkJob, Opened, open_ik
+from animtool.scene.ik import IkContext, IkJob, open_ik
 from animtool.scene.progress import Progress
 
 # Shares of the chains' length, and radians.
@@ -56,16 +56,16 @@ def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:
         FormatError: A file is malformed.
         OptionError: The files do not fit each other, or an option makes no sense.
     """
-    opened = open_ik(job)
+    context = open_ik(job)
     options = job.options
-    first = _solved(job, opened, options.method, options.tolerance)
+    first = _solved(job, context, options.method, options.tolerance)
     length = first.problem.length
     steps = len(TOLERANCES) + len(IkMethod)
     rows: list[IkTableRow] = []
 
     def add(setting: str, method: IkMethod, tolerance: float, angle: float) -> None:
         row = IkTableRow(setting, tolerance, angle, method)
-        rows.append(_measured(job, opened, row))
+        rows.append(_measured(job, context, row))
         if progress is not None:
             progress(len(rows) / steps)
 
@@ -78,9 +78,9 @@ def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:
     return IkTable(frames, first.problem.degrees, rows[:count], rows[count:])
 
 
-def _measured(job: IkJob, opened: Opened, row: IkTableRow) -> IkTableRow:
+def _measured(job: IkJob, context: IkContext, row: IkTableRow) -> IkTableRow:
     try:
-        solved = _solved(job, opened, row.method, row.tolerance, row.angle_tolerance)
+        solved = _solved(job, context, row.method, row.tolerance, row.angle_tolerance)
     except OptionError as error:
         return replace(row, refused=error.faults[0].message)
     misses = np.where(solved.asked, solved.misses, 0.0)
@@ -97,7 +97,7 @@ def _measured(job: IkJob, opened: Opened, row: IkTableRow) -> IkTableRow:
 
 def _solved(
     job: IkJob,
-    opened: Opened,
+    context: IkContext,
     method: IkMethod,
     tolerance: float,
     angle_tolerance: float = 1e-3,
@@ -109,5 +109,5 @@ def _solved(
         angle_tolerance=angle_tolerance,
     )
     return solve_take(
-        opened.take, opened.tracks, options, still=opened.still, only=opened.only
+        context.take, context.tracks, options, still=context.still, only=context.only
     )

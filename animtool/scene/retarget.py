@@ -56,7 +56,7 @@ class RetargetResult:
     source: Path
     rig: Path
     going: Retargeting
-    found: JointMap
+    joint_map: JointMap
     source_rig: Rig
     target: Rig
     notices: list[Fault]
@@ -132,7 +132,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             report.written = written
             report.notices += [n for n in written.notices if n not in report.notices]
         if job.write_map is not None:
-            text = map_text(report.found, report.source_rig, report.target)
+            text = map_text(report.joint_map, report.source_rig, report.target)
             with replacing(job.write_map) as temporary:
                 temporary.write_text(text, "utf-8", newline="\n")
     report.outputs = outputs

@@ -153,10 +153,10 @@ def system_files(output: Path) -> ClipFiles:
     return ClipFiles(output, "systems", manifest)
 
 
-Opened = TypeVar("Opened")
+ChunkFile = TypeVar("ChunkFile")
 
 
-class Chunks(Generic[Opened]):
+class Chunks(Generic[ChunkFile]):
     """Samples in files of some each, closed when every prim has samples of the next.
 
     Every file also has the first sample of the next, for what lies between them.
@@ -167,16 +167,16 @@ class Chunks(Generic[Opened]):
         files: ClipFiles,
         size: int,
         prims: int,
-        opener: Callable[[Path, int], AbstractContextManager[Opened]],
+        build: Callable[[Path, int], AbstractContextManager[ChunkFile]],
     ) -> None:
         """Begin.
 
-        size: samples a file; prims: how many there are; opener: gives a file, 0 being
+        size: samples a file; prims: how many there are; build: gives a file, 0 being
         the first, that is whole at the end of the block.
         """
-        self.files, self._size, self._opener = files, size, opener
+        self.files, self._size, self._build = files, size, build
         self._done = [0] * prims
-        self._open: dict[int, tuple[ExitStack, Opened]] = {}
+        self._open: dict[int, tuple[ExitStack, ChunkFile]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
 
@@ -197,7 +197,7 @@ class Chunks(Generic[Opened]):
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
     def add(
-        self, prim: int, codes: FloatArray, put: Callable[[Opened, slice], object]
+        self, prim: int, codes: FloatArray, put: Callable[[ChunkFile, slice], object]
     ) -> None:
         """Put frames at time codes ``(F,)`` into the files that they belong to.
 
@@ -211,8 +211,8 @@ class Chunks(Generic[Opened]):
                 put(self._open[number - 1][1], slice(begin, begin + 1))
             if number == len(self.starts):
                 stack = ExitStack()
-                opened = self._opener(self.files.chunk(number), number)
-                self._open[number] = stack, stack.enter_context(opened)
+                context = self._build(self.files.chunk(number), number)
+                self._open[number] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
             put(self._open[number][1], slice(begin, begin + count))
             self._done[prim] += count

@@ -138,7 +138,7 @@ def asset_path(file: Path, folder: Path) -> str:
 
 def find_layer(path: Path) -> Any:
     """Open a layer; USD opens it by its path."""
-    state = layer_state(path, noted=True)
+    state = layer_state(path, recorded=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
         # One that is open already may be older than its file.
@@ -151,12 +151,12 @@ def find_layer(path: Path) -> Any:
     return layer
 
 
-def layer_state(path: Path, *, noted: bool = False) -> FileState:
+def layer_state(path: Path, *, recorded: bool = False) -> FileState:
     """Return what a file is that USD may open.
 
-    noted: whether a user or a document names it as an input.
+    recorded: whether a user or a document names it as an input.
     """
-    with open_input(path, None, noted=noted) as file:
+    with open_input(path, None, recorded=recorded) as file:
         binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
         limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
         if file.state.size > limit:

@@ -26,7 +26,7 @@ from animtool.signals import without_interrupts
 from animtool.supervisor import follow_parent, has_crashed, without_main
 from animtool.validation.options import ValidateOptions, check_codes, settings_of
 from animtool.validation.subjects.open import SUFFIXES, open_file
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
@@ -255,14 +255,14 @@ def _shared(
 def _check(path: Path, options: ValidateOptions) -> list[Fault]:
     """Return what counts in one file."""
     try:
-        opened = open_file(path)
+        checked = open_file(path)
     except AnimtoolError as error:
         if error.exit_code is ExitCode.USAGE:
             raise
         faults = list(error.faults)
     else:
-        faults = findings_in(opened)
-        options = options.with_profile(opened.profile)
+        faults = findings_in(checked)
+        options = options.with_profile(checked.profile)
     return [
         options.of(fault)
         for fault in faults
@@ -275,39 +275,39 @@ def _unreadable(fault: Fault, path: str) -> bool:
     return fault.code == "IO001" and fault.path == path
 
 
-def findings_in(opened: Opened) -> list[Fault]:
-    """Return what is wrong or odd in a file that was opened, whatever counts."""
-    faults = list(opened.faults)
+def findings_in(checked: CheckedFile) -> list[Fault]:
+    """Return what is wrong or odd in a file that was checked, whatever counts."""
+    faults = list(checked.faults)
     rules, _ = all_rules()
     for rule in rules.values():
-        if rule.check and opened.kind in rule.kinds:
-            faults += _run(rule, opened)
-    if opened.document is None:
+        if rule.check and checked.kind in rule.kinds:
+            faults += _run(rule, checked)
+    if checked.document is None:
         return faults
-    ignores = Ignores.of(opened.document)
+    ignores = Ignores.of(checked.document)
     faults = ignores.hide(faults)
     # What the reader refused hides findings that an entry may be for.
-    return [*faults, *(ignores.remarks() if opened.subject is not None else ())]
+    return [*faults, *(ignores.remarks() if checked.subject is not None else ())]
 
 
 def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     """Return what one rule finds in a file, its own errors not caught."""
-    opened = open_file(path)
-    if opened.kind not in rule.kinds:
+    checked = open_file(path)
+    if checked.kind not in rule.kinds:
         kinds = ", ".join(sorted(rule.kinds))
-        message = f"is a {opened.kind} file, and {rule.code} looks at {kinds}"
+        message = f"is a {checked.kind} file, and {rule.code} looks at {kinds}"
         raise FormatError(Fault("DOC009", message, str(path)))
-    subjects = _subjects(rule, opened)
+    subjects = _subjects(rule, checked)
     if not subjects:
-        raise FormatError(opened.faults)
+        raise FormatError(checked.faults)
     return [fault for subject in subjects for fault in _found(rule, subject)]
 
 
-def _subjects(rule: Rule, opened: Opened) -> Sequence[object]:
+def _subjects(rule: Rule, checked: CheckedFile) -> Sequence[object]:
     """Return what a rule looks at in a file; nothing where its reader refused it."""
     if rule.takes:
-        return opened.takes
-    return () if opened.subject is None else (opened.subject,)
+        return checked.takes
+    return () if checked.subject is None else (checked.subject,)
 
 
 def _found(rule: Rule, subject: object) -> Iterator[Fault]:
@@ -317,12 +317,12 @@ def _found(rule: Rule, subject: object) -> Iterator[Fault]:
         yield fault if is_note else replace(fault, severity=rule.severity)
 
 
-def _run(rule: Rule, opened: Opened) -> list[Fault]:
+def _run(rule: Rule, checked: CheckedFile) -> list[Fault]:
     """Return what a rule finds; that it failed is a finding too."""
     try:
-        return [f for s in _subjects(rule, opened) for f in _found(rule, s)]
+        return [f for s in _subjects(rule, checked) for f in _found(rule, s)]
     except Exception as error:
-        path = None if opened.document is None else str(opened.document.path)
+        path = None if checked.document is None else str(checked.document.path)
         kind = type(error).__name__
         message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
         hint = "please report it to whoever wrote the rule"

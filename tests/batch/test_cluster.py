@@ -16,16 +16,16 @@ from support.cluster import small_cluster
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work, _address, _sent, dask
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import Maker, Status
-from animtool.batch.worker_process import Task, WorkerProcess
+from animtool.batch.work import ItemBuilder, Status
+from animtool.batch.worker_process import WorkerProcess, WorkerTask
 from animtool.errors import OptionError, OutputError
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
     spec = BatchSpec(("takes/*",), folder, output="out/{stem}.usdc")
     batch = find_batch(spec)
-    maker = Maker(batch.recipe, batch.root)
-    return Work(maker, iter(batch.items), limits or Limits(), 2, argument)
+    builder = ItemBuilder(batch.item_task, batch.root)
+    return Work(builder, iter(batch.items), limits or Limits(), 2, argument)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     given = work(tmp_path, "")
     items = list(given.items)
-    process = WorkerProcess(Task(given.maker, Limits(), str(tmp_path)))
+    process = WorkerProcess(WorkerTask(given.builder, Limits(), str(tmp_path)))
     try:
         made = [process.make(item) for item in items]
     finally:
@@ -171,7 +171,7 @@ def test_a_worker_that_ends_is_an_error(
     take_files(tmp_path / "takes", 1)
     given = work(tmp_path, "")
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    process = WorkerProcess(Task(given.maker, Limits(), str(tmp_path)))
+    process = WorkerProcess(WorkerTask(given.builder, Limits(), str(tmp_path)))
     with pytest.raises((ConnectionError, BrokenPipeError)):
         process.make(next(given.items))
     process.end()

@@ -17,7 +17,7 @@ from support.cli import animtool
 from animtool import open_source
 from animtool.batch.cuts import SHOT_NAMES, CutOptions, read_cuts
 from animtool.errors import FormatError, OptionError
-from animtool.files import FoundFile
+from animtool.files import MatchedFile
 from animtool.rates import rate_from_float
 from animtool.shot import Shot
 
@@ -58,7 +58,7 @@ def test_frames_are_those_of_the_shot(takes: Path) -> None:
     assert (cut.names["track"], cut.names["clip"]) == ("V1", "sh010")
     assert (cut.names["media_first"], cut.names["media_last"]) == ("11", "22")
     assert cut.names["media_fps"] == "24"
-    assert cut.found.path == takes / "takes/take000.bvh"
+    assert cut.media.path == takes / "takes/take000.bvh"
     assert cut.shot is not None
     assert cut.shot.media_in == Fraction(10, 24)
 
@@ -285,11 +285,11 @@ def test_missing_media_is_named_with_its_clips_at_once(takes: Path) -> None:
 
 
 def test_media_is_found_by_name(takes: Path) -> None:
-    media = [FoundFile(path, path.parent) for path in (takes / "takes").iterdir()]
+    media = [MatchedFile(path, path.parent) for path in (takes / "takes").iterdir()]
     made = [clip("Take001", None, (0, 4))]
     made += [clip(n, "/elsewhere/take000.mov", (0, 4)) for n in ("b", "take001")]
     found = read_cuts(timeline(takes / "a.otio", *made), media)
-    stems = [shot.found.path.stem for shot in found.shots]
+    stems = [shot.media.path.stem for shot in found.shots]
     assert stems == ["take001", "take000", "take001"]
     unknown = timeline(takes / "b.otio", clip("c", None, (0, 4)))
     with pytest.raises(FormatError, match="BAT042"):
@@ -303,7 +303,7 @@ def test_urls_are_read_as_such(takes: Path) -> None:
     urls = [spaced.as_uri(), "takes/a%20take.bvh", str(spaced), "takes/a take.bvh"]
     made = [clip(f"s{i}", url, (0, 4)) for i, url in enumerate(urls)]
     found = read_cuts(timeline(takes / "a.otio", *made))
-    assert {shot.found.path.resolve() for shot in found.shots} == {spaced.resolve()}
+    assert {shot.media.path.resolve() for shot in found.shots} == {spaced.resolve()}
 
 
 @pytest.mark.parametrize(
@@ -332,9 +332,9 @@ def test_an_edl(takes: Path) -> None:
         "001  AX       V     C        00:00:00:00 00:00:00:08 01:00:00:00 01:00:00:08\n"
         "* FROM CLIP NAME: take001\n"
     )
-    media = [FoundFile(path, path.parent) for path in (takes / "takes").iterdir()]
+    media = [MatchedFile(path, path.parent) for path in (takes / "takes").iterdir()]
     (shot,) = read_cuts(takes / "a.edl", media).shots
-    assert shot.found.path.stem == "take001"
+    assert shot.media.path.stem == "take001"
     assert (shot.names["media_first"], shot.names["media_last"]) == ("1", "8")
 
 

@@ -23,7 +23,7 @@ def made(folder: Path, *inputs: str, **given: object) -> list[tuple[str, str]]:
     assert [item.number for item in batch.items] == list(range(1, len(batch.items) + 1))
     return [
         (
-            item.found.path.relative_to(folder).as_posix(),
+            item.file.path.relative_to(folder).as_posix(),
             item.output.relative_to(folder).as_posix(),
         )
         for item in batch.items
@@ -210,7 +210,7 @@ def test_files_among_the_options_count_as_seen_from_the_root(takes: Path) -> Non
         options = BakeOptions(rig_layer=folder / name)
         spec = BatchSpec(("takes/take000.bvh",), takes, options=options)
         batch = find_batch(spec)
-        return batch.recipe.described(batch.items[0], folder)["options"]
+        return batch.item_task.described(batch.items[0], folder)["options"]
 
     one, other = takes / "one", takes / "two"
     assert described(one, "a.usda") == described(other, "a.usda")

@@ -21,9 +21,9 @@ from animtool.batch.executors import (
     find_executor,
     listed_executors,
 )
-from animtool.batch.recipe import Item
+from animtool.batch.item import Item
 from animtool.batch.spec import BatchSpec, Limits
-from animtool.batch.work import Maker, Status
+from animtool.batch.work import ItemBuilder, Status
 from animtool.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")
@@ -34,9 +34,9 @@ def work(folder: Path, count: int, **given: object) -> Work:
     take_files(folder / "takes", count)
     spec = BatchSpec(("takes/*.bvh",), folder, output="out/{stem}.usdc")
     batch = find_batch(spec)
-    maker = Maker(batch.recipe, batch.root)
+    builder = ItemBuilder(batch.item_task, batch.root)
     settings = {"limits": Limits(), "jobs": 2, **given}
-    return Work(maker, iter(batch.items), **settings)  # type: ignore[arg-type]
+    return Work(builder, iter(batch.items), **settings)  # type: ignore[arg-type]
 
 
 @pytest.fixture(params=sorted(EXECUTORS))
@@ -85,7 +85,7 @@ def test_items_are_taken_when_they_are_begun(
             taken.append(item.number)
             yield item
 
-    counting = Work(made.maker, counted(made.items), made.limits, 2, argument)
+    counting = Work(made.builder, counted(made.items), made.limits, 2, argument)
     outcomes = find_executor(name).load()(counting)
     next(iter(outcomes))
     assert len(taken) <= 3
@@ -96,7 +96,7 @@ def test_items_are_taken_when_they_are_begun(
 
 def test_no_items_are_no_outcomes(name: str, argument: str, tmp_path: Path) -> None:
     some = work(tmp_path, 1)
-    none = Work(some.maker, iter(()), Limits(), 1, argument)
+    none = Work(some.builder, iter(()), Limits(), 1, argument)
     assert list(find_executor(name).load()(none)) == []
 
 

@@ -14,7 +14,7 @@ from support.batch import take_files
 from animtool.batch import timeline as texts
 from animtool.batch.cuts import CutList, CutOptions, read_cut, read_cuts
 from animtool.errors import AnimtoolError
-from animtool.files import FoundFile
+from animtool.files import MatchedFile
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 
@@ -157,10 +157,10 @@ def test_media_with_any_address(takes: Path, url: str) -> None:
     path = spoilt(takes, "ExternalReference", target_url=url)
     assert code(path) == "BAT042"
     # What leads nowhere is looked for by the clip's name.
-    found = FoundFile(takes / "takes/take000.bvh", takes)
+    found = MatchedFile(takes / "takes/take000.bvh", takes)
     path.write_text(path.read_text("utf-8").replace('"a"', '"take000"'), "utf-8")
     cuts = read_cuts(path, [found], left_out=lambda _: False)
-    assert [cut.found for cut in cuts.shots] == [found]
+    assert [cut.media for cut in cuts.shots] == [found]
 
 
 def test_media_of_this_machine_by_its_address(takes: Path) -> None:

@@ -55,7 +55,7 @@ def refusal(folder: Path, name: str, part: str = "") -> OutputError | None:
             ledger.claim([f"{part}.usdc"])
     except OutputError as error:
         return error
-    assert f"{part}.usdc" in read_history(folder, name).made.known
+    assert f"{part}.usdc" in read_history(folder, name).manifest.known
     return None
 
 
@@ -130,18 +130,18 @@ def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with held_ledger(folder, "a") as run:
         for number in (1, 2):
-            run.made(item(number))
+            run.add(item(number))
         run.failed("3.usdc", "why")
     made, failed = folder / "batch-a.jsonl", folder / "batch-a.failed.jsonl"
     made.write_bytes(made.read_bytes().replace(b'"item":"2', b'"item":"3'))
     failed.write_bytes(failed.read_bytes().replace(b"why", b"who"))
     with held_ledger(folder, "a") as run:
         assert [notice.code for notice in run.history.damaged] == ["BAT070"] * 2
-        assert set(run.history.made.items) == {"1.usdc"}
+        assert set(run.history.manifest.items) == {"1.usdc"}
         assert run.history.failed == {}
         run.settle(lambda _: True)
     history = read_history(folder, "a")
-    assert (set(history.made.items), history.damaged) == ({"1.usdc"}, [])
+    assert (set(history.manifest.items), history.damaged) == ({"1.usdc"}, [])
 
 
 def test_batches_of_other_names_run_props_each_other(tmp_path: Path) -> None:
@@ -156,18 +156,18 @@ def test_parts_come_together(tmp_path: Path) -> None:
         (tmp_path / f"{number}.usdc").touch()
         with held_ledger(folder, "a", f"{number}-{number}") as part:
             part.claim([f"{number}.usdc"])
-            part.made(item(number))
+            part.add(item(number))
             part.failed("9.usdc", "why")
             part.settle(lambda _: True)
     history = read_history(folder, "a")
-    assert set(history.made.items) == {"1.usdc", "2.usdc"}
+    assert set(history.manifest.items) == {"1.usdc", "2.usdc"}
     assert history.failed == {"9.usdc": "why"}
     with held_ledger(folder, "a") as whole:
         whole.settle(lambda made: made.key == "1.usdc")
     history = read_history(folder, "a")
-    assert set(history.made.items) == {"1.usdc"}
+    assert set(history.manifest.items) == {"1.usdc"}
     # It is there, and a run of the batch made it.
-    assert "2.usdc" in history.made.known
+    assert "2.usdc" in history.manifest.known
     assert not list((folder / "batch-a.d").glob("*.jsonl"))
 
 
@@ -187,7 +187,7 @@ def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
         run.settle(lambda _: True)
     assert read_history(folder, "a").failed == {"1.usdc": "why"}
     with held_ledger(folder, "a") as run:
-        run.made(item(1))
+        run.add(item(1))
         run.settle(lambda _: True)
     assert read_history(folder, "a").failed == {}
     assert not list(folder.glob("*.failed.jsonl"))
@@ -198,14 +198,14 @@ def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
         run.claim(["1.usdc"])
         run.failed("2.usdc", "why")
     history = read_history(tmp_path, "a")
-    assert "1.usdc" in history.made.known
+    assert "1.usdc" in history.manifest.known
     assert history.failed == {"2.usdc": "why"}
 
 
 def test_what_did_not_change_is_not_written_again(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with held_ledger(folder, "a") as run:
-        run.made(item(1))
+        run.add(item(1))
         run.settle(lambda _: True)
     before = (folder / "batch-a.jsonl").stat().st_ino
     with held_ledger(folder, "a") as run:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
 
-from animtool.batch.recipe import PathRule, mapped_path, mapped_spec, read_rules
+from animtool.batch.item import PathRule, mapped_path, mapped_spec, read_rules
 from animtool.batch.spec import BatchSpec
 from animtool.errors import FormatError
 

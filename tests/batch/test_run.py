@@ -12,7 +12,7 @@ from support.batch import take_files, whole_outputs
 
 import animtool
 from animtool.batch.executors import EXECUTORS, Executor, Work
-from animtool.batch.recipe import Item
+from animtool.batch.item import Item
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
@@ -138,7 +138,7 @@ def test_a_file_that_came_since_the_plan_is_not_replaced(
 
 def careless(work: Work) -> Iterator[Outcome]:
     """Say nothing of the first item, and all else twice."""
-    outcomes = [work.maker.make(item) for item in work.items]
+    outcomes = [work.builder.build(item) for item in work.items]
     yield from outcomes[1:]
     yield from outcomes[1:]
     yield Outcome(99, Status.DONE, 0.0)

@@ -10,17 +10,17 @@ from support.batch import take_files
 
 from animtool.batch import work
 from animtool.batch.discover import find_batch
-from animtool.batch.recipe import Recipe
+from animtool.batch.item import ItemTask
 from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Maker, Outcome, Status
+from animtool.batch.work import ItemBuilder, Outcome, Status
 
 
 def made(folder: Path, count: int = 1) -> list[Outcome]:
     spec = BatchSpec(("takes/*.bvh",), folder, output="out/{stem}.usdc")
     batch = find_batch(spec)
-    maker = Maker(batch.recipe, batch.root)
+    builder = ItemBuilder(batch.item_task, batch.root)
     assert len(batch.items) == count
-    return [maker.make(item) for item in batch.items]
+    return [builder.build(item) for item in batch.items]
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_what_nothing_was_prepared_for(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(Recipe, "bake", fail)
+    monkeypatch.setattr(ItemTask, "bake", fail)
     (outcome,) = made(tmp_path)
     assert outcome.status is Status.FAILED
     assert (outcome.faults[0].code, outcome.retired) == (code, retired)

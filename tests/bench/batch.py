@@ -114,10 +114,10 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
             item.output.write_bytes(b"made")
             records = [
                 record_of(path, named_from(path, found.root), FileState.of(path))
-                for path in (item.found.path, item.output)
+                for path in (item.file.path, item.output)
             ]
             key = planner.key(item)
-            ledger.made(
+            ledger.add(
                 ItemRecord(
                     key,
                     planner.how(item),

@@ -19,7 +19,7 @@ from support.people import named, person
 from animtool import Clip, Rig, bake
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.batch.recipe import INPUT_NAMES
+from animtool.batch.item import INPUT_NAMES
 from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take

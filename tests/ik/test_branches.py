@@ -7,20 +7,20 @@ from support.ik import arm, random_pose, reached_by
 
 from animtool._types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
-from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
+from animtool.ik.branches import Interval, best_path, branches, price, search_branches
 from animtool.ik.chain import difference
 
 FRAMES = 12
 
 
-def stretch(seed: int = 3) -> Stretch:
+def stretch(seed: int = 3) -> Interval:
     """Four links that reach along a line."""
     problem = build(arm(4, limit=2.0), [Goal("b3", (0.3, 0.0, 0.0))])
     pose = random_pose(problem, seed) / 2
     rows = pose + 0.01 * np.arange(FRAMES)[:, None]
     targets = reached_by(problem, rows)
     poses = problem.chain.from_rig(rows)
-    return Stretch(
+    return Interval(
         problem,
         Targets(targets.positions),
         range(FRAMES),
@@ -34,7 +34,7 @@ def stretch(seed: int = 3) -> Stretch:
     )
 
 
-def check(found: tuple[FloatArray, FloatArray], of: Stretch) -> None:
+def check(found: tuple[FloatArray, FloatArray], of: Interval) -> None:
     paths, costs = found
     assert costs.shape == paths.shape[:2]
     np.testing.assert_array_equal(paths[0], of.poses)

@@ -135,7 +135,7 @@ def test_an_interrupt_leaves_whole_files(
         "ended = batch_run._Run._ended\n"
         "def stop(self, outcome):\n"
         "    ended(self, outcome)\n"
-        "    if len(self.found) == 3:\n"
+        "    if len(self.ended) == 3:\n"
         f"        os.kill(os.getpid(), {int(number)})\n"
         "batch_run._Run._ended = stop\n"
         "sys.exit(run(['batch', 'takes/*', '-o', 'out/{stem}.usdc', '-j', '3']))"

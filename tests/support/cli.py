@@ -57,7 +57,7 @@ _KILLABLE = """
 import contextlib, ctypes, json, os, signal, sys
 import animtool.batch.run, animtool.cli.bake, animtool.cli.batch
 import animtool.formats.bvh.read, animtool.scene.bake, animtool.usd.author
-import animtool.batch.warm
+import animtool.batch.preload
 from animtool.cli.main import run
 
 calls = last = 0

@@ -9,27 +9,33 @@ import sys
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
-from animtool.batch.work import READY, Maker
+from animtool.batch.work import READY, ItemBuilder
 
 
-def serve_nothing(connection: Connection, maker: Maker, memory: int | None) -> None:
+def serve_nothing(
+    connection: Connection, builder: ItemBuilder, memory: int | None
+) -> None:
     """Take no item, and do not end."""
-    del maker, memory
+    del builder, memory
     connection.recv()
 
 
-def serve_and_end(connection: Connection, maker: Maker, memory: int | None) -> None:
+def serve_and_end(
+    connection: Connection, builder: ItemBuilder, memory: int | None
+) -> None:
     """End before an item can be taken."""
-    del connection, maker, memory
+    del connection, builder, memory
     sys.exit(9)
 
 
-def serve_garbage(connection: Connection, maker: Maker, memory: int | None) -> None:
+def serve_garbage(
+    connection: Connection, builder: ItemBuilder, memory: int | None
+) -> None:
     """Answer each item by what is no outcome of it."""
     del memory
     connection.send(READY)
     item = connection.recv()
-    outcome = maker.make(item)
+    outcome = builder.build(item)
     if item.number == 1:
         connection.send_bytes(b"\x80\x04garbage")
     else:

@@ -148,7 +148,7 @@ class _World:
         self.rig, self.bounds = rig, bounds
         self.pose: Pose = pose_of(rig, motion, base)
         self.truth = self.pose.world()
-        self.found: WorldTransforms | None = None
+        self.reduced_world: WorldTransforms | None = None
         self.points = attached_points(rig, shell)
         self.reach = reach(self.points)
         self.below = _descendants(rig)
@@ -173,8 +173,8 @@ class _World:
         """Return the error of every joint ``(F, J)`` [m] once these are in place."""
         for budget in budgets:
             self.pose.set(budget.track, budget.values)
-        self.found = self.pose.world(self.found)
-        return point_errors(self.points, self.truth, self.found)
+        self.reduced_world = self.pose.world(self.reduced_world)
+        return point_errors(self.points, self.truth, self.reduced_world)
 
     def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
         """Return how far the points of joints ``ends`` are off a joint [m]."""

@@ -13,18 +13,18 @@ from animtool.documents.edit import Edit
 from animtool.errors import Fault
 from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 
 class Draft(Protocol):
     """Content of a file; a step returns another draft and leaves this one."""
 
     @property
-    def opened(self) -> Opened:
+    def checked(self) -> CheckedFile:
         """The content as rules look at it."""
 
     @property
-    def found(self) -> Sequence[Fault]:
+    def findings(self) -> Sequence[Fault]:
         """Findings of the rules in it."""
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
@@ -80,14 +80,14 @@ class NotMendedError(Exception):
 class Mend:
     """What mends a finding."""
 
-    said: str  # what is done, for the report
+    remedy: str  # what is done, for the report
     edits: tuple[Edit, ...]  # of the file's text
     # Of new npz files, by file and name.
     arrays: Mapping[Path, Mapping[str, npt.NDArray[Any]]] = field(default_factory=dict)
 
 
 # Raises NotMendedError where it would not be safe.
-Fix = Callable[[Opened, Fault], Mend]
+Fix = Callable[[CheckedFile, Fault], Mend]
 
 
 def fix_of(code: str) -> Fix | None:

@@ -13,7 +13,7 @@ from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.draft import Step
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
     from animtool.usd.fixes.target import EditedLayer
@@ -28,7 +28,7 @@ class LayerDraft:
     edits: tuple[str, ...] = ()  # what it differs by, a line each
 
     @cached_property
-    def opened(self) -> Opened:
+    def checked(self) -> CheckedFile:
         """The content as rules look at it."""
         from animtool.usd.fixes.target import edited_layer
 
@@ -36,9 +36,9 @@ class LayerDraft:
             return open_file(self.path)
 
     @cached_property
-    def found(self) -> Sequence[Fault]:
+    def findings(self) -> Sequence[Fault]:
         """Findings of the rules in it."""
-        return findings_in(self.opened)
+        return findings_in(self.checked)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings of the code whose fix comes first, the deepest first.

@@ -19,7 +19,7 @@ from animtool.validation.fixes.texts import place_of
 from animtool.validation.rules.rig_parts import legal, names_in
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 
 def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
@@ -123,20 +123,20 @@ _PLACES = {
 }
 
 
-def allowed(opened: Opened, fault: Fault) -> Mend:
+def allowed(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with every name of a list as USD allows it."""
-    rig = _whole(opened)
+    rig = _whole(checked)
     key = str(place_of(fault)[0])
     old = [name for name in names_in(rig, key) if legal(name) != name]
     return _renamed(rig, key, old)
 
 
-def distinct(opened: Opened, fault: Fault) -> Mend:
+def distinct(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with another name for one of two that USD cannot tell apart.
 
     Of the two the one that USD does not allow, or the second of these.
     """
-    rig = _whole(opened)
+    rig = _whole(checked)
     key, number = place_of(fault)[:2]
     entry = rig.written(str(key))[number]
     names = names_in(rig, key)
@@ -148,8 +148,8 @@ def distinct(opened: Opened, fault: Fault) -> Mend:
     raise NotMendedError(f"{entry['name']!r} is told from the others")
 
 
-def _whole(opened: Opened) -> RigSubject:
-    rig: RigSubject = opened.subject
+def _whole(checked: CheckedFile) -> RigSubject:
+    rig: RigSubject = checked.subject
     if "from" in rig.document.value:
         raise NotMendedError("the names come from another file")
     return rig

@@ -36,9 +36,9 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     A mend is kept where its finding is gone and none has come.
     """
     plan = FileMend(path, _open_draft(path))
-    options = options.with_profile(plan.after.opened.profile)
+    options = options.with_profile(plan.after.checked.profile)
     given_up: set[tuple[str, str | None, str]] = set()
-    while cases := list(_open_cases(plan.after.found, options, given_up)):
+    while cases := list(_open_cases(plan.after.findings, options, given_up)):
         batch = plan.after.batch(cases)
         step = plan.after.step(batch)
         worse = _worse(plan.after, step)
@@ -52,7 +52,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
         given_up.update(map(_key, batch))
         plan.left.extend(step.refused)
         plan.left.extend((fault, worse) for fault, _ in step.done)
-    last = plan.after.finish(list(_open_cases(plan.after.found, options, set())))
+    last = plan.after.finish(list(_open_cases(plan.after.findings, options, set())))
     plan.after = last.draft
     plan.mended.extend(last.done)
     return plan
@@ -123,8 +123,8 @@ def _worse(before: Draft, step: Step) -> str:
     """Return why a step is refused: findings stay or come; empty if it is not."""
     if not step.done:
         return ""
-    old = Counter(fault.code for fault in before.found)
-    new = Counter(fault.code for fault in step.draft.found)
+    old = Counter(fault.code for fault in before.findings)
+    new = Counter(fault.code for fault in step.draft.findings)
     more = sorted(code for code in new if new[code] > old[code])
     if more:
         return f"{more[0]} would come of it"

@@ -27,7 +27,7 @@ from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -42,20 +42,20 @@ def place_of(fault: Fault) -> tuple[Any, ...]:
     return tuple(int(number) if number else key for key, number in steps)
 
 
-def left_out(opened: Opened, fault: Fault) -> Mend:
+def left_out(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file without an entry, and without the list that it was alone in."""
-    if opened.document is None:
+    if checked.document is None:
         raise NotMendedError("the file has no text")
-    entries = opened.document.value["ignore"]
+    entries = checked.document.value["ignore"]
     place = place_of(fault)
     entry = entries[place[1]]
     location = place if len(entries) > 1 else ("ignore",)
     return Mend(f"leaves out the entry for {entry['code']}", (Remove(location),))
 
 
-def from_bind(opened: Opened, fault: Fault) -> Mend:
+def from_bind(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with a joint's rest pose, taken from its bind pose."""
-    rig: RigSubject = opened.subject
+    rig: RigSubject = checked.subject
     place = place_of(fault)
     entry = rig.written("joints")[place[1]]
     pose = rig.document.value["bind"][entry["name"]]
@@ -64,13 +64,13 @@ def from_bind(opened: Opened, fault: Fault) -> Mend:
     return Mend(f"gives {entry['name']!r} the rest pose that bind has", edits)
 
 
-def summed(opened: Opened, fault: Fault) -> Mend:
+def summed(checked: CheckedFile, fault: Fault) -> Mend:
     """Return the file with weights that are divided by their sums, in a new npz.
 
     That is what every reader of the file does with them. The npz that holds them now
     may be another rig's too, and stays as it is.
     """
-    rig: RigSubject = opened.subject
+    rig: RigSubject = checked.subject
     place = place_of(fault)
     skin = rig.rig.meshes[place[1]].skin
     if "from" in rig.document.value or skin is None:
@@ -121,14 +121,14 @@ class TextDraft:
         return cls(path, text, text)
 
     @cached_property
-    def opened(self) -> Opened:
+    def checked(self) -> CheckedFile:
         """The text as rules look at the file."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
-    def found(self) -> Sequence[Fault]:
+    def findings(self) -> Sequence[Fault]:
         """Findings of the rules in it."""
-        return findings_in(self.opened)
+        return findings_in(self.checked)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
         """Return the first: after it the others may stand elsewhere."""
@@ -147,10 +147,10 @@ class TextDraft:
                 return Step(self)
             other = replace(self, text=text)
             # That it can be read is looked at here.
-            _ = other.found
+            _ = other.findings
         except (NotMendedError, EditError, AnimtoolError) as error:
             return Step(self, refused=[(fault, str(error))])
-        return Step(other, [(fault, mend.said)])
+        return Step(other, [(fault, mend.remedy)])
 
     def finish(self, cases: Sequence[Fault]) -> Step:
         """Return the text with the findings fixed whose remedy writes arrays."""
@@ -164,7 +164,7 @@ class TextDraft:
                 text = edited(text, self.path, mend.edits)
             except (NotMendedError, EditError):
                 continue
-            done.append((fault, mend.said))
+            done.append((fault, mend.remedy))
             for path, arrays in mend.arrays.items():
                 added.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in done)
@@ -212,7 +212,7 @@ class TextDraft:
             return
         unread = {*self.awaited, "RIG018", "RIG019"}
         again = replace(self, arrays={})
-        if any(fault.code in unread for fault in again.found):
+        if any(fault.code in unread for fault in again.findings):
             path = next(iter(self.arrays))
             raise output_error(path, "it is read otherwise than written")
 
@@ -220,7 +220,7 @@ class TextDraft:
         fix = fix_of(fault.code)
         if fix is None:
             raise NotMendedError("it has no fix")
-        return fix(self.opened, fault)
+        return fix(self.checked, fault)
 
 
 def _lines(text: str) -> list[str]:

@@ -47,7 +47,7 @@ class Sources:
 
 def _lines(path: Path) -> list[str]:
     try:
-        data = read_input(path, MAX_BYTES, noted=False)
+        data = read_input(path, MAX_BYTES, recorded=False)
         return _ENDS.split(data.decode("utf-8-sig"))
     except (FormatError, UnicodeDecodeError):
         return []
@@ -198,7 +198,7 @@ def _case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
     odd = [fault for fault in faults if fault.severity is not Severity.ERROR]
     text = "\n".join(map(str, odd))
     if not wrong:
-        return JunitCase(name, said=text)
+        return JunitCase(name, output=text)
     return JunitCase(
         name,
         "error" if unreadable else "failure",

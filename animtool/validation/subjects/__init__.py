@@ -1,1 +1,1 @@
-"""What rules look at: a file of each kind, opened once."""
+"""What rules look at: a file of each kind, checked once."""

@@ -14,7 +14,7 @@ from animtool.rules import Kind
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
     from animtool.usd.checks.takes import AnimationTake
@@ -55,23 +55,23 @@ class TakeSubject:
         return lines
 
 
-def open_bvh(path: Path) -> Opened:
+def open_bvh(path: Path) -> CheckedFile:
     """Return a BVH as its rules see it, every row read."""
     take = open_source(path).collect()
     faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
     subject = TakeSubject(path, take)
     motion = MotionSubject(take, subject.fault_at, has_units=False)
-    return Opened(Kind.BVH, faults, subject, takes=(motion,))
+    return CheckedFile(Kind.BVH, faults, subject, takes=(motion,))
 
 
-def open_usd(path: Path) -> Opened:
+def open_usd(path: Path) -> CheckedFile:
     """Return what is wrong with a USD layer and what it brings in, and its takes."""
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
     takes = tuple(_subject(path, take) for take in layer.takes)
     profile = "layer" if layer.alone else None
-    return Opened(Kind.USD, layer.faults, takes=takes, profile=profile)
+    return CheckedFile(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
 def _subject(path: Path, take: AnimationTake) -> MotionSubject:

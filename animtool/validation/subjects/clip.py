@@ -25,7 +25,7 @@ from animtool.rules import Kind
 from animtool.scene.clips import clip_stream
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.subjects.subject import DocumentSubject, Opened
+from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class ClipSubject(DocumentSubject):
         return ("channels", channel, "keys", k)
 
 
-def open_clip_document(document: Document) -> Opened:
+def open_clip_document(document: Document) -> CheckedFile:
     """Return a clip file as its rules see it, on the rig that it names.
 
     Where it names none, what can be told without is checked, and that is noted.
@@ -89,26 +89,28 @@ def open_clip_document(document: Document) -> Opened:
         message = "names no rig, without which its targets cannot be checked"
         hint = "write 'rig: hero.rig.yaml' into it"
         fault = document.fault("CLIP011", ("clip",), message, hint)
-        return Opened(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
+        return CheckedFile(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
     rig = load_rig_of(file)
     clip = load_clip(file, rig)
     path = document.path
-    opened = Opened(Kind.CLIP, list(clip.notices))
-    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), opened)
+    checked = CheckedFile(Kind.CLIP, list(clip.notices))
+    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), checked)
     if take is not None:
-        opened.faults += take.notices
+        checked.faults += take.notices
         subject = ClipSubject(document, clip, rig, take)
         motion = MotionSubject(take, subject.fault_at, meant=subject.cuts)
-        opened.subject, opened.takes = subject, (motion,)
-    return opened
+        checked.subject, checked.takes = subject, (motion,)
+    return checked
 
 
-def _placed(path: Path, sample: Callable[[], Take], opened: Opened) -> Take | None:
+def _placed(
+    path: Path, sample: Callable[[], Take], checked: CheckedFile
+) -> Take | None:
     """Return a clip's take; where it has none, its faults have the file's name."""
     try:
         return sample()
     except AnimtoolError as error:
-        opened.faults += [
+        checked.faults += [
             f if f.path else replace(f, path=str(path)) for f in error.faults
         ]
         return None

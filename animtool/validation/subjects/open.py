@@ -15,19 +15,19 @@ from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import CheckedFile
 
 
-def open_batch(document: Document) -> Opened:
+def open_batch(document: Document) -> CheckedFile:
     """Return what a batch file asks for."""
-    return Opened(Kind.BATCH, [], batch_of_document(document))
+    return CheckedFile(Kind.BATCH, [], batch_of_document(document))
 
 
-def open_map(document: Document) -> Opened:
+def open_map(document: Document) -> CheckedFile:
     """Return a map file; which skeletons it is for, it does not say."""
     from animtool.mocap.retarget.file import map_of_document  # loads the kernels
 
-    return Opened(Kind.MAP, [], map_of_document(document))
+    return CheckedFile(Kind.MAP, [], map_of_document(document))
 
 
 def open_markers(document: Document) -> Opened:
@@ -69,7 +69,7 @@ _OPENERS = {
 }
 
 
-def open_file(path: Path) -> Opened:
+def open_file(path: Path) -> CheckedFile:
     """Return a file as rules look at it, with every fault of its reader."""
     reader = READERS.get(path.suffix.lower())
     if reader is BVH or reader is USD:
@@ -83,17 +83,17 @@ def open_file(path: Path) -> Opened:
     return open_document(read_document(path))
 
 
-def open_document(document: Document) -> Opened:
+def open_document(document: Document) -> CheckedFile:
     """Return a file that a person wrote as rules look at it, as `open_file` does."""
     kind = Kind(version_of(document, STEPS)[0])
-    opened = _open(kind, document)
-    opened.document = document
-    return opened
+    checked = _open(kind, document)
+    checked.document = document
+    return checked
 
 
-def _open(kind: Kind, what: object) -> Opened:
-    opener = cast(Callable[[object], Opened], load_object(_OPENERS[kind]))
+def _open(kind: Kind, what: object) -> CheckedFile:
+    opener = cast(Callable[[object], CheckedFile], load_object(_OPENERS[kind]))
     try:
         return opener(what)
     except AnimtoolError as error:
-        return Opened(kind, list(error.faults))
+        return CheckedFile(kind, list(error.faults))

@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.rig.file import rig_of_document
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
-from animtool.validation.subjects.subject import DocumentSubject, Opened
+from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class RigSubject(DocumentSubject):
         return children
 
 
-def open_rig(document: Document) -> Opened:
+def open_rig(document: Document) -> CheckedFile:
     """Return a rig file as its rules see it."""
     rig = rig_of_document(document)
-    return Opened(Kind.RIG, list(rig.notices), RigSubject(document, rig))
+    return CheckedFile(Kind.RIG, list(rig.notices), RigSubject(document, rig))

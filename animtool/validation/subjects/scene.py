@@ -20,7 +20,7 @@ from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene
 from animtool.take import Take
-from animtool.validation.subjects.subject import DocumentSubject, Opened
+from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are the same [m], [1].
 SAME = 1e-9
@@ -69,27 +69,27 @@ class SceneSubject(DocumentSubject):
         return ("passes", i, self.scene.passes[i].pass_.name)
 
 
-def open_scene(document: Document) -> Opened:
+def open_scene(document: Document) -> CheckedFile:
     """Return a scene file as its rules see it; its source is read, its passes done."""
     scene = scene_of_document(document)
     path = str(document.path)
-    opened = Opened(Kind.SCENE)
+    checked = CheckedFile(Kind.SCENE)
     if not scene.sources:
         # It has no take: its reader has checked all that there is to check.
-        opened.faults = list(scene.notices)
-        return opened
+        checked.faults = list(scene.notices)
+        return checked
     try:
-        opened.subject, notices = _played(document, scene)
+        checked.subject, notices = _played(document, scene)
     except AnimtoolError as error:
         faults = list(error.faults)
     else:
         # What is odd about another file is said of that one; but targets make no
         # sense alone.
-        located = {None, path, *opened.subject.targets}
+        located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
     faults = [f if f.path else replace(f, path=path) for f in faults]
-    opened.faults = [*scene.notices, *faults]
-    return opened
+    checked.faults = [*scene.notices, *faults]
+    return checked
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:

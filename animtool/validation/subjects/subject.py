@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True)
-class Opened:
+class CheckedFile:
     """A file that was read, as far as that went."""
 
     kind: Kind  # what it is

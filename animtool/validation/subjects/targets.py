@@ -9,7 +9,7 @@ from animtool.errors import Fault
 from animtool.ik.file import targets_of_document
 from animtool.ik.tracks import TargetTracks
 from animtool.rules import Kind
-from animtool.validation.subjects.subject import DocumentSubject, Opened
+from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class TargetsSubject(DocumentSubject):
         return self.fault("TGT201", ("goals", goal, *key), message, hint)
 
 
-def open_targets(document: Document) -> Opened:
+def open_targets(document: Document) -> CheckedFile:
     """Return a targets file as its rules see it."""
     targets = targets_of_document(document, None)
     subject = TargetsSubject(document, targets)
-    return Opened(Kind.TARGETS, list(targets.notices), subject)
+    return CheckedFile(Kind.TARGETS, list(targets.notices), subject)

@@ -13,7 +13,7 @@ from support.timelines import clip, span, timeline
 
 from animtool.batch.cuts import CutOptions, read_cut, read_cuts
 from animtool.errors import AnimtoolError
-from animtool.files import FoundFile
+from animtool.files import MatchedFile
 from fuzz.mutations import spoil, spoil_values
 
 ABOUT = "timelines of OpenTimelineIO and cut lists (EDL), read to shots"
@@ -35,7 +35,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
     media = [folder / f"{name}.bvh" for name in ("walk", "run")]
     for path in media:
         path.touch()
-    found = [FoundFile(path, folder) for path in media]
+    found = [MatchedFile(path, folder) for path in media]
     seeds = [_whole(folder), _plain(folder)]
 
     def run(rng: np.random.Generator) -> str:

@@ -15,10 +15,10 @@ from animtool.batch.bundle import chunk_size, mean_seconds
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import _address
 from animtool.batch.file import load_batch
+from animtool.batch.item import mapped_path, read_rules
 from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
 from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
-from animtool.batch.recipe import mapped_path, read_rules
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
@@ -98,14 +98,14 @@ class _Recorded:
                 item.output.write_bytes(b"made")
                 files = [
                     (record_of(path, named_from(path, batch.root), FileState.of(path)),)
-                    for path in (item.found.path, item.output)
+                    for path in (item.file.path, item.output)
                 ]
                 key, how = planner.key(item), planner.how(item)
                 ledger.claim([key])
                 made = ItemRecord(
                     key, how, planner.versions, *files, 2 * 10**18, SCORES
                 )
-                ledger.made(made)
+                ledger.add(made)
             ledger.failed("other.usdc", "BAT020 it crashed")
 
     def run(self, rng: np.random.Generator) -> str:
@@ -139,9 +139,9 @@ class _Recorded:
         with held_ledger(batch.records, batch.name) as ledger:
             ledger.failed("another.usdc", "why")
             ledger.settle(lambda _: True)
-            made = ledger.history.made.items
+            made = ledger.history.manifest.items
         again = read_history(batch.records, batch.name)
-        assert again.made.items == made
+        assert again.manifest.items == made
         assert not again.damaged
         _owner(_Files(batch.records, batch.name))
 

@@ -26,7 +26,7 @@ from animtool.batch.records import (
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.documents.names import is_named, nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import FoundFile
+from animtool.files import MatchedFile
 from animtool.output import inside, name_problem
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, source_stem
@@ -43,7 +43,7 @@ INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 _PLACES = frozenset({"input", "folder"})
 
 
-def input_names(file: FoundFile) -> dict[str, str]:
+def input_names(file: MatchedFile) -> dict[str, str]:
     """Return what the names stand for that every input has.
 
     ``input`` is its path and ``folder`` that of its folder, ``name`` its name, ``stem``
@@ -51,7 +51,7 @@ def input_names(file: FoundFile) -> dict[str, str]:
     was searched and it.
 
     >>> from pathlib import Path
-    >>> names = input_names(FoundFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
+    >>> names = input_names(MatchedFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
     >>> names["name"], names["parent"], names["stem"]
     ('walk.clip.yaml', 'a', 'walk')
     """
@@ -262,7 +262,7 @@ class Item:
     """What is made of one file."""
 
     number: int  # its place among those of the batch, from 1
-    found: FoundFile  # what it is made of
+    file: MatchedFile  # what it is made of
     output: Path  # the file to write; of several the first
     # What names stand for in its scene, beside those of its input.
     names: Mapping[str, str] = field(default_factory=dict)
@@ -279,7 +279,7 @@ class Item:
     def label(self) -> str:
         """The input, and its shot and the values of a variant."""
         shot = {} if self.shot is None else {"shot": self.shot.name}
-        return f"{self.found.path}{values_text({**shot, **self.values})}"
+        return f"{self.file.path}{values_text({**shot, **self.values})}"
 
     @property
     def folders(self) -> list[Path]:
@@ -288,7 +288,7 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Recipe:
+class ItemTask:
     """How every item is made."""
 
     # A scene that says what is done to each; None bakes each as it is.
@@ -306,7 +306,7 @@ class Recipe:
 
     def names(self, item: Item) -> dict[str, str]:
         """Return what names in a scene stand for."""
-        names = input_names(item.found)
+        names = input_names(item.file)
         if self.scene is None:
             # A scene that is an input is no input of its own.
             del names["input"]
@@ -314,7 +314,7 @@ class Recipe:
 
     def source(self, item: Item) -> Source:
         """Return what is baked: a scene, loaded, or a file."""
-        path = item.found.path if self.scene is None else self.scene
+        path = item.file.path if self.scene is None else self.scene
         if not is_named(path, "scene"):
             return path
         from animtool.scene.file import load_scene
@@ -339,7 +339,7 @@ class Recipe:
         if self._is_several(scene):
             from animtool.scene.outputs import scene_files
 
-            files = scene_files(cast("Scene", scene), self._options(item.found.path))
+            files = scene_files(cast("Scene", scene), self._options(item.file.path))
         return replace(item, output=own or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
@@ -363,7 +363,7 @@ class Recipe:
 
         What they were before is replaced.
         """
-        source, options = self.source(item), self._options(item.found.path)
+        source, options = self.source(item), self._options(item.file.path)
         if item.files:
             from animtool.scene.outputs import bake_scene
 
@@ -381,7 +381,7 @@ class Recipe:
             return list(item.files)
         from animtool.scene.reading import bake_outputs
 
-        return bake_outputs([source], item.output, self._options(item.found.path))
+        return bake_outputs([source], item.output, self._options(item.file.path))
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options for a file: those that are for its kind."""
@@ -394,8 +394,8 @@ class Recipe:
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
         """Return everything that decides how an item is made, but its files."""
-        plain: dict[str, object] = {"input": named_from(item.found.path, root)}
-        if self.scene is not None or is_named(item.found.path, "scene"):
+        plain: dict[str, object] = {"input": named_from(item.file.path, root)}
+        if self.scene is not None or is_named(item.file.path, "scene"):
             names = self.names(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = named_from(Path(names[key]), root)
@@ -406,7 +406,7 @@ class Recipe:
             plain["scene"] = named_from(self.scene, root)
             plain["strict"] = self.options.strict
         else:
-            plain["options"] = self._digest(item.found.path, root)
+            plain["options"] = self._digest(item.file.path, root)
         return plain
 
     def _digest(self, path: Path, root: Path) -> str:
