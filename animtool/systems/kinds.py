@@ -84,6 +84,16 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
+    "nbody": system_kind(
+        "animtool.systems.nbody",
+        "Bodies that attract each other: planets, star clusters, galaxies.",
+        {
+            "name": "stars",
+            "galaxies": [
+                {"name": "disc", "disc": {"count": 500, "mass": 1, "radius": 1}}
+            ],
+        },
+    ),
     "rigid": system_kind(
         "animtool.systems.rigid",
         "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",
