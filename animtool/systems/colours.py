@@ -71,7 +71,7 @@ class Colouring:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
         values = first[model.by]()
         low, high = np.quantile(values, [LOW, HIGH]) if len(values) else (0.0, 1.0)
-        return Colouring(model.by, (float(low), float(max(high, low + 1e-300))), ramp)
+        return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:
         """Return the colours of points ``(N, 3)``."""
@@ -79,7 +79,7 @@ class Colouring:
         if self.by == "species":
             return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
         low, high = self.range
-        share = np.clip((values - low) / (high - low), 0.0, 1.0)
+        share = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
         marks = np.linspace(0, 1, len(self.ramp))
         return np.stack([np.interp(share, marks, one) for one in self.ramp.T], axis=1)
 

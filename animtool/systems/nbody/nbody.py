@@ -316,9 +316,9 @@ def _read(model: BodiesModel, parts: Mapping[str, Any]) -> Bodies:
         finite = np.isfinite(array.reshape(count, -1)).all(axis=1)
         if not finite.all():
             refuse(f"{name} of body {int(np.argmin(finite))} are not finite")
-    if (masses < 0).any():
-        i = int(np.argmax(masses < 0))
-        refuse(f"the mass of body {i} is {masses[i]:g} kg", "give 0 or more")
+    if (masses <= 0).any():
+        i = int(np.argmax(masses <= 0))
+        refuse(f"the mass of body {i} is {masses[i]:g} kg, not above 0")
     return Bodies(points, velocities, masses)
 
 
