@@ -84,7 +84,7 @@ constexpr unsigned LEVELS = 21;
 constexpr double COARSE = 1.4;
 // Share of the error that one cell may bring in: errors of hundreds are as often of one sign as
 // of the other, and bounds are rarely reached. Measured on discs, spheres and pairs of both.
-constexpr double SHARE = 0.5;
+constexpr double SHARE = 0.3;
 
 struct Cell {
   double centre[3];

@@ -205,11 +205,11 @@ order, each pair once, those of a molecule filled up to multiples of four with N
 ``most`` are refused.)");
 
   m.def("molecule_forces", &molecule_forces, "points"_a, "order"_a, "starts"_a, "partners"_a,
-        "box"_a, "kinds"_a, "forces"_a, "charges"_a.none(), "cutoff"_a, "from"_a, "damping"_a,
+        "box"_a, "kinds"_a, "forces"_a, "charges"_a.none(), "cutoff"_a, "onset"_a, "damping"_a,
         R"(Sum what N molecules do to each other by a list of `molecule_pairs`.
 
 Two of ``kinds`` a and b have the energy ``forces[a, b, 0] / r¹² - forces[a, b, 1] / r⁶``,
-which from the distance ``from`` on is switched off by a polynomial that ends at ``cutoff``.
+which from the distance ``onset`` on is switched off by a polynomial that ends at ``cutoff``.
 ``charges`` ``(N,)`` repel by their product, damped by erfc of ``damping`` times the distance
 and shifted, with the force, to 0 at the cut-off.
 

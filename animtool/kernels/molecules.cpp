@@ -131,7 +131,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
 std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     In<double, 2> points, In<std::int32_t, 1> order, In<std::int64_t, 1> starts,
     In<std::int32_t, 1> partners, In<double, 1> box, In<std::int32_t, 1> kinds,
-    In<double, 3> forces, std::optional<In<double, 1>> charges, double cutoff, double from,
+    In<double, 3> forces, std::optional<In<double, 1>> charges, double cutoff, double onset,
     double damping) {
   const std::size_t count = points.shape(0), several = forces.shape(0);
   check::shape("points", points, {check::ANY, 3});
@@ -153,7 +153,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     check::finite("charges", *charges);
   }
   check::positive("cutoff", cutoff);
-  check::between("from", from, 0, cutoff);
+  check::between("onset", onset, 0, cutoff);
   check::not_negative("damping", damping);
   check_box(box, cutoff);
   Buffer<double> result(3 * count), energies(count);
@@ -180,7 +180,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     const MoleculeSystem system{
         count, several, rows.get(), starts.data(), partners.data(), sorted.get(), laws.data(),
         charges ? charge.get() : nullptr, {box.data()[0], box.data()[1], box.data()[2]},
-        cutoff * cutoff, from * from, damping};
+        cutoff * cutoff, onset * onset, damping};
     const MoleculeFunction quads = molecules_in_quads();
     if (count) virial = (quads ? quads : MoleculeLoops<PlainLanes>::run)(system, out.get());
     for (std::size_t i = 0; i < count; ++i) {

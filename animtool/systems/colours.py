@@ -47,9 +47,13 @@ class ColourModel(FileModel):
         """Return what is wrong with it, where a kind has quantities of some names."""
         if self.by not in names:
             message = f"no quantity is named {excerpt(self.by)}"
-            return [Fault(code, message, hint=f"one of {', '.join(names)}", where="colour")]
+            return [
+                Fault(code, message, hint=f"one of {', '.join(names)}", where="colour")
+            ]
         if self.range is not None and not self.range[0] < self.range[1]:
-            message = f"the range of colours from {self.range[0]:g} to {self.range[1]:g}"
+            message = (
+                f"the range of colours from {self.range[0]:g} to {self.range[1]:g}"
+            )
             return [Fault(code, f"{message} is empty", where="colour")]
         return []
 

@@ -18,9 +18,9 @@ from animtool import bake
 
 HERE = Path(__file__).parent
 
-FRAMES = (1, 60, 120)
+FRAMES = (1, 50, 80, 120)
 # Turned about y and tilted [rad], and half the width of the picture [m].
-VIEW = (0.5, 0.35, 2.6)
+VIEW = (0.5, 0.35, 3.3)
 
 
 def draw(baked: Path, out: Path) -> None:

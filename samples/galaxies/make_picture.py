@@ -18,9 +18,9 @@ from animtool import bake
 
 HERE = Path(__file__).parent
 
-FRAMES = (1, 40, 70, 120)
+FRAMES = (1, 36, 56, 80)
 # Turned about y and tilted [rad], and half the width of the picture [m].
-VIEW = (0.4, 0.9, 4.5)
+VIEW = (0.4, 0.9, 5.2)
 
 
 def draw(baked: Path, out: Path) -> None:

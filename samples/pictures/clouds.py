@@ -42,10 +42,8 @@ def draw_clouds(
     frames: Sequence[int],
     view: tuple[float, float, float],
     out: Path,
-    *,
-    title: str = "frame {}",
 ) -> None:
-    """Write a picture of frames of a prim: ``view`` is turn, tilt and half its width."""
+    """Write frames of a prim as a picture: ``view`` is turn, tilt and half a width."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -54,7 +52,7 @@ def draw_clouds(
     stage = Usd.Stage.Open(str(baked))
     turn, tilt, half = view
     figure, axes = plt.subplots(
-        1, len(frames), figsize=(3.2 * len(frames), 3.4), dpi=96, layout="constrained"
+        1, len(frames), figsize=(3.2 * len(frames), 3.2), dpi=96, layout="constrained"
     )
     figure.set_facecolor(NIGHT)
     middle: Any = None
@@ -69,5 +67,5 @@ def draw_clouds(
         axis.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
         axis.set(xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
-        axis.set_title(title.format(frame), color=WORDS)
+        axis.text(0.03, 0.94, f"frame {frame}", color=WORDS, transform=axis.transAxes)
     save(figure, out)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
+from animtool.systems.matter import check_rows, normals, unit_quaternion
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -39,12 +40,10 @@ class Placing:
     @staticmethod
     def of(spec: MoleculesModel) -> Placing:
         """Return that of a spec."""
-        w, *xyz = spec.rotate
-        rotation = np.array([*xyz, w])
         return Placing(
             np.array(spec.box),
             np.array(spec.at),
-            rotation / np.linalg.norm(rotation),
+            unit_quaternion(spec.rotate),
             spec.scale,
             spec.pace,
         )
@@ -109,7 +108,9 @@ class Atoms:
         )
         total = float(made.charges.sum())
         if abs(total) > NEUTRAL:
-            message = f"charges add up to {total:g} e, and a box that repeats is neutral"
+            message = (
+                f"charges add up to {total:g} e, and a box that repeats is neutral"
+            )
             refuse(message, "species", "give as many of either sign")
         return made
 
@@ -123,16 +124,8 @@ def _read(
         if velocities is not None:
             refuse("velocities are of points, and there are none", "species")
         return None, None
-    for name, array in (("points", points), ("velocities", velocities)):
-        if array is None:
-            continue
-        if array.shape != (len(points), 3):
-            shape = f"{array.shape}, not {(len(points), 3)}"
-            refuse(f"{name} of {model.name!r} have the shape {shape}", "species")
-        finite = np.isfinite(array).all(axis=1)
-        if not finite.all():
-            i = int(np.argmin(finite))
-            refuse(f"{name} of atom {i} of {model.name!r} are not finite", "species")
+    given = {"points": points, "velocities": velocities}
+    check_rows(given, f"{model.name!r}, atom", "SIM071", "species")
     x = placing.inwards(points)
     slack = 1e-9 * placing.size
     outside = ((x < -slack) | (x > placing.size + slack)).any(axis=1)
@@ -163,7 +156,9 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     kept = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
-        order = np.argsort(uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable")
+        order = np.argsort(
+            uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable"
+        )
     elif len(counts) > 1:
         odd = corners[kept].sum(axis=1) % 2
         order = np.argsort(odd, kind="stable")
@@ -178,8 +173,6 @@ def _velocities(
     given: list[FloatArray | None],
 ) -> FloatArray:
     """Return those of files, else by the temperature, at rest as a whole ``(N, 3)``."""
-    from scipy.special import ndtri
-
     drawn = np.array([one is None for one in given])[kinds]
     made = np.zeros((len(masses), 3))
     for k, own in enumerate(given):
@@ -190,7 +183,7 @@ def _velocities(
         return made
     u = uniforms(spec.seed + _SPEEDS, np.flatnonzero(drawn), 3)
     m = masses[drawn][:, None]
-    v = ndtri(np.clip(u, 2.0**-53, 1 - 2.0**-53)) / np.sqrt(m)
+    v = normals(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
     square = float((m * v * v).sum()) / (3 * count - 3)
     made[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)

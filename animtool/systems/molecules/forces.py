@@ -12,7 +12,7 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError
 from animtool.sim.colliders import Poses
-from animtool.sim.system import SecondOrder
+from animtool.systems.matter import StepSystem
 from animtool.systems.molecules.atoms import COULOMB, Atoms, Placing, mixed
 from animtool.systems.molecules.spec import MoleculesModel
 
@@ -42,12 +42,18 @@ class Interactions:
     """How atoms act on each other; the list that was made last is kept."""
 
     def __init__(
-        self, spec: MoleculesModel, atoms: Atoms, placing: Placing, traps: Sequence[Trap]
+        self,
+        spec: MoleculesModel,
+        atoms: Atoms,
+        placing: Placing,
+        traps: Sequence[Trap],
     ) -> None:
         self._atoms, self._placing, self.traps = atoms, placing, traps
         self._laws = mixed(spec)
         self._cutoff = min(spec.reach, placing.size.min() / 2)
-        self._from = min(0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff)
+        self._from = min(
+            0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
+        )
         self._skin = max(min(spec.skin, placing.size.min() / 2 - self._cutoff), 0.0)
         charged = bool(atoms.charges.any())
         self._charges = atoms.charges * np.sqrt(COULOMB) if charged else None
@@ -85,12 +91,12 @@ class Interactions:
                 message = f"atoms fell together: {error}"
                 raise ToleranceError(Fault("SIM102", message)) from error
             self._listed = reference, pairs
-        return Acting(
-            *_kernels.molecule_forces(
-                x, *self._listed[1], self._placing.size, self._atoms.kinds, self._laws,
-                self._charges, self._cutoff, self._from, self._damping,
-            )
+        order, starts, partners = self._listed[1]
+        found = _kernels.molecule_forces(
+            x, order, starts, partners, self._placing.size, self._atoms.kinds,
+            self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
+        return Acting(*found)
 
     def trapped(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return forces ``(N, 3)`` and energies ``(N,)`` of traps at a time [s]."""
@@ -105,14 +111,12 @@ class Interactions:
         return forces, energies
 
 
-class MoleculeSystem(SecondOrder):
-    """Atoms for one step; what was summed last is not summed again. Time is in ps.
+class MoleculeSystem(StepSystem[Acting]):
+    """Atoms for one step; time is in ps.
 
     Attributes:
         reference: Places of the list of neighbours ``(N, 3)`` [nm].
     """
-
-    velocity_dependent = False
 
     def __init__(
         self,
@@ -123,30 +127,20 @@ class MoleculeSystem(SecondOrder):
         acting: Acting,
         reference: FloatArray,
     ) -> None:
+        super().__init__(motion, acting)
         self._interactions, self._masses, self._pace = interactions, masses, pace
-        self._motion, self.reference = motion, reference
-        self._known = motion[0], acting
-
-    @property
-    def state(self) -> FloatArray:
-        """Where they start."""
-        return self._motion
+        self.reference = reference
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
         """Return accelerations ``(N, 3)`` [nm/ps²]."""
         if not np.isfinite(x).all():
             return np.full_like(x, np.nan)
-        forces = self.acting(x).forces
+        forces = self.at(x).forces
         if self._interactions.traps:
             forces = forces + self._interactions.trapped(t / self._pace, x)[0]
         return np.asarray(forces / self._masses[:, None])
 
-    def acting(self, x: FloatArray) -> Acting:
-        """Return what atoms at points do, anew if that is not known."""
-        known, acting = self._known
-        if x is not known and not np.array_equal(x, known):
-            x = np.ascontiguousarray(x)
-            self.reference = self._interactions.reference(x, self.reference)
-            acting = self._interactions.acting(x, self.reference)
-        self._known = x, acting
-        return acting
+    def summed(self, x: FloatArray) -> Acting:
+        """Return what atoms at points do."""
+        self.reference = self._interactions.reference(x, self.reference)
+        return self._interactions.acting(x, self.reference)

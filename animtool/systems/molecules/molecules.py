@@ -87,9 +87,9 @@ class Molecules:
         start = self.initial()
         self._check_apart(start)
         check_fit(Equations(self._system(start)), integrator)
-        self._colouring = spec.colour and Colouring.of(
-            spec.colour, self._quantities(start)
-        )
+        self._colouring: Colouring | None = None
+        if spec.colour is not None:
+            self._colouring = Colouring.of(spec.colour, self._quantities(start))
 
     def _stiffest(self) -> float:
         """Return the fastest vibration of a crystal of any of the kinds [rad/ps]."""
@@ -165,7 +165,7 @@ class Molecules:
             raise StoppedError(faults, found.stats)
         motion = found.states[-1]
         self._check_speeds(motion[1], t + dt, dt)
-        acting = system.acting(motion[0])
+        acting = system.at(motion[0])
         heat = state.heat
         if self._spec.thermostat is not None:
             kinetic = self._kinetic(motion)
@@ -211,9 +211,7 @@ class Molecules:
         """Return energies [kJ/mol]."""
         potential = float(state.acting.energies.sum()) + self._interactions.own_energy()
         if self._interactions.traps:
-            potential += float(
-                self._interactions.trapped(t, state.motion[0])[1].sum()
-            )
+            potential += float(self._interactions.trapped(t, state.motion[0])[1].sum())
         return Energy(self._kinetic(state.motion), potential)
 
     @cached_property
@@ -250,7 +248,9 @@ class Molecules:
 
     def diagnostics(self, state: MoleculeState, t: float) -> Diagnostics:
         """Return temperature, pressure and energies, and how well energy was kept."""
-        return Diagnostics(None if self._moving else self._balance(state, t), self.values(state, t))
+        return Diagnostics(
+            None if self._moving else self._balance(state, t), self.values(state, t)
+        )
 
     def _balance(self, state: MoleculeState, t: float) -> Energy:
         """Return the energy without what the bath gave."""

@@ -41,9 +41,7 @@ class AtomsModel(FileModel):
         0.2,
         default=0.3405,
     )
-    epsilon: NotNegative = key(
-        "Energy that parts two [kJ/mol].", 0.4, default=0.9961
-    )
+    epsilon: NotNegative = key("Energy that parts two [kJ/mol].", 0.4, default=0.9961)
     charge: Real = key("Of each [e].", 1, default=0.0)
     radius: Positive | None = key(
         "Half the width that each is drawn with [m]. Not given: half of sigma.",
@@ -56,7 +54,8 @@ class ThermostatModel(FileModel):
     """A bath that keeps a temperature: canonical velocity rescaling."""
 
     temperatures: Annotated[list[Pair], Len(1, 10_000)] = key(
-        "Rows of seconds from the first frame on and a temperature [K], linear between.",
+        "Rows of seconds from the first frame on and a temperature [K], linear "
+        "between.",
         [[0, 20], [4, 120]],
     )
     relaxation: Positive = key("Time in which it is approached [ps].", 0.5, default=0.2)
@@ -72,7 +71,7 @@ class TrapModel(PlacedModel):
 
 
 class MoleculesModel(SystemSpec):
-    """Atoms that attract, repel and carry charges in a periodic box."""
+    """Molecular dynamics of atoms with Lennard-Jones forces and charges."""
 
     methods: ClassVar[Sequence[str]] = (
         *("symplectic_euler", "velocity_verlet", "position_verlet", "rk4"),
@@ -100,15 +99,17 @@ class MoleculesModel(SystemSpec):
         [0.7071, 0, 0.7071, 0],
         default=[1.0, 0.0, 0.0, 0.0],
     )
-    scale: Positive = key("Metres that a nanometre is shown as [m/nm].", 0.1, default=1.0)
+    scale: Positive = key(
+        "Metres that a nanometre is shown as [m/nm].", 0.1, default=1.0
+    )
     pace: Positive = key("Picoseconds in a second [ps/s].", 5, default=1.0)
     temperature: NotNegative = key("At the beginning [K].", 94.4, default=0.0)
     thermostat: ThermostatModel | None = key(
         "A bath; without one energy stays.", {"temperatures": [[0, 94.4]]}, default=None
     )
     cutoff: Positive | None = key(
-        "Distance beyond which two do not act on each other [nm]. Not given: 2.5 of the "
-        "largest sigma.",
+        "Distance beyond which two do not act on each other [nm]. Not given: 2.5 of "
+        "the largest sigma.",
         0.9,
         default=None,
     )
@@ -175,8 +176,12 @@ class MoleculesModel(SystemSpec):
         if self.block is not None and any(
             side > most for side, most in zip(self.block, self.box, strict=True)
         ):
-            faults.append(Fault("SIM071", "the block is larger than the box", where="block"))
-        times = [row[0] for row in self.thermostat.temperatures] if self.thermostat else []
+            faults.append(
+                Fault("SIM071", "the block is larger than the box", where="block")
+            )
+        times = (
+            [row[0] for row in self.thermostat.temperatures] if self.thermostat else []
+        )
         if times != sorted(set(times)):
             message = "times of the thermostat do not ascend"
             faults.append(Fault("SIM071", message, where="thermostat"))

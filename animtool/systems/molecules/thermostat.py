@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from animtool.systems.matter import normals
 from animtool.systems.molecules.atoms import BOLTZMANN
 from animtool.systems.molecules.spec import ThermostatModel
 from animtool.systems.particles.emitter import uniforms
@@ -37,7 +38,7 @@ def bath_factor(
         kinetic: Energy [kJ/mol].
         freedom: Degrees of freedom.
     """
-    from scipy.special import gammaincinv, ndtri
+    from scipy.special import gammaincinv
 
     if not kinetic > 0 or freedom < 1:
         return 1.0
@@ -46,7 +47,7 @@ def bath_factor(
     (first, others) = np.clip(
         uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
     )
-    normal = float(ndtri(first))
+    normal = float(normals(first))
     # The sum of the squares of all normal numbers but one.
     squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
     kept = float(np.exp(-dt / model.relaxation))

@@ -11,10 +11,10 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.sim.colliders import Poses
-from animtool.sim.system import SecondOrder
+from animtool.systems.matter import StepSystem
 
-# Bodies from which on a tree is faster than a direct sum, at an accuracy; its error goes
-# with the number of cells that it looks at to about this power.
+# Bodies from which on a tree is faster than a direct sum, at an accuracy; cells that
+# it looks at go with the accuracy to about this power.
 CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
 # Pairs of the tree are float32: nothing below this can be asked of it.
 FINEST_TREE = 1e-6
@@ -63,14 +63,18 @@ class Gravity:
         if self.accuracy < FINEST_TREE:
             return False
         share = (CROSSOVER_ACCURACY / self.accuracy) ** CROSSOVER_POWER
-        return len(self.masses) > CROSSOVER * share
+        return bool(len(self.masses) > CROSSOVER * share)
 
     def pulls(self, x: FloatArray) -> Pulls:
         """Return how bodies at points ``(N, 3)`` [m] attract each other."""
         accuracy = self.accuracy if self.tree else 0.0
         return Pulls(
             *_kernels.gravity(
-                np.ascontiguousarray(x), self.masses, self.constant, self.softening, accuracy
+                x,
+                self.masses,
+                self.constant,
+                self.softening,
+                accuracy,
             )
         )
 
@@ -90,7 +94,7 @@ class Gravity:
         i = int(np.argmax(rates))
         off = x - x[i]
         squares = (off * off).sum(axis=1)
-        reach = np.maximum(squares + self.softening**2, 1e-300) ** 1.5
+        reach = np.maximum(squares + self.softening**2, 1e-200) ** 1.5
         each = (self.masses + self.masses[i]) / reach
         each[i] = -1.0
         j = int(np.argmax(each))
@@ -107,8 +111,8 @@ class Gravity:
         return found
 
 
-class GravitySystem(SecondOrder):
-    """Bodies under gravity for one step; what was summed last is not summed again.
+class GravitySystem(StepSystem[Pulls]):
+    """Bodies under gravity for one step.
 
     Args:
         gravity: How they attract each other.
@@ -117,18 +121,11 @@ class GravitySystem(SecondOrder):
         limit: Squared frequency of a pair from which on it is too close [1/s²].
     """
 
-    velocity_dependent = False
-
     def __init__(
         self, gravity: Gravity, motion: FloatArray, pulls: Pulls, limit: float
     ) -> None:
-        self._gravity, self._motion, self._limit = gravity, motion, limit
-        self._known = motion[0], pulls
-
-    @property
-    def state(self) -> FloatArray:
-        """Where they start."""
-        return self._motion
+        super().__init__(motion, pulls)
+        self._gravity, self._limit = gravity, limit
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
         """Return accelerations ``(N, 3)`` [m/s²].
@@ -138,24 +135,20 @@ class GravitySystem(SecondOrder):
         """
         if not np.isfinite(x).all():
             return np.full_like(x, np.nan)
-        pulls = self.pulls(x)
+        pulls = self.at(x)
         if len(x) and pulls.rates.max() > self._limit:
             raise TooCloseError(t, x, pulls.rates)
         if not self._gravity.attractors:
             return pulls.accelerations
         return np.asarray(pulls.accelerations + self._gravity.outside(t, x)[0])
 
-    def pulls(self, x: FloatArray) -> Pulls:
-        """Return how bodies at points attract each other, anew if that is not known."""
-        known, pulls = self._known
-        if x is not known and not np.array_equal(x, known):
-            pulls = self._gravity.pulls(x)
-        self._known = x, pulls
-        return pulls
+    def summed(self, x: FloatArray) -> Pulls:
+        """Return how bodies at points attract each other."""
+        return self._gravity.pulls(x)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return which two are closest."""
         if not np.isfinite(state).all() or len(state[0]) < 2:
             return ""
-        i, j, distance = self._gravity.closest(state[0], self.pulls(state[0]).rates)
+        i, j, distance = self._gravity.closest(state[0], self.at(state[0]).rates)
         return f"bodies {i} and {j} are {distance:.3g} m apart"

@@ -5,10 +5,10 @@ Hernquist or Plummer. Circular velocities are those of all that a galaxy has; ve
 are drawn from local Gaussians whose moments solve the equations of Jeans.
 
 References:
-    K. C. Freeman, On the disks of spiral and S0 galaxies, Astrophysical Journal 160, 1970
-    (the rotation curve of an exponential disc). L. Hernquist, N-body realizations of
-    compound galaxies, Astrophysical Journal Supplement 86, 1993 (dispersions). A. Toomre,
-    On the gravitational stability of a disk of stars, Astrophysical Journal 139, 1964.
+    K. C. Freeman, On the disks of spiral and S0 galaxies, Astrophysical Journal 160,
+    1970 (rotation curves). L. Hernquist, N-body realizations of compound galaxies,
+    Astrophysical Journal Supplement 86, 1993 (dispersions). A. Toomre, On the
+    gravitational stability of a disk of stars, Astrophysical Journal 139, 1964.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.systems.matter import normals, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,
@@ -63,13 +64,6 @@ class Bodies:
         )
 
 
-def rotation_of(wxyz: list[float]) -> FloatArray:
-    """Return a quaternion x, y, z, w of length 1."""
-    w, x, y, z = wxyz
-    made = np.array([x, y, z, w], np.float64)
-    return np.asarray(made / np.linalg.norm(made))
-
-
 class Profile:
     """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
 
@@ -102,7 +96,9 @@ class Profile:
         density = np.maximum(density, 0.0)
         pressure = _from_outside(density * self.pull, self.r)
         least = density.max() * 1e-12
-        return np.sqrt(np.where(density > least, pressure / np.maximum(density, least), 0.0))
+        return np.sqrt(
+            np.where(density > least, pressure / np.maximum(density, least), 0.0)
+        )
 
 
 def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
@@ -148,11 +144,13 @@ def disc_surface(disc: DiscModel, r: FloatArray) -> FloatArray:
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
-    """Return the bodies of a galaxy about its own centre: nucleus, disc, bulge, halo."""
+    """Return the bodies of a galaxy about its own centre, those of the halo last."""
     profile = Profile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
-        parts.append(Bodies(np.zeros((1, 3)), np.zeros((1, 3)), np.array([galaxy.nucleus])))
+        parts.append(
+            Bodies(np.zeros((1, 3)), np.zeros((1, 3)), np.array([galaxy.nucleus]))
+        )
     if galaxy.disc is not None:
         parts.append(_disc(galaxy.disc, profile, galaxy.seed))
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
@@ -161,9 +159,7 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     made = Bodies.joined(parts)
     # Its centre of mass is where it is put, and as fast.
     weights = made.masses / made.masses.sum()
-    return made.placed(
-        so3.IDENTITY, -weights @ made.points, -weights @ made.velocities
-    )
+    return made.placed(so3.IDENTITY, -weights @ made.points, -weights @ made.velocities)
 
 
 def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
@@ -172,7 +168,7 @@ def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
     r = np.interp(u[:, 0] * part.mass, mass, profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
     most = BOUND * np.interp(r, profile.r, profile.escape)
-    velocities = sigma[:, None] * _normal(u[:, 3:6])
+    velocities = sigma[:, None] * normals(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(part.count, part.mass / part.count)
@@ -186,7 +182,7 @@ def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
     height = disc.thickness * disc.radius
     up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
     radial, around, upward, mean = disc_velocities(disc, profile)
-    normal = _normal(u[:, 3:6])
+    normal = normals(u[:, 3:6])
 
     def at(values: FloatArray) -> FloatArray:
         return np.interp(r, profile.r, values)
@@ -206,7 +202,7 @@ def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
 def disc_velocities(
     disc: DiscModel, profile: Profile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return dispersions outwards, around and upwards, and the mean rotation ``(R,)``."""
+    """Return dispersions outwards, around and upwards, and mean rotation ``(R,)``."""
     r, circular = profile.r, profile.circular
     turning = circular / r
     squares = np.gradient(turning**2, r) * r + 4 * turning**2
@@ -236,20 +232,13 @@ def on_orbit(
     speed = np.sqrt(constant * total / width)
     place = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
-    turn = rotation_of(orbit.rotate)
+    turn = unit_quaternion(orbit.rotate)
     place, velocity = so3.rotate(turn, place), so3.rotate(turn, velocity)
     shares = -masses[1] / total, masses[0] / total
     one, other = (
         (np.array(orbit.at) + share * place, share * velocity) for share in shares
     )
     return one, other
-
-
-def _normal(u: FloatArray) -> FloatArray:
-    from scipy.special import ndtri
-
-    # The first number is 0 at least, whose normal is infinite.
-    return np.asarray(ndtri(np.clip(u, 2.0**-53, 1 - 2.0**-53)))
 
 
 def _directions(u: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.colours import Colouring, Quantities, log_density
+from animtool.systems.matter import check_rows, unit_quaternion
 from animtool.systems.nbody.attraction import (
     Attractor,
     Gravity,
@@ -32,7 +33,6 @@ from animtool.systems.nbody.galaxies import (
     Bodies,
     build_galaxy,
     on_orbit,
-    rotation_of,
 )
 from animtool.systems.nbody.spec import BodiesModel, NbodyModel
 from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
@@ -101,9 +101,10 @@ class Nbody:
         start = self.initial()
         system = GravitySystem(self.gravity, start.motion, start.pulls, math.inf)
         check_fit(Equations(system), check_options(self._options))
-        self._colouring = spec.colour and Colouring.of(
-            spec.colour, self._quantities(start, context.begin)
-        )
+        self._colouring: Colouring | None = None
+        if spec.colour is not None:
+            first = self._quantities(start, context.begin)
+            self._colouring = Colouring.of(spec.colour, first)
         shown = [np.full(len(one.masses), True) for one in parts]
         for k, galaxy in enumerate(spec.galaxies, len(spec.bodies)):
             if galaxy.halo is not None and not galaxy.shows_halo:
@@ -142,7 +143,9 @@ class Nbody:
             except TooCloseError as close:
                 parts *= 2
                 if parts > self._spec.substeps:
-                    raise self._encounter(close.t, close.points, close.rates, dt) from None
+                    raise self._encounter(
+                        close.t, close.points, close.rates, dt
+                    ) from None
                 continue
             break
         if found.stats.status is not Status.OK:
@@ -151,7 +154,7 @@ class Nbody:
         motion = found.states[-1]
         after = NbodyState(
             motion,
-            system.pulls(motion[0]),
+            system.at(motion[0]),
             state.encounters + (parts > 1),
             max(state.divided, parts),
         )
@@ -170,7 +173,9 @@ class Nbody:
     ) -> StoppedError:
         i, j, distance = self.gravity.closest(x, rates)
         most = self._spec.substeps
-        message = f"bodies {i} and {j} are {distance:.3g} m apart at {t:.6g} s, too close "
+        message = (
+            f"bodies {i} and {j} are {distance:.3g} m apart at {t:.6g} s, too close "
+        )
         message += f"for steps of {dt / most:.3g} s"
         masses = self.gravity.masses[i] + self.gravity.masses[j]
         widest = (LATITUDE * PHASE * most / dt) ** 2
@@ -181,7 +186,7 @@ class Nbody:
     def _watch(self, state: NbodyState, t: float, dt: float) -> None:
         """Stop where energy appears from nowhere (SIM102)."""
         begin, now = self._begun[0], self._energy(state, t)
-        usual = max(begin.kinetic, abs(begin.potential))
+        usual = max(begin.kinetic, abs(begin.potential), now.kinetic)
         supplied = self._moving or not usual
         if supplied or abs(now.total - begin.total) <= GROWTH * usual:
             return
@@ -190,7 +195,9 @@ class Nbody:
         reach = np.maximum(off, self.gravity.softening)
         sizes = np.maximum(np.linalg.norm(made, axis=1), 1e-300)
         advised = ADVISED * float(np.sqrt(reach / sizes).min())
-        message = f"{self._spec.name} blew up at {t:g} s: its energy is {now.total:.4g} J, "
+        message = (
+            f"{self._spec.name} blew up at {t:g} s: its energy is {now.total:.4g} J, "
+        )
         message += f"and was {begin.total:.4g} J"
         hint = f"give step: {min(advised, dt / 4):.2g}"
         raise StoppedError([Fault("SIM102", message, hint=hint)])
@@ -254,7 +261,10 @@ class Nbody:
         masses, (x, v) = self.gravity.masses, state.motion
         sizes = masses * np.linalg.norm(v, axis=1)
         values = {"bodies": float(len(masses))}
-        values["encounters"], values["substeps"] = float(state.encounters), float(state.divided)
+        values["encounters"], values["substeps"] = (
+            float(state.encounters),
+            float(state.divided),
+        )
         if not self.gravity.attractors:
             usual = max(abs(begin.total), begin.kinetic, 1e-300)
             values["energy_drift"] = (energy.total - begin.total) / usual
@@ -285,7 +295,7 @@ def _share(vector: FloatArray, whole: float) -> float:
 def _parts(
     spec: NbodyModel, parts: Mapping[str, Any]
 ) -> tuple[list[Bodies], FloatArray, Any]:
-    """Return bodies of each entry, half their widths [m], and which entry each is of."""
+    """Return bodies of each entry, half their widths [m], and whose each is."""
     read: Sequence[Mapping[str, Any]] = parts.get("bodies", ())
     made = [_read(*each) for each in zip(spec.bodies, read, strict=True)]
     radii = [one.radius for one in spec.bodies]
@@ -293,9 +303,9 @@ def _parts(
     built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
     places = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
     if spec.encounter is not None:
-        places = list(on_orbit(spec.encounter, *built, constant))
+        places = list(on_orbit(spec.encounter, built[0], built[1], constant))
     for galaxy, own, (at, velocity) in zip(spec.galaxies, built, places, strict=True):
-        made.append(own.placed(rotation_of(galaxy.rotate), at, velocity))
+        made.append(own.placed(unit_quaternion(galaxy.rotate), at, velocity))
         radii.append(galaxy.radius)
     counts = [len(one.masses) for one in made]
     return made, np.repeat(radii, counts), np.repeat(np.arange(len(made)), counts)
@@ -303,19 +313,12 @@ def _parts(
 
 def _read(model: BodiesModel, parts: Mapping[str, Any]) -> Bodies:
     """Return bodies of a file, refused where arrays do not fit (SIM070)."""
-    points = parts["points"]
-    count = len(points)
-    velocities = parts.get("velocities")
+    points, velocities = parts["points"], parts.get("velocities")
     masses = parts.get("masses")
-    velocities = np.zeros((count, 3)) if velocities is None else velocities
-    masses = np.full(count, model.mass) if masses is None else masses
-    arrays = (("points", points), ("velocities", velocities), ("masses", masses))
-    for (name, array), shape in zip(arrays, [(count, 3)] * 2 + [(count,)], strict=True):
-        if array.shape != shape:
-            refuse(f"{name} have the shape {array.shape}, not {shape}")
-        finite = np.isfinite(array.reshape(count, -1)).all(axis=1)
-        if not finite.all():
-            refuse(f"{name} of body {int(np.argmin(finite))} are not finite")
+    given = {"points": points, "velocities": velocities, "masses": masses}
+    check_rows(given, "body", "SIM070", "bodies")
+    velocities = np.zeros(points.shape) if velocities is None else velocities
+    masses = np.full(len(points), model.mass) if masses is None else masses
     if (masses <= 0).any():
         i = int(np.argmax(masses <= 0))
         refuse(f"the mass of body {i} is {masses[i]:g} kg, not above 0")
@@ -329,8 +332,12 @@ def _check_apart(points: FloatArray, softening: float) -> None:
     if same.any():
         i = int(np.argmax(same))
         one, other = sorted(order[[i, i + 1]].tolist())
-        why = "nothing tells them apart" if softening else "their attraction is infinite"
-        refuse(f"bodies {one} and {other} begin at one place: {why}", "move one of them")
+        why = (
+            "nothing tells them apart" if softening else "their attraction is infinite"
+        )
+        refuse(
+            f"bodies {one} and {other} begin at one place: {why}", "move one of them"
+        )
 
 
 def refuse(message: str, hint: str | None = None) -> None:

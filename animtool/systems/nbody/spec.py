@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le, Len, Lt
+from annotated_types import Ge, Gt, Le, Lt
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Quaternion, Real, Vector, Whole, key
@@ -33,7 +33,9 @@ class BodiesModel(FileModel):
         "Of these `(N,)` [kg], in place of `mass`.", "stars.npz#masses", default=None
     )
     mass: Positive = key("Of each [kg].", 0.5, default=1.0)
-    radius: NotNegative = key("Half the width they are drawn with [m].", 0.05, default=0.02)
+    radius: NotNegative = key(
+        "Half the width they are drawn with [m].", 0.05, default=0.02
+    )
 
 
 class SpheroidModel(FileModel):
@@ -79,9 +81,7 @@ class GalaxyModel(FileModel):
         [0.9239, 0.3827, 0, 0],
         default=UPRIGHT,
     )
-    velocity: Vector = key(
-        "Of its centre [m/s].", [0.2, 0, 0], default=[0.0, 0.0, 0.0]
-    )
+    velocity: Vector = key("Of its centre [m/s].", [0.2, 0, 0], default=[0.0, 0.0, 0.0])
     disc: DiscModel | None = key(
         "Stars in a disc.", {"count": 5000, "mass": 1, "radius": 1}, default=None
     )
@@ -214,7 +214,9 @@ class NbodyModel(SystemSpec):
     def _encounter_faults(self, orbit: EncounterModel) -> list[Fault]:
         found = []
         if len(self.galaxies) != 2:
-            message = f"an encounter is of two galaxies, and there are {len(self.galaxies)}"
+            message = (
+                f"an encounter is of two galaxies, and there are {len(self.galaxies)}"
+            )
             found.append(Fault("SIM070", message, where="encounter"))
         e, near = orbit.eccentricity, orbit.pericentre
         far = near * (1 + e) / (1 - e) if e < 1 else float("inf")
