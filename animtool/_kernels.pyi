@@ -191,6 +191,59 @@ def sample_colliders(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape
     ways out and velocities of the surfaces ``(C, N, 3)``.
     """
 
+def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], members: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, others: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, radius: float, cosine: float, nearest: int, attraction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], alignment: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], repulsion: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], softening: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], float]:
+    """
+    What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].
+
+    ``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. One sees those within
+    ``radius`` and an angle of its velocity whose ``cosine`` is given (-1 is all around), of
+    these the ``nearest`` (0 is all), and goes by ``attraction`` to their centre, by
+    ``alignment`` to their mean velocity, and by ``repulsion`` away from each: pairs of a weight
+    and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for none.
+
+    Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
+    there were to look at; where these are more than ``most``, nothing is done.
+    """
+
+def gravity(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], constant: float, softening: float, accuracy: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+    """
+    Sum what N bodies pull each other by, with Plummer softening.
+
+    Body j pulls i by ``constant * masses[j] * d / (d² + softening²)^1.5``. With an ``accuracy``
+    above 0 (0.1 at most) distant bodies count as cells of an octree with quadrupoles, such that
+    the root mean square of relative errors is about that; with 0 each pair is summed. Bodies at
+    one place do not act on each other. Points and masses are finite, no mass is below 0.
+
+    Returns ``(accelerations, potentials, rates)``: ``(N, 3)`` [m/s²], ``(N,)`` [m²/s²], and the
+    largest ``constant * (masses[i] + masses[j]) / (d² + softening²)^1.5`` of each body with
+    another ``(N,)`` [1/s²], of the tree with those that are near alone.
+    """
+
+def molecule_pairs(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], reach: float, most: int) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')]]:
+    """
+    List the pairs of N molecules within a reach, in a box that goes on at its ends.
+
+    Points are finite, from anywhere; no side of ``box`` ``(3,)`` is below twice the reach.
+
+    Returns ``(order, starts, partners)``: molecules in an order in which those near are near
+    ``(N,)``; where partners of each of these begin ``(N + 1,)``; and partners, as places of that
+    order, each pair once, those of a molecule filled up to multiples of four with N. More than
+    ``most`` are refused.
+    """
+
+def molecule_forces(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], partners: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], kinds: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], forces: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], charges: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, cutoff: float, onset: float, damping: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]:
+    """
+    Sum what N molecules do to each other by a list of `molecule_pairs`.
+
+    Two of ``kinds`` a and b have the energy ``forces[a, b, 0] / r¹² - forces[a, b, 1] / r⁶``,
+    which from the distance ``onset`` on is switched off by a polynomial that ends at ``cutoff``.
+    ``charges`` ``(N,)`` repel by their product, damped by erfc of ``damping`` times the distance
+    and shifted, with the force, to 0 at the cut-off.
+
+    Returns ``(forces, energies, virial)``: ``(N, 3)``, half the energies of the pairs of each
+    ``(N,)``, and the sum of forces times distances. NaN goes through.
+    """
+
 def crowd_step(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], preferred: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], most: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gives: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], does: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sight: float, nearest: int, horizon: float, space: float, push: float, headway: float, side: float, step: float, rounds: int, enough: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], float]:
     """
     Where N agents are a step [s] later ``(N, 2)`` [m], and their velocities.
@@ -231,20 +284,6 @@ def travel_distances(free: Annotated[NDArray[numpy.bool_], dict(shape=(None, Non
 
     Infinite where no way leads. ``seeds`` are numbers of nodes, and ``starts`` how far these are
     from where the ways end.
-    """
-
-def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], members: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, others: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, radius: float, cosine: float, nearest: int, attraction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], alignment: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], repulsion: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], softening: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], float]:
-    """
-    What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].
-
-    ``members`` and ``others`` index ``points`` ``(N, 3)``; None is all. One sees those within
-    ``radius`` and an angle of its velocity whose ``cosine`` is given (-1 is all around), of
-    these the ``nearest`` (0 is all), and goes by ``attraction`` to their centre, by
-    ``alignment`` to their mean velocity, and by ``repulsion`` away from each: pairs of a weight
-    and a radius. ``period`` is where axes begin and their lengths ``(2, 3)``, 0 for none.
-
-    Returns ``(accelerations, counts, pairs)``: how many each sees ``(M,)``, and how many pairs
-    there were to look at; where these are more than ``most``, nothing is done.
     """
 
 def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:

@@ -58,12 +58,12 @@ Neighbours::Neighbours(const double* points, const std::int32_t* chosen, std::si
   }
   row_ = static_cast<std::uint64_t>(last_[0] + 1 + 2 * PAD);
   layer_ = row_ * static_cast<std::uint64_t>(last_[1] + 1 + 2 * PAD);
-  Sorted sorted(total);
+  SortedKeys sorted(total);
   for (std::size_t i = 0; i < total; ++i) {
     sorted.keys[i] = key(at(i));
     sorted.places[i] = static_cast<std::int32_t>(i);
   }
-  sort(sorted, total);
+  sort_keys(sorted, total);
   cells_ = cells_of(sorted.keys.get(), total);
   sorted.keys.reset();
   const std::size_t stride = total + NEAR_SPARE;
@@ -127,9 +127,9 @@ std::uint64_t Neighbours::key(const double* point) const {
   return cells[0] + row_ * cells[1] + layer_ * cells[2];
 }
 
-Neighbours::Sorted Neighbours::seekers(const double* points, const std::int32_t* chosen,
+SortedKeys Neighbours::seekers(const double* points, const std::int32_t* chosen,
                                        std::size_t count) const {
-  Sorted sorted(count);
+  SortedKeys sorted(count);
   if (index_.empty()) return sorted;
   for (std::size_t i = 0; i < count; ++i) {
     double at[3];
@@ -138,7 +138,7 @@ Neighbours::Sorted Neighbours::seekers(const double* points, const std::int32_t*
     sorted.keys[sorted.count] = key(at);
     sorted.places[sorted.count++] = static_cast<std::int32_t>(i);
   }
-  sort(sorted, sorted.count);
+  sort_keys(sorted, sorted.count);
   return sorted;
 }
 
@@ -153,27 +153,6 @@ std::vector<Neighbours::Cell> Neighbours::cells_of(const std::uint64_t* keys,
   // No key of a cell is as large.
   cells.push_back({std::numeric_limits<std::uint64_t>::max(), count});
   return cells;
-}
-
-// By counting, from the lowest bits on: equal keys stay in their order.
-void Neighbours::sort(Sorted& sorted, std::size_t count) {
-  constexpr unsigned BITS = 11;
-  std::uint64_t most = 0;
-  for (std::size_t i = 0; i < count; ++i) most = std::max(most, sorted.keys[i]);
-  Sorted other(count);
-  for (unsigned shift = 0; shift < 64 && most >> shift; shift += BITS) {
-    std::size_t starts[(1 << BITS) + 1] = {};
-    const auto digit = [&](std::uint64_t key) { return key >> shift & ((1 << BITS) - 1); };
-    for (std::size_t i = 0; i < count; ++i) ++starts[digit(sorted.keys[i]) + 1];
-    for (std::size_t i = 1; i <= 1 << BITS; ++i) starts[i] += starts[i - 1];
-    for (std::size_t i = 0; i < count; ++i) {
-      const std::size_t to = starts[digit(sorted.keys[i])]++;
-      other.keys[to] = sorted.keys[i];
-      other.places[to] = sorted.places[i];
-    }
-    std::swap(sorted.keys, other.keys);
-    std::swap(sorted.places, other.places);
-  }
 }
 
 }  // namespace animtool

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "keys.h"
 #include "memory.h"
 
 namespace animtool {
@@ -61,23 +62,14 @@ class Neighbours {
     std::uint64_t key;
     std::size_t begin;
   };
-  struct Sorted {
-    explicit Sorted(std::size_t room)
-        : keys(block<std::uint64_t>(room)), places(block<std::int32_t>(room)) {}
-
-    Block<std::uint64_t> keys;
-    Block<std::int32_t> places;
-    std::size_t count = 0;
-  };
   template <class Function>
   void each_cell(const std::vector<Cell>& cells, Function function) const;
-  Sorted seekers(const double* points, const std::int32_t* chosen, std::size_t count) const;
+  SortedKeys seekers(const double* points, const std::int32_t* chosen, std::size_t count) const;
   void wrapped(const double* point, double* out) const;
   bool inside(const double* point) const;
   std::uint64_t key(const double* point) const;
   std::vector<double> images(const double* points);
   static std::vector<Cell> cells_of(const std::uint64_t* keys, std::size_t count);
-  static void sort(Sorted& sorted, std::size_t count);
 
   // Rows of cells that touch a cell: of each, it and those beside it are one run. The middle
   // one is the cell's own; of those behind it in the grid, the first is.
@@ -123,7 +115,7 @@ void Neighbours::each_cell(const std::vector<Cell>& cells, Function function) co
 template <class Function>
 double Neighbours::visit(const double* points, const std::int32_t* chosen, std::size_t count,
                          double most, Function function) const {
-  const Sorted sorted = seekers(points, chosen, count);
+  const SortedKeys sorted = seekers(points, chosen, count);
   std::vector<std::int32_t> hits;
   double looked = 0;
   each_cell(cells_of(sorted.keys.get(), sorted.count),

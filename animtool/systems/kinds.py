@@ -68,6 +68,26 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
+    "molecules": system_kind(
+        "animtool.systems.molecules",
+        "Atoms that attract, repel and carry charges in a periodic box.",
+        {
+            "name": "argon",
+            "species": [{"name": "argon", "count": 256}],
+            "box": [2.3, 2.3, 2.3],
+            "temperature": 80,
+        },
+    ),
+    "nbody": system_kind(
+        "animtool.systems.nbody",
+        "Bodies that attract each other: planets, star clusters, galaxies.",
+        {
+            "name": "stars",
+            "galaxies": [
+                {"name": "disc", "disc": {"count": 500, "mass": 1, "radius": 1}}
+            ],
+        },
+    ),
     "rigid": system_kind(
         "animtool.systems.rigid",
         "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",

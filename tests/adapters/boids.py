@@ -31,7 +31,7 @@ class Boids:
     def start(self) -> FloatArray:
         """Return positions and velocities ``(2, N, 3)``, as its generator has them."""
         params = self.params
-        u = _splitmix(params["seed"], 6 * params["n"]).reshape(-1, 6) - 0.5
+        u = splitmix(params["seed"], 6 * params["n"]).reshape(-1, 6) - 0.5
         return np.stack([params["box"] * u[:, :3], 2 * params["speed"] * u[:, 3:]])
 
     def flock(self, method: str = "symplectic_euler", step: float = 0.01) -> Flock:
@@ -88,7 +88,7 @@ def read_boids(path: Path) -> list[Boids]:
     ]
 
 
-def _splitmix(seed: int, count: int) -> FloatArray:
+def splitmix(seed: int, count: int) -> FloatArray:
     """Return numbers in [0, 1) of splitmix64 ``(count,)``, the top 53 bits of each."""
     steps = np.arange(1, count + 1, dtype=np.uint64)
     z = np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15) * steps

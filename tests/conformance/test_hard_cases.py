@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from adapters.hard.attached import ATTACHED
+from adapters.hard.bodies import BODIES
 from adapters.hard.integrators import INTEGRATING
 from adapters.hard.particles import PARTICLES
 from adapters.hard.rigid import RIGID
@@ -26,8 +27,9 @@ SUBSYSTEMS = [
     RIGID,
     ATTACHED,
     SCENES,
+    BODIES,
 ]
-# Of bodies that pull each other: nothing here simulates these.
+# Of integrators, bodies that attract each other, and rigid ones alone.
 OPEN = {"degenerate_inertia", "close_encounter"}
 
 

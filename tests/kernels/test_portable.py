@@ -66,6 +66,34 @@ def flocks(rng: np.random.Generator) -> list[np.ndarray]:
     ]
 
 
+def bodies(rng: np.random.Generator) -> list[np.ndarray]:
+    x, masses = rng.normal(size=(1501, 3)), rng.uniform(0.1, 2, 1501)
+    return [
+        array
+        for accuracy in (0.0, 1e-3)
+        for array in _kernels.gravity(x, masses, 0.7, 0.02, accuracy)
+    ]
+
+
+def molecules(rng: np.random.Generator) -> list[np.ndarray]:
+    box, count = np.array([5.0, 6.0, 7.0]), 211
+    x = rng.uniform(-3, 9, (count, 3))
+    kinds = rng.integers(0, 2, count).astype(np.int32)
+    laws = np.array([[[1e-3, 1e-2], [2e-3, 1e-2]], [[2e-3, 1e-2], [1e-3, 3e-2]]])
+    pairs = _kernels.molecule_pairs(x, box, 2.4, 10**6)
+    found: list[np.ndarray] = list(pairs)
+    for laws_of, kinds_of, charges in (
+        (laws, kinds, rng.normal(size=count)),
+        (laws[:1, :1].copy(), 0 * kinds, None),
+    ):
+        for onset in (1.5, 2.0):
+            forces, energies, virial = _kernels.molecule_forces(
+                x, *pairs, box, kinds_of, laws_of, charges, 2.0, onset, 0.3
+            )
+            found += [forces, energies, np.array(virial)]
+    return found
+
+
 def strands(rng: np.random.Generator) -> list[np.ndarray]:
     places = np.cumsum(rng.uniform(-0.02, 0.03, (6, 7, 3)), axis=1)
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
@@ -106,7 +134,7 @@ def skins(rng: np.random.Generator) -> list[np.ndarray]:
 
 def digests() -> dict[str, list[str]]:
     kinds: list[Callable[[np.random.Generator], list[np.ndarray]]] = [
-        springs, strands, skins, flocks,
+        springs, strands, skins, flocks, bodies, molecules,
     ]  # fmt: skip
     return {
         kind.__name__: [

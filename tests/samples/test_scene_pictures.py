@@ -14,7 +14,7 @@ from support.printed import ROOT, Printed
 # machine to machine. Frames that are three further differ by 5 and more.
 SAME = 3.0
 NAMES = ["flag", "drape", "sheets", "embers", "rope", "murmuration"]
-NAMES += ["wingnut", "dominoes", "wrecking_ball", "fall"]
+NAMES += ["wingnut", "dominoes", "wrecking_ball", "fall", "galaxies", "argon"]
 
 
 def script_of(name: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = [
     "README.md",
     "animtool/docs/guide.md",
+    "samples/argon/README.md",
     "samples/batch/README.md",
     "samples/bounce/README.md",
     "samples/cape/README.md",
@@ -27,6 +28,7 @@ DOCUMENTS = [
     "samples/drape/README.md",
     "samples/embers/README.md",
     "samples/flag/README.md",
+    "samples/galaxies/README.md",
     "samples/orbits/README.md",
     "samples/press/README.md",
     "samples/retarget/README.md",

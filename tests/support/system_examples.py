@@ -110,6 +110,25 @@ SWIMMING = np.array(
     [[1.0, 0.1, 0.2], [1.2, -0.3, 0], [0.8, 0.2, 0.6], [1.1, 0, -0.4], [1.3, 0.2, 0.1]]
 )
 
+# Five at rest that fall towards each other, and past what goes by.
+CLUSTER = OFFSET + np.array(
+    [[0, 0, 0], [0.5, 0.1, 0], [0.1, -0.4, 0.2], [-0.3, 0.2, 0.4], [0.2, 0.5, -0.3]]
+)
+
+# Ions and atoms at rest in a box about the same place, drawn by what goes by.
+IONS = OFFSET + so3.rotate(
+    TILT,
+    np.array(
+        [
+            [-1.05, 0, 0],
+            [-0.75, 0.1, 0.1],
+            [0, 0.7, -0.6],
+            [1.0, 0.9, 0.1],
+            [1.02, 0.4, -0.1],
+        ]
+    ),
+)
+
 DOOR = np.add(OFFSET, [0.3, 0.6, 0.2])
 
 
@@ -372,6 +391,97 @@ EXAMPLES = {
                 }
             ],
         },
+    ),
+    "molecules": Example(
+        {
+            "species": [
+                {
+                    "name": "sodium",
+                    "points": Point(IONS[[0, 3]]),
+                    "charge": 0.5,
+                    "mass": 22.99,
+                    "sigma": 0.25,
+                    "epsilon": 0.4,
+                    "radius": Length(0.1),
+                },
+                {"name": "chlorine", "points": Point(IONS[[1, 4]]), "charge": -0.5},
+                {"name": "argon", "points": Point(IONS[[2]])},
+            ],
+            "box": [2.2, 2.0, 2.4],
+            "at": Point(OFFSET),
+            "rotate": TILTED,
+            "scale": Length(1.0),
+            "pace": 2,
+            "thermostat": {"temperatures": Bursts([[0, 50], [0.3, 400]])},
+            "traps": [
+                {
+                    "at": Point(np.add(OFFSET, [0, 0.5, -0.6])),
+                    "stiffness": 400,
+                    "moves": MOVES,
+                }
+            ],
+            "colour": {"by": "energy"},
+            "seed": 3,
+            "step": 1 / 256,
+        },
+        few=(
+            (
+                {
+                    "species": [
+                        {
+                            "name": "argon",
+                            "points": Point(IONS[:1]),
+                            "velocities": Array(np.array([[0.1, 0, 0.2]])),
+                        }
+                    ]
+                },
+                1,
+            ),
+        ),
+        wild={"species": [{"name": "argon", "count": 5}], "temperature": 1e14},
+        initial=IONS[[0, 3, 1, 4, 2]],
+        orders={"symplectic_euler": 1, "velocity_verlet": 2},
+        more=("position_verlet", "rk4"),
+        smooth={"thermostat": None, "traps": []},
+    ),
+    "nbody": Example(
+        {
+            "bodies": [
+                {"points": Point(CLUSTER[:3]), "mass": 0.5, "radius": Length(0.02)},
+                {"points": Point(CLUSTER[3:]), "mass": 0.2},
+            ],
+            "attractors": [
+                {
+                    "mass": 2,
+                    "at": Point(np.add(OFFSET, [1.0, 0, 0])),
+                    "softening": Length(0.1),
+                    "moves": MOVES,
+                }
+            ],
+            "gravity_constant": Length(1.0, 3),
+            "softening": Length(0.1),
+            "colour": {"by": "speed"},
+            "step": 1 / 128,
+        },
+        few=(
+            (
+                {
+                    "bodies": [
+                        {
+                            "points": Point(CLUSTER[:1]),
+                            "velocities": Array(np.array([[0.1, 0, 0.2]])),
+                        }
+                    ],
+                    "attractors": [],
+                },
+                1,
+            ),
+        ),
+        wild={"attractors": [{"mass": 1e18, "softening": 1e-3}]},
+        initial=CLUSTER,
+        orders={"symplectic_euler": 1, "midpoint": 2, "velocity_verlet": 2, "rk4": 4},
+        more=("position_verlet", "rk45"),
+        smooth={"attractors": []},
     ),
     "rigid": Example(
         {

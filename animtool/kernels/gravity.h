@@ -1,0 +1,44 @@
+// Bodies that attract each other: sums over lanes of targets side by side.
+#pragma once
+
+#include <cstddef>
+
+namespace animtool {
+
+// Targets that are summed for at once.
+constexpr std::size_t GRAVITY_LANES = 8;
+// Numbers of a distant cell: its centre of mass from the middle of the group, its mass, and
+// second moments about the centre: xx, xy, xz, yy, yz, zz.
+constexpr std::size_t GRAVITY_FAR = 10;
+
+struct GravityTargets {
+  double x[GRAVITY_LANES], y[GRAVITY_LANES], z[GRAVITY_LANES], mass[GRAVITY_LANES];
+  float from_middle[3][GRAVITY_LANES];
+};
+// Accelerations, potentials without their sign, and the largest squared frequency of a pair.
+struct GravitySums {
+  double x[GRAVITY_LANES], y[GRAVITY_LANES], z[GRAVITY_LANES], potential[GRAVITY_LANES];
+  double rate[GRAVITY_LANES];
+};
+struct GravityBodies {
+  const double *x, *y, *z, *mass;
+};
+struct GravityRun {
+  std::size_t begin, end;
+};
+
+struct GravityFunctions {
+  // Pairs in float64, from a root in float32 that is refined.
+  void (*exact)(const GravityBodies& bodies, GravityRun run, double softened,
+                const GravityTargets& targets, GravitySums& sums);
+  // Pairs whose distances are float64 and whose forces are float32.
+  void (*near)(const GravityBodies& bodies, GravityRun run, double softened,
+               const GravityTargets& targets, GravitySums& sums);
+  // Cells by their monopole and quadrupole, in float32.
+  void (*far)(const float* cells, std::size_t count, float softened,
+              const GravityTargets& targets, GravitySums& sums);
+};
+// Null where the processor has no such registers.
+const GravityFunctions* gravity_in_quads();
+
+}  // namespace animtool

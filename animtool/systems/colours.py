@@ -1,0 +1,106 @@
+"""Colours of points by a quantity: a ramp over a range, or a palette of kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from annotated_types import Ge, Le, Len
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.check import FileModel
+from animtool.documents.fields import Name, Pair, Real, key
+from animtool.errors import Fault, excerpt
+
+Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
+# Makes the values of a quantity, if they are asked for ``(N,)``.
+Quantities: TypeAlias = Mapping[str, Callable[[], FloatArray | IntArray]]
+# From dark to light, in steps that look alike; and kinds that are easily told apart.
+RAMP = ((0.05, 0.03, 0.25), (0.45, 0.1, 0.5), (0.87, 0.33, 0.3), (1.0, 0.9, 0.6))
+PALETTE = ((0.3, 0.55, 0.95), (0.95, 0.6, 0.25), (0.4, 0.8, 0.45), (0.85, 0.35, 0.6))
+# Quantiles between which colours go where no range is given: few stray far.
+LOW, HIGH = 0.02, 0.98
+# Neighbours within whose distance a density is measured.
+NEAREST = 16
+
+
+class ColourModel(FileModel):
+    """How points are coloured (`displayColor`)."""
+
+    by: Name = key("The quantity.", "speed")
+    range: Pair | None = key(
+        "Its values at the ends of the ramp. Not given: those that 2 % and 98 % of the "
+        "points are below at the beginning.",
+        [0, 3],
+        default=None,
+    )
+    ramp: Annotated[list[Colour], Len(2, 64)] | None = key(
+        "Colours from low to high, red, green and blue from 0 to 1; of `species`, one "
+        "for each. Not given: dark blue to light yellow, or a palette.",
+        [[0, 0, 1], [1, 1, 0]],
+        default=None,
+    )
+
+    def faults(self, names: tuple[str, ...], code: str) -> list[Fault]:
+        """Return what is wrong with it, where a kind has quantities of some names."""
+        if self.by not in names:
+            message = f"no quantity is named {excerpt(self.by)}"
+            return [
+                Fault(code, message, hint=f"one of {', '.join(names)}", where="colour")
+            ]
+        if self.range is not None and not self.range[0] < self.range[1]:
+            message = (
+                f"the range of colours from {self.range[0]:g} to {self.range[1]:g}"
+            )
+            return [Fault(code, f"{message} is empty", where="colour")]
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class Colouring:
+    """Colours by a quantity, over a range that stays."""
+
+    by: str
+    range: tuple[float, float]
+    ramp: FloatArray  # (C, 3)
+
+    @staticmethod
+    def of(model: ColourModel, first: Quantities) -> Colouring:
+        """Return how to colour, from the quantities of the first state."""
+        kinds = model.by == "species"
+        ramp = np.array(model.ramp or (PALETTE if kinds else RAMP), np.float64)
+        if model.range is not None:
+            return Colouring(model.by, (model.range[0], model.range[1]), ramp)
+        values = first[model.by]()
+        low, high = np.quantile(values, [LOW, HIGH]) if len(values) else (0.0, 1.0)
+        return Colouring(model.by, (float(low), float(high)), ramp)
+
+    def colours(self, quantities: Quantities) -> FloatArray:
+        """Return the colours of points ``(N, 3)``."""
+        values = quantities[self.by]()
+        if self.by == "species":
+            return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
+        low, high = self.range
+        share = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
+        marks = np.linspace(0, 1, len(self.ramp))
+        return np.stack([np.interp(share, marks, one) for one in self.ramp.T], axis=1)
+
+
+def log_density(
+    points: FloatArray, masses: FloatArray, box: FloatArray | None = None
+) -> FloatArray:
+    """Return log10 of densities ``(N,)``: of the mean mass, among the 16 nearest.
+
+    ``box`` ``(3,)`` [m]: of points from 0 on that go on at its other end.
+    """
+    from scipy.spatial import cKDTree
+
+    count = min(NEAREST, len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points))
+    tree = cKDTree(points, boxsize=box)
+    radii = tree.query(points, [count + 1])[0][:, 0]
+    volumes = 4 / 3 * np.pi * np.maximum(radii, 1e-300) ** 3
+    return np.asarray(np.log10(np.maximum(count * masses.mean() / volumes, 1e-300)))

@@ -1,0 +1,204 @@
+"""Which atoms there are, and where and how fast they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+from animtool.maths import so3
+from animtool.systems.matter import check_rows, normals, unit_quaternion
+from animtool.systems.molecules.spec import MoleculesModel
+from animtool.systems.particles.emitter import uniforms
+
+# Boltzmann's constant [kJ/(mol K)].
+BOLTZMANN = 0.00831446261815324
+# Coulomb's [kJ nm/(mol e²)].
+COULOMB = 138.935457644
+# Charges that add up to less are neutral [e].
+NEUTRAL = 1e-9
+# Seed of velocities over that of lattices.
+_SPEEDS = 1000
+_FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """Where the box is in the scene: nm and ps there, m and s here."""
+
+    size: FloatArray  # (3,) [nm]
+    at: FloatArray  # (3,) [m]
+    rotation: FloatArray  # a quaternion x, y, z, w
+    scale: float  # [m/nm]
+    pace: float  # [ps/s]
+
+    @staticmethod
+    def of(spec: MoleculesModel) -> Placing:
+        """Return that of a spec."""
+        return Placing(
+            np.array(spec.box),
+            np.array(spec.at),
+            unit_quaternion(spec.rotate),
+            spec.scale,
+            spec.pace,
+        )
+
+    def inwards(self, points: FloatArray) -> FloatArray:
+        """Return where points [m] are in the box [nm]."""
+        turned = so3.rotate(so3.conjugate(self.rotation), points - self.at)
+        return np.asarray(turned / self.scale + self.size / 2)
+
+    def outwards(self, x: FloatArray) -> FloatArray:
+        """Return where points of the box [nm] are [m], each within it."""
+        x = x - self.size * np.floor(x / self.size)
+        return np.asarray(
+            self.at + so3.rotate(self.rotation, self.scale * (x - self.size / 2))
+        )
+
+    def velocities_in(self, v: FloatArray) -> FloatArray:
+        """Return velocities [m/s] as those of the box [nm/ps]."""
+        turned = so3.rotate(so3.conjugate(self.rotation), v)
+        return np.asarray(turned / (self.scale * self.pace))
+
+    def velocities_out(self, v: FloatArray) -> FloatArray:
+        """Return velocities of the box [nm/ps] as those of the scene [m/s]."""
+        return np.asarray(so3.rotate(self.rotation, self.scale * self.pace * v))
+
+
+@dataclass(frozen=True, slots=True)
+class Atoms:
+    """N atoms."""
+
+    kinds: npt.NDArray[np.int32]  # (N,)
+    masses: FloatArray  # (N,) [u]
+    charges: FloatArray  # (N,) [e]
+    radii: FloatArray  # (N,) [m]
+    points: FloatArray  # (N, 3) [nm]
+    velocities: FloatArray  # (N, 3) [nm/ps]
+
+    @staticmethod
+    def of(
+        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], placing: Placing
+    ) -> Atoms:
+        """Return the atoms of a spec, refused where they make no sense (SIM071)."""
+        read = [_read(*each, placing) for each in zip(spec.species, parts, strict=True)]
+        free = [k for k, (points, _) in enumerate(read) if points is None]
+        sites = _sites(spec, [spec.species[k].count for k in free])
+        for k, own in zip(free, sites, strict=True):
+            read[k] = own, read[k][1]
+        points = [np.zeros((0, 3)) if p is None else p for p, _ in read]
+        kinds = np.repeat(np.arange(len(points)), [len(own) for own in points])
+
+        def each(values: list[float]) -> FloatArray:
+            return np.array(values, np.float64)[kinds]
+
+        masses = each([one.mass for one in spec.species])
+        made = Atoms(
+            kinds.astype(np.int32),
+            masses,
+            each([one.charge for one in spec.species]),
+            each([one.radius or one.sigma / 2 * spec.scale for one in spec.species]),
+            np.concatenate(points),
+            _velocities(spec, masses, kinds, [v for _, v in read]),
+        )
+        total = float(made.charges.sum())
+        if abs(total) > NEUTRAL:
+            message = (
+                f"charges add up to {total:g} e, and a box that repeats is neutral"
+            )
+            refuse(message, "species", "give as many of either sign")
+        return made
+
+
+def _read(
+    model: Any, parts: Mapping[str, Any], placing: Placing
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return places [nm] and velocities [nm/ps] of files, None for those not given."""
+    points, velocities = parts.get("points"), parts.get("velocities")
+    if points is None:
+        if velocities is not None:
+            refuse("velocities are of points, and there are none", "species")
+        return None, None
+    given = {"points": points, "velocities": velocities}
+    check_rows(given, f"{model.name!r}, atom", "SIM071", "species")
+    x = placing.inwards(points)
+    slack = 1e-9 * placing.size
+    outside = ((x < -slack) | (x > placing.size + slack)).any(axis=1)
+    if outside.any():
+        i = int(np.argmax(outside))
+        where = ", ".join(f"{value:g}" for value in points[i])
+        message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
+        refuse(message, "species", "a nanometre is `scale` metres; `at` is the middle")
+    return x, None if velocities is None else placing.velocities_in(velocities)
+
+
+def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
+    """Return sites of a lattice for atoms of each kind ``(N, 3)`` [nm]."""
+    total = sum(counts)
+    if not total:
+        return []
+    size = np.array(spec.block or spec.box)
+    basis = _FCC if spec.lattice == "fcc" else np.full((1, 3), 0.5)
+    side = (len(basis) * size.prod() / total) ** (1 / 3)
+    cells = np.maximum(np.round(size / side), 1).astype(np.int64)
+    while len(basis) * cells.prod() < total:
+        cells[np.argmax(size / cells)] += 1
+    corners = np.stack(
+        np.meshgrid(*[np.arange(n) for n in cells], indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    sites = (corners[:, None] + basis).reshape(-1, 3)
+    # Evenly thinned where there are more than atoms.
+    kept = np.arange(total) * len(sites) // total
+    order = np.arange(total)
+    if len(counts) > 1 and spec.lattice == "fcc":
+        order = np.argsort(
+            uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable"
+        )
+    elif len(counts) > 1:
+        odd = corners[kept].sum(axis=1) % 2
+        order = np.argsort(odd, kind="stable")
+    points = sites[kept][order] / cells * size + (np.array(spec.box) - size) / 2
+    return np.split(points, np.cumsum(counts)[:-1])
+
+
+def _velocities(
+    spec: MoleculesModel,
+    masses: FloatArray,
+    kinds: npt.NDArray[np.int64],
+    given: list[FloatArray | None],
+) -> FloatArray:
+    """Return those of files, else by the temperature, at rest as a whole ``(N, 3)``."""
+    drawn = np.array([one is None for one in given])[kinds]
+    made = np.zeros((len(masses), 3))
+    for k, own in enumerate(given):
+        if own is not None:
+            made[kinds == k] = own
+    count = int(drawn.sum())
+    if count < 2 or not spec.temperature:
+        return made
+    u = uniforms(spec.seed + _SPEEDS, np.flatnonzero(drawn), 3)
+    m = masses[drawn][:, None]
+    v = normals(u) / np.sqrt(m)
+    v -= (m * v).sum(axis=0) / m.sum()
+    square = float((m * v * v).sum()) / (3 * count - 3)
+    made[drawn] = v * np.sqrt(BOLTZMANN * spec.temperature / square)
+    return made
+
+
+def mixed(spec: MoleculesModel) -> FloatArray:
+    """Return c12 [kJ nm¹²/mol] and c6 of two kinds, by Lorentz and Berthelot."""
+    sigma = np.array([one.sigma for one in spec.species])
+    epsilon = np.array([one.epsilon for one in spec.species])
+    both = (sigma[:, None] + sigma) / 2
+    depth = 4 * np.sqrt(epsilon[:, None] * epsilon)
+    return np.ascontiguousarray(np.stack([depth * both**12, depth * both**6], axis=-1))
+
+
+def refuse(message: str, where: str, hint: str | None = None) -> None:
+    """Raise what of atoms makes no sense (SIM071)."""
+    raise OptionError(Fault("SIM071", message, hint=hint, where=where))

@@ -1,0 +1,248 @@
+"""Galaxies in equilibrium, and two on an orbit.
+
+Discs are exponential, with a vertical sech² profile, spheroids have the profile of
+Hernquist or Plummer. Circular velocities are those of all that a galaxy has; velocities
+are drawn from local Gaussians whose moments solve the equations of Jeans.
+
+References:
+    K. C. Freeman, On the disks of spiral and S0 galaxies, Astrophysical Journal 160,
+    1970 (rotation curves). L. Hernquist, N-body realizations of compound galaxies,
+    Astrophysical Journal Supplement 86, 1993 (dispersions). A. Toomre, On the
+    gravitational stability of a disk of stars, Astrophysical Journal 139, 1964.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.systems.matter import normals, unit_quaternion
+from animtool.systems.nbody.spec import (
+    DiscModel,
+    EncounterModel,
+    GalaxyModel,
+    SpheroidModel,
+)
+from animtool.systems.particles.emitter import uniforms
+
+# Radii at which profiles are tabulated.
+RADII = 4096
+# Of the escape velocity: no body is faster than this share.
+BOUND = 0.95
+# Toomre's constant of stars.
+TOOMRE = 3.36
+# Radial dispersions are no larger than this share of the circular velocity.
+WARMEST = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """N bodies at a time."""
+
+    points: FloatArray  # (N, 3) [m]
+    velocities: FloatArray  # (N, 3) [m/s]
+    masses: FloatArray  # (N,) [kg]
+
+    @staticmethod
+    def joined(parts: list[Bodies]) -> Bodies:
+        """Return bodies one after the other."""
+        return Bodies(
+            np.concatenate([one.points for one in parts]),
+            np.concatenate([one.velocities for one in parts]),
+            np.concatenate([one.masses for one in parts]),
+        )
+
+    def placed(self, rotation: FloatArray, at: FloatArray, v: FloatArray) -> Bodies:
+        """Return them turned (a quaternion x, y, z, w), moved [m] and faster [m/s]."""
+        return Bodies(
+            so3.rotate(rotation, self.points) + at,
+            so3.rotate(rotation, self.velocities) + v,
+            self.masses,
+        )
+
+
+class Profile:
+    """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
+
+    def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
+        self.galaxy, self.constant = galaxy, constant
+        parts = [p for p in (galaxy.disc, galaxy.bulge, galaxy.halo) if p is not None]
+        far = max((p.radius * p.cutoff for p in parts), default=1.0)
+        near = min((p.radius for p in parts), default=1.0)
+        self.r = np.geomspace(1e-4 * near, 4 * far, RADII)
+        within = np.full(RADII, galaxy.nucleus)
+        for one in (galaxy.bulge, galaxy.halo):
+            if one is not None:
+                within = within + enclosed(one, self.r)
+        around = within
+        # Softened bodies pull as if each were spread over a sphere of Plummer.
+        soft = self.r**2 / (self.r**2 + softening**2)
+        speeds = constant * within / self.r * soft**1.5
+        if galaxy.disc is not None:
+            around = within + disc_enclosed(galaxy.disc, self.r)
+            speeds = speeds + constant * disc_speeds(galaxy.disc, self.r) * soft**1.5
+        self.circular = np.sqrt(speeds)  # [m/s]
+        self.pull = constant * around / self.r**2 * soft**1.5  # [m/s²]
+        beyond = constant * around[-1] / self.r[-1]
+        # Escape velocities [m/s].
+        self.escape = np.sqrt(2 * (_from_outside(self.pull, self.r) + beyond))
+
+    def dispersion(self, part: SpheroidModel) -> FloatArray:
+        """Return the velocity dispersion of a spheroid ``(R,)`` [m/s]."""
+        density = np.gradient(enclosed(part, self.r), self.r) / self.r**2
+        density = np.maximum(density, 0.0)
+        pressure = _from_outside(density * self.pull, self.r)
+        least = density.max() * 1e-12
+        return np.sqrt(
+            np.where(density > least, pressure / np.maximum(density, least), 0.0)
+        )
+
+
+def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
+    """Return integrals from each radius to the last one, by trapezoids."""
+    steps = (values[1:] + values[:-1]) / 2 * np.diff(r)
+    return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+
+
+def enclosed(part: SpheroidModel, r: FloatArray) -> FloatArray:
+    """Return the mass of a spheroid within radii [kg]."""
+
+    def share(x: FloatArray | float) -> FloatArray | float:
+        if part.profile == "plummer":
+            return x**3 / (1 + x**2) ** 1.5
+        return (x / (1 + x)) ** 2
+
+    inside = np.minimum(r / part.radius, part.cutoff)
+    return np.asarray(part.mass * share(inside) / share(part.cutoff))
+
+
+def disc_enclosed(disc: DiscModel, r: FloatArray | float) -> FloatArray:
+    """Return the mass of a disc within radii [kg]."""
+    x = np.minimum(np.asarray(r) / disc.radius, disc.cutoff)
+    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
+    return np.asarray(disc.mass * (1 - (1 + x) * np.exp(-x)) / whole)
+
+
+def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
+    """Return squared circular velocities in a disc, over the constant [kg/m]."""
+    from scipy.special import i0e, i1e, k0e, k1e
+
+    y = np.minimum(r / (2 * disc.radius), 300.0)
+    bessel = i0e(y) * k0e(y) - i1e(y) * k1e(y)
+    surface = disc_surface(disc, np.zeros(1))[0]
+    return np.asarray(4 * np.pi * surface * disc.radius * y**2 * bessel)
+
+
+def disc_surface(disc: DiscModel, r: FloatArray) -> FloatArray:
+    """Return surface densities of a disc [kg/m²]."""
+    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
+    central = disc.mass / (2 * np.pi * disc.radius**2 * whole)
+    return np.asarray(central * np.exp(-r / disc.radius))
+
+
+def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
+    """Return the bodies of a galaxy about its own centre, those of the halo last."""
+    profile = Profile(galaxy, constant, softening)
+    parts = []
+    if galaxy.nucleus:
+        parts.append(
+            Bodies(np.zeros((1, 3)), np.zeros((1, 3)), np.array([galaxy.nucleus]))
+        )
+    if galaxy.disc is not None:
+        parts.append(_disc(galaxy.disc, profile, galaxy.seed))
+    for number, part in enumerate((galaxy.bulge, galaxy.halo)):
+        if part is not None:
+            parts.append(_spheroid(part, profile, galaxy.seed + 1000 * (number + 1)))
+    made = Bodies.joined(parts)
+    # Its centre of mass is where it is put, and as fast.
+    weights = made.masses / made.masses.sum()
+    return made.placed(so3.IDENTITY, -weights @ made.points, -weights @ made.velocities)
+
+
+def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
+    u = uniforms(seed, np.arange(part.count), 6)
+    mass = enclosed(part, profile.r)
+    r = np.interp(u[:, 0] * part.mass, mass, profile.r)
+    sigma = np.interp(r, profile.r, profile.dispersion(part))
+    most = BOUND * np.interp(r, profile.r, profile.escape)
+    velocities = sigma[:, None] * normals(u[:, 3:6])
+    speeds = np.linalg.norm(velocities, axis=1)
+    velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
+    masses = np.full(part.count, part.mass / part.count)
+    return Bodies(r[:, None] * _directions(u[:, 1:3]), velocities, masses)
+
+
+def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
+    u = uniforms(seed, np.arange(disc.count), 6)
+    r = np.interp(u[:, 0] * disc.mass, disc_enclosed(disc, profile.r), profile.r)
+    angles = 2 * np.pi * u[:, 1]
+    height = disc.thickness * disc.radius
+    up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
+    radial, around, upward, mean = disc_velocities(disc, profile)
+    normal = normals(u[:, 3:6])
+
+    def at(values: FloatArray) -> FloatArray:
+        return np.interp(r, profile.r, values)
+
+    out = at(radial) * normal[:, 0]
+    along = at(mean) + at(around) * normal[:, 1]
+    cos, sin = np.cos(angles), np.sin(angles)
+    # About y, as a right hand has it: from z to x.
+    points = np.stack([r * sin, up, r * cos], axis=1)
+    velocities = np.stack(
+        [out * sin + along * cos, at(upward) * normal[:, 2], out * cos - along * sin],
+        axis=1,
+    )
+    return Bodies(points, velocities, np.full(disc.count, disc.mass / disc.count))
+
+
+def disc_velocities(
+    disc: DiscModel, profile: Profile
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return dispersions outwards, around and upwards, and mean rotation ``(R,)``."""
+    r, circular = profile.r, profile.circular
+    turning = circular / r
+    squares = np.gradient(turning**2, r) * r + 4 * turning**2
+    epicycle = np.sqrt(np.maximum(squares, 1e-300))
+    surface = disc_surface(disc, r)
+    radial = disc.stability * TOOMRE * profile.constant * surface / epicycle
+    radial = np.minimum(radial, WARMEST * circular)
+    ratio = epicycle / np.maximum(2 * turning, 1e-300)
+    drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
+    mean = np.sqrt(np.maximum(circular**2 + drift, 0.0))
+    height = disc.thickness * disc.radius
+    upward = np.sqrt(np.pi * profile.constant * surface * height)
+    return radial, radial * ratio, upward if disc.stability else 0 * upward, mean
+
+
+def on_orbit(
+    orbit: EncounterModel, first: Bodies, second: Bodies, constant: float
+) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """Return where two galaxies are that come closer on an orbit, and how fast."""
+    masses = float(first.masses.sum()), float(second.masses.sum())
+    total = sum(masses)
+    e, near, r = orbit.eccentricity, orbit.pericentre, orbit.separation
+    width = near * (1 + e)
+    cosine = np.clip((width / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
+    # Before the pericentre, so the true anomaly is below 0.
+    anomaly = -np.arccos(cosine)
+    speed = np.sqrt(constant * total / width)
+    place = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
+    velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
+    turn = unit_quaternion(orbit.rotate)
+    place, velocity = so3.rotate(turn, place), so3.rotate(turn, velocity)
+    shares = -masses[1] / total, masses[0] / total
+    one, other = (
+        (np.array(orbit.at) + share * place, share * velocity) for share in shares
+    )
+    return one, other
+
+
+def _directions(u: FloatArray) -> FloatArray:
+    """Return directions all around ``(N, 3)``, of numbers in [0, 1) ``(N, 2)``."""
+    up = 2 * u[:, 0] - 1
+    flat, angle = np.sqrt(np.maximum(1 - up**2, 0.0)), 2 * np.pi * u[:, 1]
+    return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)

@@ -1,0 +1,284 @@
+"""Atoms in a box: energy, heat, pressure, crystals, liquids, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from adapters.nbody import _Context
+from numpy.testing import assert_allclose, assert_array_equal
+from support.simulated import Simulator
+
+from animtool.errors import AnimtoolError, ToleranceError
+from animtool.scene.systems.simulation import open_systems
+from animtool.sim.colliders import Poses
+from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB
+from animtool.systems.molecules.molecules import (
+    MEGAPASCALS,
+    Molecules,
+    MoleculeState,
+)
+from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
+from animtool.systems.molecules.thermostat import bath_factor
+from animtool.systems.simulation import Reached, SimulationRun
+
+ARGON = {"name": "argon", "count": 256}
+# Of solid argon at its melting point [nm].
+SIDE = 4 * 0.5461
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Simulator:
+    return Simulator(tmp_path)
+
+
+def molecules(**keys: Any) -> Molecules:
+    given = {"name": "it", "species": [ARGON], "box": [SIDE] * 3, "cutoff": 0.85}
+    spec = MoleculesModel.model_validate({**given, "step": 0.01, **keys})
+    parts = {"species": [{}] * len(spec.species), "traps": [{"poses": Poses.fixed()}]}
+    parts["traps"] *= len(spec.traps)
+    return Molecules(spec, _Context(parts))
+
+
+def after(made: Molecules, steps: int, dt: float) -> list[MoleculeState]:
+    states = [made.initial()]
+    for k in range(steps):
+        states.append(made.step(states[-1], k * dt, dt))
+    return states
+
+
+def test_a_crystal_has_the_energy_and_pressure_of_its_lattice() -> None:
+    """The sums of the face-centred lattice are 14.4539 / r^6 and 12.1319 / r^12."""
+    made = molecules(box=[10 * 0.54] * 3, species=[{**ARGON, "count": 4000}],
+                     cutoff=2.69, switch=2.69)  # fmt: skip
+    values = made.values(made.initial(), 0.0)
+    near = 0.54 / np.sqrt(2) / 0.3405
+    each = 2 * 0.9961 * (12.13188 / near**12 - 14.45392 / near**6)
+    # What is beyond the cut-off, as an even density of atoms has it.
+    beyond = 8 / 3 * np.pi * 4 / 0.54**3 * 0.3405**3 * 0.9961 * -((0.3405 / 2.69) ** 3)
+    assert values["potential_energy"] / 4000 + beyond == pytest.approx(each, rel=2e-4)
+    assert values["temperature"] == 0
+    virial = 2 * 0.9961 * (12 * 12.13188 / near**12 - 6 * 14.45392 / near**6)
+    pressure = (virial + 2 * 3 * beyond) * 4 / 0.54**3 / 3 * MEGAPASCALS
+    assert values["pressure"] == pytest.approx(pressure, rel=5e-3)
+
+
+def test_salt_has_the_energy_of_its_lattice() -> None:
+    """Madelung's constant of rock salt, by charges that are damped and shifted."""
+    ions = [
+        {"name": name, "count": 2048, "charge": charge, "epsilon": 0}
+        for name, charge in (("sodium", 1.0), ("chlorine", -1.0))
+    ]
+    side = 16 * 0.282
+    made = molecules(
+        species=ions, box=[side] * 3, lattice="cubic", cutoff=2.2, damping=1.5
+    )
+    energy = made.values(made.initial(), 0.0)["potential_energy"]
+    assert -energy / 2048 * 0.282 / COULOMB == pytest.approx(1.747565, rel=2e-3)
+
+
+def drift(steps: int) -> float:
+    made = molecules(temperature=120, seed=2)
+    states = [made.initial()]
+    worst = 0.0
+    for k in range(steps):
+        states = [made.step(states[-1], k * 0.005, 0.005)]
+        if k % 100 == 99:
+            values = made.values(states[-1], 0.0)
+            worst = max(worst, abs(values["energy_drift"]))
+    assert values["temperature"] < 100
+    momentum = made.atoms.masses @ states[-1].motion[1]
+    assert np.abs(momentum).max() < 1e-9
+    return worst
+
+
+def test_energy_stays() -> None:
+    assert drift(1500) < 1e-4
+
+
+@pytest.mark.slow(seconds=60)
+def test_energy_stays_for_a_hundred_thousand_steps() -> None:
+    assert drift(100_000) < 1e-4
+
+
+def test_a_bath_brings_its_temperature_and_its_spread() -> None:
+    """The kinetic energy is spread as that of the canonical ensemble."""
+    bath = ThermostatModel(temperatures=[[0, 100]], relaxation=0.2)
+    freedom, kinetic, found = 30, 1e-3, []
+    for step in range(20_000):
+        factor = bath_factor(bath, 5, step, 1.0, 0.1, kinetic, freedom)
+        kinetic *= factor**2
+        found.append(kinetic)
+    mean = freedom * BOLTZMANN * 100 / 2
+    assert np.mean(found[100:]) == pytest.approx(mean, rel=0.02)
+    spread = np.sqrt(freedom / 2) * BOLTZMANN * 100
+    assert np.std(found[100:]) == pytest.approx(spread, rel=0.05)
+    cold = ThermostatModel(temperatures=[[0, 0]], relaxation=0.2)
+    factor = bath_factor(cold, 5, 1, 1.0, 0.2, 1.0, freedom)
+    assert factor**2 == pytest.approx(np.exp(-1))
+
+
+def test_heat_is_counted() -> None:
+    bath = {"temperatures": [[0, 10], [5, 200]], "relaxation": 0.1}
+    made = molecules(thermostat=bath, temperature=10, species=[{**ARGON, "count": 108}],
+                     box=[0.75 * SIDE] * 3, cutoff=0.8)  # fmt: skip
+    last = after(made, 400, 0.01)[-1]
+    values = made.values(last, 4.0)
+    assert 100 < values["temperature"] < 220
+    assert last.heat > 50
+    assert abs(values["energy_drift"]) < 2e-3
+
+
+def radial(
+    made: Molecules, states: list[MoleculeState]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances [nm] and the radial distribution of states."""
+    from scipy.spatial import cKDTree
+
+    edges = np.linspace(0.25, 1.0, 151)
+    box = made._placing.size
+    counts = np.zeros(150)
+    for state in states:
+        tree = cKDTree(state.motion[0] % box % box, boxsize=box)
+        counts += np.diff(tree.count_neighbors(tree, edges))
+    count = len(made.atoms.masses)
+    shells = 4 / 3 * np.pi * np.diff(edges**3) * count / box.prod()
+    return (edges[1:] + edges[:-1]) / 2, counts / (len(states) * count * shells)
+
+
+@pytest.mark.slow(seconds=12)
+def test_liquid_argon_has_its_neighbours_where_rahman_found_them() -> None:
+    """A. Rahman, Physical Review 136, 1964: 864 atoms, 94.4 K, 1.374 g/cm³.
+
+    The first peak is at 3.7 Å, the next ones at 7.0 and 10.4 Å.
+    """
+    side = (864 * 39.948 / (1.374 * 602.214)) ** (1 / 3)
+    keys = {"species": [{**ARGON, "count": 864}], "box": [side] * 3, "cutoff": 0.85}
+    bath = {"temperatures": [[0, 300], [5, 94.4]], "relaxation": 0.2}
+    made = molecules(**keys, temperature=300, thermostat=bath)
+    states = after(made, 2000, 0.01)[1200::20]
+    r, g = radial(made, states)
+    assert r[np.argmax(g)] == pytest.approx(0.37, abs=0.01)
+    assert 2.6 < g.max() < 3.3
+    second = (r > 0.55) & (r < 0.85)
+    assert r[second][np.argmax(g[second])] == pytest.approx(0.70, abs=0.03)
+    assert g[r < 0.3].max() < 0.01
+
+
+def opened(simulator: Simulator, **keys: Any) -> SimulationRun:
+    given = {
+        "name": "it",
+        "species": [ARGON],
+        "box": [SIDE] * 3,
+        "cutoff": 0.85,
+        **keys,
+    }
+    (run,) = open_systems(simulator.scene([{"molecules": given}]).systems, 10.0)
+    assert isinstance(run, SimulationRun)
+    return run
+
+
+def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
+    bath = {"temperatures": [[0, 200]]}
+    whole = opened(simulator, temperature=100, thermostat=bath, skin=0.02)
+    whole.at(0.2)
+    middle = whole.state
+    assert isinstance(middle, Reached)
+    end = whole.at(0.5)
+    (other,) = open_systems(
+        simulator.scene(
+            [
+                {
+                    "molecules": {
+                        "name": "it", "species": [ARGON], "box": [SIDE] * 3,
+                        "cutoff": 0.85, "temperature": 100, "thermostat": bath,
+                        "skin": 0.02,
+                    }
+                }
+            ]
+        ).systems,
+        10.0,
+    )  # fmt: skip
+    assert isinstance(other, SimulationRun)
+    again = SimulationRun("it", other.simulation, 0.0, whole.step_length, middle)
+    found = again.at(0.5)
+    assert_array_equal(found.points, end.points)
+    assert_array_equal(found.velocities, end.velocities)
+
+
+def test_atoms_stay_in_the_box_and_a_trap_draws_them(simulator: Simulator) -> None:
+    trap = {"at": [0.4, 5, 0], "stiffness": 300, "radius": 0.8}
+    keys = {"at": [0, 5, 0], "scale": 0.5, "pace": 4, "step": 0.0025, "temperature": 60}
+    keys |= {"species": [{**ARGON, "count": 20}], "box": [3, 3, 3]}
+    run = opened(simulator, **keys, traps=[trap])
+    frames = [run.at(t) for t in (0.0, 1.0)]
+    for frame in frames:
+        assert (np.abs(frame.points - [0, 5, 0]) <= 0.75 + 1e-12).all()
+    near = [(np.linalg.norm(f.points - trap["at"], axis=1) < 0.4).sum() for f in frames]
+    assert near[1] > near[0]
+    for by in ("speed", "temperature", "density", "energy", "species"):
+        frame = opened(simulator, **keys, colour={"by": by}).at(0.1)
+        assert frame.primvars["displayColor"].shape == (20, 3)
+
+
+def test_mixtures_alternate_or_are_mixed() -> None:
+    both = [{**ARGON, "count": 32}, {**ARGON, "name": "krypton", "count": 32}]
+    made = molecules(species=both, lattice="cubic", box=[2, 2, 2])
+    x = np.round(made.atoms.points / 0.5 - 0.5)
+    odd = x.sum(axis=1) % 2
+    assert set(odd[:32]) == {0}
+    assert set(odd[32:]) == {1}
+    found = molecules(species=both, box=[2, 2, 2]).atoms.points
+    assert len(np.unique(found, axis=0)) == 64
+    assert_allclose(found.mean(axis=0), [1, 1, 1], atol=0.2)
+
+
+PLACES = np.array([[0.0, 0, 0], [0.5, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ({"cutoff": 1.2}, "box is 2.1844 nm wide, and twice the cut-off is 2.4 nm"),
+        ({"switch": 0.9}, "the switch begins at 0.9 nm, beyond the cut-off"),
+        ({"block": [3, 1, 1]}, "the block is larger than the box"),
+        ({"thermostat": {"temperatures": [[1, 9], [0, 9]]}}, "do not ascend"),
+        ({"thermostat": {"temperatures": [[0, -9]]}}, "below 0 K"),
+        ({"colour": {"by": "taste"}}, "no quantity is named"),
+        ({"step": 0.5}, "a step of 0.5 ps is too long"),
+        ({"species": [{**ARGON, "charge": 1}]}, r"charges add up to 256 e"),
+        (
+            {"species": [{**ARGON, "points": 9 + PLACES}]},
+            "atom 0 of 'argon' is outside",
+        ),
+        (
+            {"species": [{**ARGON, "points": 0 * PLACES}]},
+            "atoms 0 and 1 begin 0 nm apart",
+        ),
+        ({"species": [{**ARGON, "points": 0.1 * PLACES}]}, "begin 0.05 nm apart"),
+        ({"species": [{**ARGON, "points": np.nan * PLACES}]}, "atom 0 are not finite"),
+        ({"species": [{**ARGON, "points": PLACES[:, :1]}]}, r"the shape \(2, 1\)"),
+        ({"species": [{**ARGON, "velocities": PLACES}]}, "velocities are of points"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    simulator: Simulator, keys: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(AnimtoolError, match=text) as error:
+        opened(simulator, **keys)
+    assert error.value.code == "SIM071"
+
+
+def test_a_step_that_is_too_long_stops_with_one_that_is_not(
+    simulator: Simulator,
+) -> None:
+    run = opened(simulator, temperature=60_000, step=0.08)
+    with pytest.raises(ToleranceError) as error:
+        run.at(4.0)
+    fault = error.value.faults[-1]
+    assert fault.code == "SIM102"
+    assert fault.hint is not None
+    step = float(fault.hint.split("step: ")[1])
+    assert 1e-3 < step < 0.03

@@ -1,0 +1,186 @@
+"""Galaxies that stay, orbits on which two meet, what is refused, and going on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.simulated import Simulator
+
+from animtool.errors import AnimtoolError, ToleranceError
+from animtool.scene.systems.simulation import open_systems
+from animtool.systems.nbody.galaxies import Profile, build_galaxy
+from animtool.systems.nbody.spec import GalaxyModel
+from animtool.systems.simulation import Reached, SimulationRun
+
+DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
+BULGE = {"count": 150, "mass": 0.3, "radius": 0.2}
+HALO = {"count": 700, "mass": 4, "radius": 2, "cutoff": 5}
+SPIRAL = {"name": "spiral", "disc": DISC, "bulge": BULGE, "halo": HALO, "seed": 4}
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Simulator:
+    return Simulator(tmp_path)
+
+
+def bodies(**keys: Any) -> list[dict[str, Any]]:
+    return [{"nbody": {"name": "it", **keys}}]
+
+
+def opened(simulator: Simulator, **keys: Any) -> SimulationRun:
+    (run,) = open_systems(simulator.scene(bodies(**keys)).systems, 10.0)
+    assert isinstance(run, SimulationRun)
+    return run
+
+
+def test_a_galaxy_stays_as_it_is(simulator: Simulator) -> None:
+    """After the disc went around once at its scale length, radii are what they were."""
+    run = opened(simulator, galaxies=[SPIRAL], softening=0.1, step=0.05, accuracy=1e-3)
+    first = run.at(0.0).points
+    last = run.at(6.0).points
+    for part in (slice(0, 700), slice(700, 850), slice(850, 1550)):
+        before, after = (
+            np.median(np.linalg.norm(x[part] - np.median(x, axis=0), axis=1))
+            for x in (first, last)
+        )
+        assert after == pytest.approx(before, rel=0.15)
+    values = run.diagnostics.values
+    assert abs(values["energy_drift"]) < 2e-3
+    assert values["momentum_drift"] < 1e-3
+
+
+def test_the_rotation_curve_is_that_of_its_mass() -> None:
+    """What bodies are accelerated by towards the centre is the square of the curve."""
+    galaxy = GalaxyModel.model_validate(
+        {**SPIRAL, "disc": {**DISC, "count": 8000, "stability": 0, "thickness": 0.01}}
+        | {"halo": {**HALO, "count": 8000}, "bulge": {**BULGE, "count": 2000}}
+    )
+    made = build_galaxy(galaxy, 2.0, 0.05)
+    profile = Profile(galaxy, 2.0, 0.05)
+    from animtool import _kernels
+
+    pulls = _kernels.gravity(made.points, made.masses, 2.0, 0.05, 1e-3)[0]
+    x, v = made.points[:8000], made.velocities[:8000]
+    r = np.hypot(x[:, 0], x[:, 2])
+    inwards = -(pulls[:8000] * x)[:, [0, 2]].sum(axis=1) / r
+    for low, high in ((0.5, 1), (1, 2), (2, 3)):
+        ring = (r > low) & (r < high)
+        curve = np.interp(r[ring], profile.r, profile.circular)
+        assert np.sqrt((inwards * r)[ring]).mean() == pytest.approx(
+            curve.mean(), rel=0.03
+        )
+        # Cold, it goes around as the curve has it.
+        assert_allclose(np.linalg.norm(v[ring], axis=1), curve, rtol=0.02)
+    spin = np.cross(x, v).sum(axis=0)
+    assert spin[1] > 100 * np.abs(spin[[0, 2]]).max()
+
+
+@pytest.mark.parametrize(
+    ("eccentricity", "separation"), [(0.6, 3.0), (1.0, 4.0), (2.0, 5.0)]
+)
+def test_two_meet_where_their_orbit_says(
+    simulator: Simulator, eccentricity: float, separation: float
+) -> None:
+    points = [{"name": n, "nucleus": m} for n, m in (("a", 2.0), ("b", 0.5))]
+    orbit = {"separation": separation, "pericentre": 1, "eccentricity": eccentricity}
+    orbit |= {"at": [1, 2, 3], "rotate": [0.9, 0.1, 0.4, 0]}
+    run = opened(simulator, galaxies=points, encounter=orbit, softening=0, step=0.005)
+    times = np.arange(0, 6, 0.02)
+    frames = np.array([run.at(t).points for t in times])
+    apart = np.linalg.norm(frames[:, 0] - frames[:, 1], axis=1)
+    assert apart[0] == pytest.approx(separation)
+    assert apart.min() == pytest.approx(1.0, abs=2e-3)
+    assert 0 < np.argmin(apart) < len(times) - 1
+    middle = (2.0 * frames[:, 0] + 0.5 * frames[:, 1]) / 2.5
+    assert_allclose(middle, np.broadcast_to([1, 2, 3], middle.shape), atol=1e-9)
+
+
+def test_gone_on_from_the_middle_it_is_the_same(simulator: Simulator) -> None:
+    whole = opened(
+        simulator, galaxies=[{"name": "a", "bulge": {**BULGE, "count": 1300}}]
+    )
+    whole.at(0.1)
+    middle = whole.state
+    assert isinstance(middle, Reached)
+    end = whole.at(0.2)
+    again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, middle)
+    assert_array_equal(again.at(0.2).points, end.points)
+
+
+def test_halos_need_not_show_and_colours_follow(simulator: Simulator) -> None:
+    dark = {**SPIRAL, "shows_halo": False}
+    for by in ("speed", "density", "energy", "acceleration", "species"):
+        run = opened(
+            simulator,
+            galaxies=[dark, {**SPIRAL, "name": "other", "at": [9, 0, 0]}],
+            colour={"by": by},
+        )
+        frame = run.at(0.0)
+        assert len(frame.points) == 850 + 1550
+        assert frame.ids[849:851].tolist() == [849, 1550]
+        assert frame.primvars["species"].tolist() == [0] * 850 + [1] * 1550
+        colours = frame.primvars["displayColor"]
+        assert colours.shape == (2400, 3)
+        assert len(np.unique(colours, axis=0)) > (1 if by == "species" else 500)
+        assert ((colours >= 0) & (colours <= 1)).all()
+
+
+TWO = np.array([[0.0, 0, 0], [1, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ({}, "it has no bodies"),
+        ({"galaxies": [{"name": "void"}]}, "galaxy 'void' has no bodies"),
+        (
+            {"bodies": [{"points": np.ones((2, 3))}]},
+            "bodies 0 and 1 begin at one place",
+        ),
+        ({"bodies": [{"points": TWO * np.nan}]}, "points of body 0 are not finite"),
+        ({"bodies": [{"points": TWO[:, :2]}]}, r"points have the shape \(2, 2\)"),
+        (
+            {"bodies": [{"points": TWO, "velocities": TWO[:1]}]},
+            r"velocities have the shape \(1, 3\)",
+        ),
+        (
+            {"galaxies": [SPIRAL], "encounter": {"separation": 3, "pericentre": 1}},
+            "of two galaxies, and there are 1",
+        ),
+        (
+            {
+                "galaxies": [SPIRAL, SPIRAL],
+                "encounter": {"separation": 9, "pericentre": 1, "eccentricity": 0.5},
+            },
+            "the separation is 9 m, and on this orbit it is from 1 to 3 m",
+        ),
+        ({"galaxies": [SPIRAL], "colour": {"by": "taste"}}, "no quantity is named"),
+        ({"galaxies": [{**SPIRAL, "rotate": [0, 0, 0, 0]}]}, "quaternion of zeros"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    simulator: Simulator, keys: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(AnimtoolError, match=text) as error:
+        opened(simulator, **keys)
+    assert error.value.code in ("SIM070", "SIM020")
+
+
+def test_a_step_that_is_too_long_stops_with_one_that_is_not(
+    simulator: Simulator,
+) -> None:
+    x = np.random.default_rng(1).normal(size=(40, 3))
+    keys = {"bodies": [{"points": x}], "softening": 0.4, "substeps": 1}
+    keys |= {"gravity_constant": 5, "attractors": [{"mass": 200, "softening": 0.02}]}
+    with pytest.raises(ToleranceError) as error:
+        simulator.simulate(bodies(**keys, step=0.1), [0, 3])
+    fault = error.value.faults[-1]
+    assert fault.code == "SIM102"
+    assert "its energy is" in fault.message
+    assert fault.hint is not None
+    step = float(fault.hint.split("step: ")[1])
+    assert 1e-4 < step < 0.1
