@@ -45,7 +45,7 @@ void gauss(double* at, double* weight) {
 // Sum of weights over those places of a lattice whose first coordinates are below 0, as many
 // as are asked for.
 double lattice_beyond(int coordinates) {
-  const int far = static_cast<int>(REACH);
+  const int far = static_cast<int>(std::ceil(REACH));
   double sum = 0;
   for (int x = -far; x <= far; ++x)
     for (int y = -far; y <= far; ++y)
@@ -57,25 +57,55 @@ double lattice_beyond(int coordinates) {
   return sum;
 }
 
+// Sum of slopes of weights, along the first coordinate, over places below 0 there.
+double slope_beyond() {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x < 0; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double r = std::sqrt(static_cast<double>(x * x + y * y + z * z));
+        if (r < REACH) sum += Weight::slope(r / REACH) * x / r;
+      }
+  return sum;
+}
+
 }  // namespace
 
 double Walls::lattice() { return lattice_beyond(0); }
+
+double Walls::virial() {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x <= far; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
+        if (q < 1) sum -= Weight::slope(q) * q / 3;
+      }
+  return sum / lattice();
+}
 
 Walls::Walls() {
   gauss<SHELLS>(radii_, weights_);
   const double wall = lattice_beyond(1), edge = lattice_beyond(2);
   // Of an edge both walls see the same corner: as much of it as their product says.
   whole_ = wall * wall / edge;
-  double value, slope;
-  integral(0.5 / REACH, 0, value, slope);
-  scale_ = wall / whole_ / value;
+  // The wall of a lattice adds what the layers would that it is in place of.
+  double least = 0.5, most = 2, value, slope;
+  for (int round = 0; round < 60; ++round) {
+    scale_ = (least + most) / 2;
+    integral(0.5 / REACH, 0, value, slope);
+    (value > wall / whole_ ? least : most) = scale_;
+  }
+  push_ = 2 * slope_beyond() / (whole_ * -slope);
   for (int i = 0; i < KNOTS; ++i)
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
 }
 
 // Over shells about the particle: each is cut by the surface in a circle.
-void Walls::integral(double distance, double curvature, double& value, double& slope) const {
-  const double d = std::clamp(distance, -1.0, 1.0), from = std::fabs(d), span = 1 - from;
+void Walls::integral(double distance, double curved, double& value, double& slope) const {
+  const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
   // One over the integral of the weight over the ball.
   const double norm = 1 / (2.0 / 21);
   value = slope = 0;
@@ -95,7 +125,7 @@ void Walls::integral(double distance, double curvature, double& value, double& s
       const double r = from * radii_[i];
       value += 4 * r * r * Weight::at(r) * weights_[i] * from * norm;
     }
-  value *= scale_, slope *= scale_;
+  slope *= scale_;
 }
 
 void Walls::share(double distance, double curvature, double& value, double& slope) const {
@@ -122,6 +152,7 @@ const Walls& walls() {
 struct Beyond {
   double share = 0, distance = 0;
   Vec slope;   // of the share, in the world [1/m]
+  Vec push;    // what of it presses: see `beyond_box`
   Vec normal;  // the way out of the collider
 };
 
@@ -133,6 +164,8 @@ double curvature(const Collider& c) {
   return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
 }
 
+// A box presses through the face that a particle is before: what of the share changes along
+// a face would make it wider than it is.
 void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
   const Vec local = pose.to_local(point);
   const double at[3] = {local.x, local.y, local.z};
@@ -150,6 +183,9 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
   const double product = inside[0] * inside[1] * inside[2];
   out.share = c.container ? 1 - product : product;
   out.slope = pose.rotated(c.container ? -slope : slope);
+  const auto before = [&](int k) { return std::fabs(at[k]) > c.size[k] ? 1.0 : 0.0; };
+  const Vec push{slope.x * before(0), slope.y * before(1), slope.z * before(2)};
+  out.push = c.container ? out.slope : pose.rotated(push);
 }
 
 Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
@@ -163,7 +199,7 @@ Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
   }
   double slope;
   walls().share(found.distance / radius, curvature(c) * radius, out.share, slope);
-  out.slope = found.normal * (slope / radius);
+  out.slope = out.push = found.normal * (slope / radius);
   return out;
 }
 
@@ -476,6 +512,7 @@ class Steps {
         if (m != k) others *= 1 - near_[m].found.share;
       Vec& own = near_[k].found.slope;
       own = own * others;
+      near_[k].found.push = near_[k].found.push * others;
       slope.x += own.x, slope.y += own.y, slope.z += own.z;
       slope.w += dot(own, own);
     }
@@ -498,13 +535,13 @@ class Steps {
       }
       moved_[i].x += sum.x, moved_[i].y += sum.y, moved_[i].z += sum.z;
     }
-    const double per = rule_.density / (h * h);
+    const double per = Walls::virial() * rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
       pressure_[i] -= place_[i].w * per;
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
-        // The wall is as dense as what is before it.
-        const Vec by = near_[k].found.slope * (2 * place_[i].w);
+        // The wall presses as what is before it does.
+        const Vec by = near_[k].found.push * (walls().push() * place_[i].w);
         near_[k].pushed = by;
         to = to + by;
       }

@@ -32,7 +32,7 @@ struct Weight {
   // Slope over q.
   static double slope(double q) {
     const double left = 1 - q;
-    return -20 * left * left * left;
+    return -20 * q * left * left * left;
   }
 };
 
@@ -48,14 +48,23 @@ class Walls {
   // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
   void share(double distance, double curvature, double& value, double& slope) const;
 
+  // Pressure of a lattice between its particles, over that of their constraints.
+  static double virial();
+
   // What all of it would add, in sums of weights.
   double whole() const { return whole_; }
+
+  // How much more a wall moves a particle than its share's slope says: by the layer of a
+  // lattice that it is in place of, which is as dense as what is before it.
+  double push() const { return push_; }
 
  private:
   static constexpr int SHELLS = 16, KNOTS = 257;
   void integral(double distance, double curvature, double& value, double& slope) const;
 
-  double radii_[SHELLS], weights_[SHELLS], scale_ = 1, whole_ = 1;
+  double radii_[SHELLS], weights_[SHELLS];
+  double scale_ = 1;  // of distances
+  double whole_ = 1, push_ = 2;
   double flat_[KNOTS][2];
 };
 
