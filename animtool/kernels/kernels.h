@@ -52,6 +52,9 @@ using Collided = std::tuple<Out<double, 3>, Out<std::int64_t, 2>, Out<double, 2>
 // distances, normals, velocities
 using ColliderSamples = std::tuple<Out<double, 2>, Out<double, 3>, Out<double, 3>>;
 
+// state, pressures, impulses on bodies, mean compression
+using FluidStepped = std::tuple<Out<double, 3>, Out<double, 1>, Out<double, 3>, double>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -156,6 +159,13 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
     double standing, double hips);
 Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 1> seeds,
                                 In<double, 1> starts);
+FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
+                         In<double, 2> bodies, In<double, 3> state,
+                         In<double, 2> accelerations, double spacing, double density,
+                         double viscosity, double cohesion, double step, std::int64_t parts);
+
+Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing);
+
 std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     In<double, 2> points, In<double, 2> velocities, std::optional<In<std::int32_t, 1>> members,
     std::optional<In<std::int32_t, 1>> others, double radius, double cosine,

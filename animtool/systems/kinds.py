@@ -68,6 +68,24 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
+    "fluid": system_kind(
+        "animtool.systems.fluid",
+        "A fluid: particles that pressure keeps as dense as at rest.",
+        {
+            "name": "water",
+            "spacing": 0.04,
+            "fills": [
+                {"shape": {"box": {"size": [0.4, 1, 0.8]}}, "at": [-0.8, 0.5, 0]}
+            ],
+            "colliders": [
+                {
+                    "shape": {"box": {"size": [2, 2, 0.8]}},
+                    "at": [0, 1, 0],
+                    "container": True,
+                }
+            ],
+        },
+    ),
     "molecules": system_kind(
         "animtool.systems.molecules",
         "Atoms that attract, repel and carry charges in a periodic box.",

@@ -52,6 +52,9 @@ class RigidSystem(Protocol):
     ) -> FloatArray:
         """Return inverse effective masses, as `MovingBodies` does."""
 
+    def inertias(self, state: Any) -> tuple[FloatArray, FloatArray]:
+        """Return centres of mass and inverse inertias, as `MovingBodies` does."""
+
 
 @runtime_checkable
 class Skinned(Protocol):
@@ -171,6 +174,16 @@ class Bodies(_Watching):
         """
         state, _ = self._states(t)
         return self._simulation.inverse_masses(state, owners, points, ways)
+
+    def inertias(
+        self, t: float, *, begins: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
+
+        At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
+        """
+        state, _ = self._run.look(t, begins=True) if begins else self._states(t)
+        return self._simulation.inertias(state)
 
     def pushed_by(self, pusher: Pusher) -> None:
         """Take note of who pushes them."""

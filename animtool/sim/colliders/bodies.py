@@ -44,6 +44,14 @@ class MovingBodies(Protocol):
         Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
         """
 
+    def inertias(
+        self, t: float, *, begins: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
+
+        At a time [s], as a step begins or one ends; inertias in the world [1/(kg m²)].
+        """
+
     def pushed_by(self, pusher: Pusher) -> None:
         """Take note of who pushes them."""
 

@@ -416,6 +416,16 @@ class RigidSimulation:
         found: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
         return found
 
+    def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
+        """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
+
+        In the world [1/(kg m²)].
+        """
+        motion, moments = state.motion, self.bodies.moments
+        ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
+        turns = so3.to_matrix(motion[:, 3:7])
+        return motion[:, :3], (turns * ease[:, None]) @ turns.swapaxes(1, 2)
+
     @cached_property
     def _physics(self) -> Physics | None:
         """What other engines go on from, if it is to be written."""

@@ -1,0 +1,71 @@
+// Particles of a fluid: how dense it is at each, and steps that keep it from being denser
+// than at rest (M. Macklin, M. Müller, "Position based fluids", 2013; M. Macklin et al., "Small
+// steps in physics simulation", 2019).
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "collide.h"
+
+namespace animtool::fluid {
+
+using collide::Vec;
+
+// Radius that particles see each other in, in spacings.
+constexpr double REACH = 2.0;
+// Positions beyond the radius that lists of neighbours hold, over the radius.
+constexpr double SKIN = 0.2;
+// Share of a step to the place where nothing is dense that is taken: all particles step at
+// once, and steps of more than two thirds grow where every second one is dense.
+constexpr double RELAXED = 0.6;
+
+// Weight by distance over the radius, and its slope over the distance, both by the radius:
+// H. Wendland's C2 function, without its scale.
+struct Weight {
+  static double at(double q) {
+    const double left = 1 - q, squared = left * left;
+    return squared * squared * (4 * q + 1);
+  }
+  // Slope over q.
+  static double slope(double q) {
+    const double left = 1 - q;
+    return -20 * q * left * left * left;
+  }
+};
+
+// What half-spaces and other shapes add to the density of those near them.
+class Walls {
+ public:
+  Walls();
+
+  // Sum of the weights of a lattice, one's own among them.
+  static double lattice();
+
+  // Share of what a particle sees that is beyond a surface of a curvature (1 over the radius
+  // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
+  void share(double distance, double curvature, double& value, double& slope) const;
+
+  // Pressure of a lattice between its particles, over that of their constraints.
+  static double virial();
+
+  // What all of it would add, in sums of weights.
+  double whole() const { return whole_; }
+
+  // How much more a wall moves a particle than its share's slope says: by the layer of a
+  // lattice that it is in place of, which is as dense as what is before it.
+  double push() const { return push_; }
+
+ private:
+  static constexpr int SHELLS = 16, KNOTS = 257;
+  void integral(double distance, double curvature, double& value, double& slope) const;
+
+  double radii_[SHELLS], weights_[SHELLS];
+  double scale_ = 1;  // of distances
+  double whole_ = 1, push_ = 2;
+  double flat_[KNOTS][2];
+};
+
+}  // namespace animtool::fluid

@@ -1,0 +1,253 @@
+"""Where fluid begins, and where it comes in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, counted
+from animtool.maths import so3
+from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Poses, Sphere
+from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
+
+# Places of a lattice that are looked at for one that is kept.
+SPARSE = 8
+# Two that are nearer than this begin at one place, in spacings.
+APART = 0.25
+# Who comes in nearer than this to another has no room, in spacings.
+ROOM = 0.6
+# Share of the radius that a lattice on a wall may lack by rounding.
+ROUNDING = 1e-6
+# Over which the motion of a nozzle is measured [s].
+BRIEF = 1e-4
+
+
+def filled(
+    spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
+) -> FloatArray:
+    """Return positions and velocities of all fluid at the beginning ``(2, N, 3)``.
+
+    Raises:
+        OptionError: A fill is too large, has nothing, or begins where it cannot be
+            (SIM064).
+    """
+    made = [np.zeros((2, 0, 3))]
+    for i, (fill, own) in enumerate(zip(spec.fills, parts, strict=True)):
+        name = repr(fill.name) if fill.name else f"fill {i}"
+        if own.get("points") is not None:
+            made.append(_given(fill, own, name))
+            _check_outside(made[-1][0], colliders, t, name)
+            continue
+        points = _lattice(spec, own["shape"], own["poses"], name, t)
+        if colliders.rigid:
+            gaps = colliders.sample(points, t).distances.min(axis=0)
+            points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
+        if not len(points):
+            message = f"{name} has no particle: it is thinner than the spacing of "
+            message += f"{spec.spacing:g} m, or within colliders"
+            refuse(message, "a smaller spacing, or a larger fill", "fills")
+        speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
+        made.append(np.stack([points, speeds]))
+    state = np.concatenate(made, axis=1)
+    _check_count(spec, state.shape[1], "fills")
+    _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
+    return state
+
+
+def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
+    """Return points and velocities of arrays ``(2, N, 3)``."""
+    points, velocities = own["points"], own.get("velocities")
+    if velocities is None:
+        velocities = np.broadcast_to(np.asarray(fill.velocity, np.float64), (1, 3))
+        velocities = np.broadcast_to(velocities, (len(points), 3))
+    for what, array in (("points", points), ("velocities", velocities)):
+        shape = (len(points), 3)
+        if array.shape != shape:
+            message = f"{what} of {name} are of shape {array.shape}, not {shape}"
+            refuse(message, "", "fills")
+        bad = ~np.isfinite(array).all(axis=1)
+        if bad.any():
+            i = int(np.argmax(bad))
+            refuse(f"{what} of {name}: row {i} is not finite", "", "fills")
+    return np.stack([points, velocities])
+
+
+def _check_outside(points: FloatArray, colliders: Colliders, t: float, name: str) -> None:
+    """Refuse points that are within colliders, or beyond a container."""
+    if not colliders.rigid or not len(points):
+        return
+    gaps = colliders.sample(points, t).distances
+    within = gaps < 0
+    if not within.any():
+        return
+    c, i = (int(k) for k in np.argwhere(within)[0])
+    bodies = [one for own in colliders.bodies for one in own.colliders]
+    collider = [*colliders, *bodies][c]
+    what = repr(collider.name) if collider.name else f"colliders[{c}]"
+    where = "outside the container" if collider.container else "inside"
+    message = f"particle {i} of {name} begins {-gaps[c, i]:g} m {where} {what}"
+    more = int(within.any(axis=0).sum()) - 1
+    message += f", as {counted(more, 'other')} begin in colliders" if more else ""
+    refuse(message, "move it, or leave it out", "fills")
+
+
+def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
+    """Refuse two at one place: pressure has no way to part them."""
+    from scipy.spatial import cKDTree
+
+    if len(points) < 2:
+        return
+    pairs = cKDTree(points).query_pairs(APART * spec.spacing, output_type="ndarray")
+    if not len(pairs):
+        return
+    one, other = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
+    names = []
+    for i in (one, other):
+        k = int(np.searchsorted(ends, i, side="right"))
+        name = repr(spec.fills[k].name) if spec.fills[k].name else f"fill {k}"
+        names.append(f"particle {i - (int(ends[k - 1]) if k else 0)} of {name}")
+    gap = float(np.linalg.norm(points[one] - points[other]))
+    message = f"{names[0]} and {names[1]} begin {gap:g} m apart, where the spacing is "
+    message += f"{spec.spacing:g} m"
+    refuse(message, "let fills not overlap, and leave out doubles", "fills")
+
+
+def _check_count(spec: FluidModel, count: float, key: str) -> None:
+    if count > spec.max_particles:
+        message = f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+        message += f"and {spec.max_particles:,} are allowed"
+        wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
+        hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
+        refuse(message, hint, key)
+
+
+def bounds(shape: Any) -> FloatArray:
+    """Return the least and largest coordinates of a shape in its frame ``(2, 3)``."""
+    sizes = np.asarray(shape.sizes(), np.float64)
+    if isinstance(shape, Box):
+        return np.stack([-sizes, sizes])
+    if isinstance(shape, Sphere):
+        return np.stack([sizes[:3] - sizes[3], sizes[:3] + sizes[3]])
+    if isinstance(shape, Capsule):
+        ends = sizes[:6].reshape(2, 3)
+        return np.stack([ends.min(axis=0) - sizes[6], ends.max(axis=0) + sizes[6]])
+    points = np.asarray(shape.points, np.float64)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def _lattice(
+    spec: FluidModel, shape: Any, poses: Poses, name: str, t: float
+) -> FloatArray:
+    """Return the places of a lattice that are in a shape ``(N, 3)`` [m]."""
+    low, high = bounds(shape)
+    sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
+    _check_count(spec, float(np.prod(sizes)) / SPARSE, "fills")
+    axes = [
+        (np.arange(int(n)) + 0.5 - n / 2) * spec.spacing + (a + b) / 2
+        for n, a, b in zip(sizes, low, high, strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Along y first, as it is deep.
+    inside = Colliders([Collider(shape)]).sample(grid, 0.0).distances[0] < 0
+    pose = poses.at(t)
+    return so3.rotate(pose[3:], grid[inside]) + pose[:3]
+
+
+@dataclass(frozen=True, slots=True)
+class Inflow:
+    """Fluid that comes in within a step."""
+
+    state: FloatArray  # positions and velocities at its end (2, N, 3)
+    births: FloatArray  # when each came (N,) [s]
+    missed: int = 0  # how many more would have come
+
+
+class Nozzle:
+    """An emitter: layers of a lattice that come out one after the other."""
+
+    def __init__(
+        self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
+    ) -> None:
+        self._poses, self._speed = poses, emitter.speed
+        self._spacing = spec.spacing
+        self._spans = [(max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]]
+        self._opening = self._places(spec, emitter)
+
+    def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
+        """Return the places of a layer ``(M, 3)`` [m]."""
+        radius = emitter.radius
+        wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
+        counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
+        _check_count(spec, float(counts[0]) * counts[1] / SPARSE, "emitters")
+        x, z = (
+            (np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts
+        )
+        grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
+        if radius is None or len(grid) == 1:
+            return grid
+        return grid[np.linalg.norm(grid, axis=1) < radius]
+
+    def _made(self, span: tuple[float, float], t: float) -> int:
+        """Return how many layers a span has made before a time."""
+        lasts = min(t, span[1]) - span[0]
+        return max(math.ceil(lasts * self._speed / self._spacing), 0)
+
+    def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
+        """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""
+        states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
+        size, missed = len(self._opening), 0
+        for span in self._spans:
+            first, last = self._made(span, after), self._made(span, until)
+            kept = min(last - first, room // size)
+            missed += (last - first - kept) * size
+            room -= kept * size
+            if kept <= 0:
+                continue
+            layers = first + np.arange(kept)
+            times = span[0] + layers * self._spacing / self._speed
+            states.append(self._layers(times, until, pull))
+            births.append(np.repeat(times, size))
+        return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
+
+    def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
+        """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
+        now, before = self._poses.over(times), self._poses.over(times - BRIEF)
+        turns = np.repeat(now[:, 3:], len(self._opening), axis=0)
+        places = np.tile(self._opening, (len(times), 1))
+        own = np.repeat((now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0)
+        ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
+        x = so3.rotate(turns, places) + np.repeat(
+            now[:, :3], len(self._opening), axis=0
+        )
+        v = so3.rotate(turns, ways) + own
+        since = np.repeat(until - times, len(self._opening))[:, None]
+        return np.stack([x + since * (v + since / 2 * pull), v + since * pull])
+
+
+def has_room(
+    points: FloatArray, others: FloatArray, colliders: Colliders, t: float, space: float
+) -> Any:
+    """Return which of points ``(M, 3)`` have room among others ``(N, 3)`` ``(M,)``."""
+    from scipy.spatial import cKDTree
+
+    kept = np.ones(len(points), bool)
+    if not len(points):
+        return kept
+    low, high = points.min(axis=0) - space, points.max(axis=0) + space
+    near = others[((others >= low) & (others <= high)).all(axis=1)]
+    if len(near):
+        gaps, _ = cKDTree(near).query(points)
+        kept = gaps >= ROOM * space
+    if colliders.rigid:
+        kept = kept & (colliders.sample(points, t).distances >= 0).all(axis=0)
+    return kept
+
+
+def refuse(message: str, hint: str, key: str) -> None:
+    """Raise what of a fluid makes no sense (SIM064)."""
+    raise OptionError(Fault("SIM064", message, hint=hint or None, where=key))

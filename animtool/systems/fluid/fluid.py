@@ -1,0 +1,453 @@
+"""A fluid as a simulation: steps that pressure keeps from being dense."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, counted
+from animtool.frames import MeshFrame, PointsFrame
+from animtool.sim.colliders import Colliders, collide
+from animtool.sim.colliders.bodies import Wrenches
+from animtool.sim.system import Energy
+from animtool.systems.fluid.filling import Nozzle, filled, has_room
+from animtool.systems.fluid.parting import Parting
+from animtool.systems.fluid.spec import ColorModel, FluidModel, Quantity
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.simulation import (
+    Diagnostics,
+    SimContext,
+    StoppedError,
+    Stepped,
+    growing,
+)
+
+# Denser than this in the mean it has collapsed, and so it has beyond so many times what
+# is asked for.
+COLLAPSED, TIMES = 0.1, 5
+# Share of the energy in play that may come from nowhere.
+GROWTH = 0.05
+# Parts are doubled as long as this much less dense results.
+HELPS = 0.8
+# A step that must be this many times shorter is not the cause.
+MOST_SHORTER = 1000
+_NONE = np.zeros((2, 0, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class FluidState:
+    """N particles at the end of a step.
+
+    Attributes:
+        ids: Of each its own, ascending ``(N,)``.
+        motion: Positions [m], then velocities [m/s] ``(2, N, 3)``.
+        births: When each came ``(N,)`` [s].
+        pressures: Means over the last step ``(N,)`` [Pa].
+        made: How many came so far.
+        missed: How many did not, for want of room among `max_particles`.
+        blocked: How many did not, as there was fluid or a collider before the nozzle.
+        head: Pressure that steps are parted for, over the density [m²/s²].
+        energy: Most that there may be of kinetic and potential energy [J].
+        compression: How much denser than at rest it was, in the mean [1].
+        densest: The most that it ever was [1].
+        parts: Into how many the last step was parted.
+    """
+
+    ids: IntArray = field(metadata=growing())
+    motion: FloatArray = field(metadata=growing(1))
+    births: FloatArray = field(metadata=growing())
+    pressures: FloatArray = field(metadata=growing())
+    made: int = 0
+    missed: int = 0
+    blocked: int = 0
+    head: float = 0.0
+    energy: float = 0.0
+    compression: float = 0.0
+    densest: float = 0.0
+    parts: int = 0
+
+
+class Fluid:
+    """Particles that pressure keeps as dense as at rest, in steps.
+
+    Raises:
+        OptionError: Something of the spec makes no sense (SIM064).
+    """
+
+    def __init__(self, spec: FluidModel, context: SimContext) -> None:
+        self._spec, self._begin = spec, context.begin
+        self._colliders, parts = context.colliders, context.parts
+        self._forces = parts.get("forces", ())
+        self._mass = spec.density * spec.spacing**3
+        self._start = filled(spec, parts.get("fills", ()), self._colliders, self._begin)
+        self._nozzles = [
+            Nozzle(spec, emitter, own["poses"], self._begin)
+            for emitter, own in zip(
+                spec.emitters, parts.get("emitters", ()), strict=True
+            )
+        ]
+        self._drains = [Colliders([drain]) for drain in parts.get("drains", ())]
+        self._parting = Parting(spec)
+        self._notices: list[Fault] = self._colliders.notices()
+        self._said: set[str] = set()
+        # Nothing brings energy in, so that there is none but what there was.
+        still = not self._colliders.bodies and not self._colliders.sheets
+        self._closed = still and all(len(c.poses.moments) == 1 for c in self._colliders)
+        if spec.surface is not None:
+            from animtool.systems.fluid.surface import check_surface
+
+            check_surface()
+
+    def initial(self) -> FluidState:
+        """Return the fluid as it begins."""
+        count = self._start.shape[1]
+        state = FluidState(
+            np.arange(count, dtype=np.int64),
+            self._start,
+            np.full(count, self._begin),
+            np.zeros(count),
+            made=count,
+        )
+        pull = self._pull(state, self._begin)
+        head = self._parting.first_head(self._start[0], pull)
+        return replace(state, head=head, energy=self._energy(state)[0])
+
+    def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
+        """Return the fluid a step [s] later, and what it pushed bodies by.
+
+        Raises:
+            StoppedError: It collapsed, or the step is too long (SIM102, SIM108).
+        """
+        until = t + dt
+        pull = self._pull(state, t)
+        if not np.isfinite(pull).all():
+            self._stop("SIM102", until, "a force is not finite", "weaker forces")
+        wrenches: Sequence[Wrenches] = [
+            Wrenches.none(own.count) for own in self._colliders.bodies
+        ]
+        if len(state.ids):
+            state, wrenches = self._pressed(state, t, dt, pull)
+        state = self._drained(state, until)
+        state = self._fed(state, t, until, pull)
+        return Stepped(state, wrenches)
+
+    def _particles(self, state: FluidState) -> ParticleState:
+        """Return the fluid as the forces on particles see it."""
+        count, spec = len(state.ids), self._spec
+        return ParticleState(
+            state.ids,
+            np.full(count, self._mass),
+            np.zeros(count),
+            np.full(count, spec.spacing / 2),
+            state.births,
+            np.full(count, np.inf),
+            state.motion[0],
+        )
+
+    def _pull(self, state: FluidState, t: float) -> FloatArray:
+        """Return what forces do ``(N, 3)`` [m/s²]."""
+        made, particles = np.zeros_like(state.motion[0]), self._particles(state)
+        with np.errstate(all="ignore"):
+            for force in self._forces:
+                made += force.force(t, *state.motion, particles) / self._mass
+        return made
+
+    def _energy(self, state: FluidState) -> tuple[float, float, bool]:
+        """Return energy, kinetic energy [J], and whether forces have potentials."""
+        kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
+        particles, total, known = self._particles(state), kinetic, True
+        for force in self._forces:
+            found = force.potential(state.motion[0], particles)
+            known &= found is not None
+            total += 0.0 if found is None else float(found.sum())
+        return total, kinetic, known
+
+    def _pressed(
+        self, state: FluidState, t: float, dt: float, pull: FloatArray
+    ) -> tuple[FluidState, Sequence[Wrenches]]:
+        """Return the end of a step, in as many parts as keep it from being dense."""
+        speeds = np.linalg.norm(state.motion[1], axis=1)
+        most_pull = float(np.linalg.norm(pull, axis=1).max())
+        fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
+        wanted = self._parting.parts(dt, fastest, state.head, most_pull)
+        if wanted > self._parting.most:
+            self._stop_long(t + dt, dt, fastest, wanted)
+        parts, allowed = int(wanted), self._spec.compression
+        found = self._kernel(state, t, dt, pull, parts)
+        while found.compression > allowed and 2 * parts <= self._parting.most:
+            again = self._kernel(state, t, dt, pull, 2 * parts)
+            helps = again.compression < HELPS * found.compression
+            found, parts = again, 2 * parts
+            if not helps:
+                break
+        if not np.isfinite(found.motion).all():
+            self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
+        if found.compression > max(COLLAPSED, TIMES * allowed):
+            self._stop_dense(t + dt, found.compression)
+        if found.compression > allowed:
+            message = f"it is {found.compression:.2%} denser than at rest at {t + dt:g} "
+            hint = "give it room: it is squeezed"
+            self._warn("SIM137", f"{message}s, where {allowed:.2%} is allowed", hint)
+        after = replace(
+            state,
+            motion=found.motion,
+            pressures=found.pressures,
+            head=self._parting.next_head(state.head, found.pressures, dt),
+            compression=found.compression,
+            densest=max(state.densest, found.compression),
+            parts=parts,
+        )
+        self._watch(after, t + dt, dt)
+        return after, found.wrenches
+
+    def _kernel(
+        self, state: FluidState, t: float, dt: float, pull: FloatArray, parts: int
+    ) -> Pressed:
+        """Return the end of a step in some parts; sheets are met between pieces."""
+        around, motion = self._colliders, state.motion
+        pieces = self._parting.pieces(around, parts, dt)
+        each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
+        wrenches = [Wrenches.none(own.count) for own in around.bodies]
+        for k in range(pieces):
+            t0 = t + k * each
+            before = motion
+            solid = self._solid(t0)
+            motion, pressed, pushes, dense = _kernels.fluid_steps(
+                solid.arrays(t0, t0 + each),
+                self._owners(solid),
+                self._bodies(t0, t0 + each),
+                motion,
+                pull,
+                self._spec.spacing,
+                self._spec.density,
+                self._spec.viscosity,
+                self._parting.cohesion,
+                each,
+                -(-parts // pieces),
+            )
+            pressures += pressed / pieces
+            compression = max(compression, dense)
+            if around.sheets:
+                sheets = Colliders((), around.sheets)
+                radius = self._spec.spacing / 2
+                met = collide(*motion, before, sheets, t0, t0 + each, radius)
+                motion = np.stack([met.points, met.velocities])
+            first = 0
+            for i, own in enumerate(around.bodies):
+                pushed = pushes[:, first : first + own.count]
+                first += own.count
+                wrenches[i] = Wrenches.sum(
+                    [wrenches[i].after(each), Wrenches(pushed[0], pushed[1])]
+                )
+        return Pressed(motion, pressures, compression, wrenches)
+
+    def _solid(self, t: float) -> Colliders:
+        """Return what pressure acts on: what is rigid, and skins as they are now."""
+        around = self._colliders
+        skins = [
+            sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
+            for sheet in around.sheets
+            if sheet.closed
+        ]
+        return Colliders([*around, *skins], (), around.bodies) if skins else around
+
+    def _owners(self, solid: Colliders) -> IntArray:
+        """Return the body that each collider is of ``(C,)``, -1 for none."""
+        owners, first = [np.full(len(solid), -1, np.int32)], 0
+        for own in solid.bodies:
+            owners.append(np.where(own.owners >= 0, own.owners + first, -1))
+            first += own.count
+        return np.concatenate(owners).astype(np.int32)
+
+    def _bodies(self, t0: float, t1: float) -> FloatArray:
+        """Return bodies that are pushed, as kernels take them ``(B, 13)``."""
+        rows = [np.zeros((0, 13))]
+        for own in self._colliders.bodies:
+            if not own.count:
+                continue
+            centres, eases = own.inertias(t0, begins=True)
+            ends, _ = own.inertias(t1)
+            six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            masses = 1 / own.masses[:, None]
+            rows.append(np.concatenate([masses, six, centres, ends], axis=1))
+        return np.concatenate(rows)
+
+    def _watch(self, state: FluidState, t: float, dt: float) -> None:
+        """Stop where there is energy that nothing brought."""
+        total, kinetic, known = self._energy(state)
+        if not known or not self._closed:
+            return
+        gain = total - state.energy
+        # What has not fallen yet is in play as well.
+        in_play = max(kinetic, state.energy - (total - kinetic))
+        in_play += self._mass * len(state.ids) * state.head
+        if gain > GROWTH * in_play:
+            message = f"its energy is {total:.3g} J, and was {state.energy:.3g} J"
+            self._stop("SIM102", t, message, f"step: {dt / 4:.3g}")
+
+    def _stop_long(self, t: float, dt: float, fastest: float, wanted: float) -> None:
+        most, spacing = self._parting.most, self._spec.spacing
+        message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
+        message += f"{dt:g} s takes more than {most} parts"
+        hint = "weaker forces, a larger spacing, or colliders that move less fast"
+        if wanted < MOST_SHORTER * most:
+            hint = f"step: {dt * most / wanted:.2g}, or {hint}"
+        self._stop("SIM102", t, message, hint)
+
+    def _stop_dense(self, t: float, compression: float) -> None:
+        message = f"it is {compression:.1%} denser than at rest: it has no room"
+        finer = self._spec.spacing
+        hint = "widen what holds it, open a drain, or close an emitter before; "
+        hint += f"particles of {finer:g} m do not fit"
+        self._stop("SIM108", t, message, hint)
+
+    def _stop(self, code: str, t: float, why: str, hint: str) -> None:
+        message = f"{self._spec.name} collapsed at {t:g} s: {why}"
+        if code == "SIM102":
+            message = f"{self._spec.name} blew up at {t:g} s: {why}"
+        raise StoppedError([Fault(code, message, hint=hint)])
+
+    def _warn(self, code: str, message: str, hint: str) -> None:
+        """Say something once."""
+        if code not in self._said:
+            self._said.add(code)
+            severity = Severity.WARNING
+            self._notices.append(Fault(code, message, hint=hint, severity=severity))
+
+    def _drained(self, state: FluidState, t: float) -> FluidState:
+        """Return a state without those in drains."""
+        kept = np.ones(len(state.ids), bool)
+        for drain in self._drains:
+            kept &= drain.sample(state.motion[0], t).distances[0] >= 0
+        return state if kept.all() else self._kept(state, kept)
+
+    def _kept(self, state: FluidState, kept: BoolArray) -> FluidState:
+        left = replace(
+            state,
+            ids=state.ids[kept],
+            motion=np.ascontiguousarray(state.motion[:, kept]),
+            births=state.births[kept],
+            pressures=state.pressures[kept],
+        )
+        gone = self._energy(state)[0] - self._energy(left)[0]
+        return replace(left, energy=state.energy - gone)
+
+    def _fed(
+        self, state: FluidState, t: float, until: float, pull: FloatArray
+    ) -> FluidState:
+        """Return a state with those who come in within a step, at its end."""
+        for nozzle in self._nozzles:
+            room = max(self._spec.max_particles - len(state.ids), 0)
+            mean = pull.mean(axis=0) if len(pull) else self._mean_pull(t)
+            new = nozzle.inflow(t, until, mean, room)
+            if new.missed:
+                most = self._spec.max_particles
+                message = f"there is room for {most:,} particles, from {until:g} s on "
+                hint = "raise max_particles, open a drain, or close an emitter"
+                self._warn("SIM121", f"{message}for no more", hint)
+            free = has_room(
+                new.state[0], state.motion[0], self._colliders, until, self._spec.spacing
+            )
+            blocked = int((~free).sum())
+            if blocked:
+                message = f"{counted(blocked, 'particle')} did not come out by "
+                message += f"{until:g} s: fluid or a collider is before the nozzle"
+                hint = "a faster or a higher nozzle, or one that is clear of colliders"
+                self._warn("SIM138", message, hint)
+            count = int(free.sum())
+            grown = replace(
+                state,
+                ids=np.concatenate([state.ids, state.made + np.arange(count)]),
+                motion=np.concatenate([state.motion, new.state[:, free]], axis=1),
+                births=np.concatenate([state.births, new.births[free]]),
+                pressures=np.concatenate([state.pressures, np.zeros(count)]),
+                made=state.made + count,
+                missed=state.missed + new.missed,
+                blocked=state.blocked + blocked,
+            )
+            brought = self._energy(grown)[0] - self._energy(state)[0]
+            state = replace(grown, energy=state.energy + brought) if count else state
+        return state
+
+    def _mean_pull(self, t: float) -> FloatArray:
+        """Return what forces do to fluid that is not there yet ``(3,)`` [m/s²]."""
+        one = np.zeros((1, 3))
+        state = FluidState(
+            np.zeros(1, np.int64), np.stack([one, one]), np.full(1, t), np.zeros(1)
+        )
+        return np.asarray(self._pull(state, t)[0])
+
+    def _quantity(self, which: Quantity, state: FluidState, t: float) -> FloatArray:
+        """Return a quantity of each particle ``(N,)``."""
+        match which:
+            case "age":
+                return t - state.births
+            case "pressure":
+                return state.pressures
+            case "speed":
+                return np.asarray(np.linalg.norm(state.motion[1], axis=1))
+        arrays = self._solid(t).arrays(t, t)
+        return _kernels.fluid_densities(
+            arrays, np.ascontiguousarray(state.motion[0]), self._spec.spacing
+        )
+
+    def frame(self, state: FluidState, t: float) -> PointsFrame | MeshFrame:
+        """Return the particles, or the surface about them."""
+        spec, (points, velocities) = self._spec, state.motion
+        primvars: dict[str, Any] = {
+            name: self._quantity(name, state, t) for name in spec.primvars
+        }
+        if spec.color is not None:
+            values = self._quantity(spec.color.by, state, t)
+            primvars["displayColor"] = colored(values, spec.color)
+        if spec.surface is not None:
+            from animtool.systems.fluid.surface import surface_of
+
+            return surface_of(spec, points, velocities, primvars)
+        radii = np.full(len(points), spec.spacing / 2)
+        return PointsFrame(state.ids, points, velocities, radii, primvars)
+
+    def diagnostics(self, state: FluidState, t: float) -> Diagnostics:  # noqa: ARG002
+        """Return how much there is of it, how dense, fast and deep it is."""
+        total, kinetic, known = self._energy(state)
+        speeds = np.linalg.norm(state.motion[1], axis=1)
+        values: Mapping[str, float] = {
+            "particles": float(len(state.ids)),
+            "compression": state.compression,
+            "densest": state.densest,
+            "pressure": float(state.pressures.max(initial=0.0)),
+            "speed": float(speeds.max(initial=0.0)),
+            "parts": float(state.parts),
+        }
+        if state.blocked or state.missed:
+            values = {**values, "held_back": float(state.blocked + state.missed)}
+        hint = "give it a fill, or a nozzle that is open in the range"
+        message = "there is no fluid at any frame"
+        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        energy = Energy(kinetic, total - kinetic) if known and self._closed else None
+        return Diagnostics(energy, values, self._notices, [nobody])
+
+
+@dataclass(frozen=True, slots=True)
+class Pressed:
+    """The end of a step, and what led there."""
+
+    motion: FloatArray  # (2, N, 3)
+    pressures: FloatArray  # (N,) [Pa]
+    compression: float
+    wrenches: Sequence[Wrenches]  # on bodies of each system
+
+
+def colored(values: FloatArray, color: ColorModel) -> FloatArray:
+    """Return colors of values ``(N,)``: red, green and blue ``(N, 3)``."""
+    low, high = color.range
+    shares = np.clip((values - low) / (high - low), 0.0, 1.0)
+    marks = np.linspace(0.0, 1.0, len(color.colors))
+    channels = np.array(color.colors).T
+    return np.stack([np.interp(shares, marks, one) for one in channels], axis=1)

@@ -1,0 +1,235 @@
+"""The keys of a fluid in a scene file, as models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Le, Len
+
+from animtool.documents.check import FileModel
+from animtool.documents.fields import Pair, Real, Vector, Whole, key
+from animtool.errors import Fault, counted
+from animtool.systems.fields import (
+    ArrayEntry,
+    CharacterModel,
+    ForceEntry,
+    MovingMeshModel,
+    PlacedModel,
+    ShapeEntry,
+    SystemColliderModel,
+    SystemSpec,
+    SystemSurfaceModel,
+)
+
+Positive = Annotated[Real, Gt(0)]
+NotNegative = Annotated[Real, Ge(0)]
+Share = Annotated[Real, Ge(0), Le(1)]
+
+
+# What particles can be written with and colored by.
+Quantity = Literal["age", "density", "pressure", "speed"]
+
+
+class FillModel(PlacedModel):
+    """Fluid that is there at the beginning: a shape full of it, or points."""
+
+    name: str = key("For messages.", "pool", default="")
+    shape: ShapeEntry | None = key(
+        "What it fills, in its frame, up to the colliders: `box`, `sphere`, `capsule` "
+        "or `mesh`.",
+        {"box": {"size": [0.4, 1, 0.8]}},
+        default=None,
+    )
+    points: ArrayEntry | None = key(
+        "Where each particle is `(N, 3)` [m], in place of a shape.",
+        "water.npz#points",
+        default=None,
+    )
+    velocities: ArrayEntry | None = key(
+        "Of these `(N, 3)` [m/s].", "water.npz#velocities", default=None
+    )
+    velocity: Vector = key(
+        "Of all of it at the beginning [m/s].", [1, 0, 0], default=[0.0, 0.0, 0.0]
+    )
+
+
+class FluidEmitterModel(PlacedModel):
+    """A nozzle that fluid comes out of, along its y."""
+
+    name: str = key("For messages.", "tap", default="")
+    radius: Positive | None = key(
+        "Of a round nozzle [m].", 0.1, default=None
+    )
+    size: Annotated[list[Positive], Len(2, 2)] | None = key(
+        "Sides of a rectangular one, along its x and z [m].", [0.4, 0.2], default=None
+    )
+    speed: Positive = key("How fast it comes out [m/s].", 2, default=1.0)
+    opens: list[Pair] = key(
+        "Spans of seconds from the first frame on that it runs in. Not given: all.",
+        [[0, 1.5], [2, 3]],
+        default=[],
+    )
+
+
+class ColorModel(FileModel):
+    """Colors of particles by a quantity."""
+
+    by: Quantity = key("Which: `age`, `density`, `pressure` or `speed`.", "speed")
+    range: Annotated[list[Real], Len(2, 2)] = key(
+        "Values of the first and of the last color.", [0, 4]
+    )
+    colors: Annotated[list[Annotated[list[Share], Len(3, 3)]], Len(2, 16)] = key(
+        "Colors that it goes through evenly: red, green and blue from 0 to 1.",
+        [[0, 0.1, 0.6], [1, 1, 1]],
+        default=[[0.02, 0.15, 0.5], [0.2, 0.6, 0.9], [0.95, 0.98, 1.0]],
+    )
+
+
+class FluidSurfaceModel(FileModel):
+    """A mesh around the particles, in place of points."""
+
+    cell: Positive | None = key(
+        "Sides of the cells that it is found in [m]. Not given: three quarters of the "
+        "spacing.",
+        0.02,
+        default=None,
+    )
+    smoothing: NotNegative = key(
+        "Half the width that it is smoothed by, in spacings.", 1.5, default=1.0
+    )
+    max_cells: Annotated[Whole, Gt(0), Le(10**9)] = key(
+        "Cells of a frame; more are refused.", 10**8, default=5 * 10**7
+    )
+
+
+class FluidModel(SystemSpec):
+    """A fluid: particles that pressure keeps as dense as at rest."""
+
+    spacing: Positive = key(
+        "How far particles are from each other [m]: half of it, and there are eight "
+        "times as many.",
+        0.04,
+    )
+    fills: list[FillModel] = key(
+        "What is full of it at the beginning.",
+        [{"shape": {"box": {"size": [0.4, 1, 0.8]}}, "at": [0.2, 0.5, 0.4]}],
+        default=[],
+    )
+    emitters: list[FluidEmitterModel] = key(
+        "Where it comes in.", [{"at": [0, 2, 0], "radius": 0.1}], default=[]
+    )
+    drains: list[SystemColliderModel] = key(
+        "Where it goes.", [{"shape": {"plane": {"offset": -1}}}], default=[]
+    )
+    density: Positive = key("At rest [kg/m³].", 900, default=1000.0)
+    viscosity: NotNegative = key(
+        "Kinematic viscosity [m²/s]: 1e-6 of water, 1e-4 of oil, 5e-3 of honey.",
+        1e-4,
+        default=1e-6,
+    )
+    tension: NotNegative = key(
+        "Surface tension [N/m]: 0.072 of water.", 0.072, default=0.0
+    )
+    compression: Annotated[Real, Gt(0), Le(0.2)] = key(
+        "Most that it is denser than at rest, in the mean: steps are parted as this "
+        "takes.",
+        0.02,
+        default=0.01,
+    )
+    forces: list[ForceEntry] = key(
+        "The forces on particles, on those of fluids too.",
+        [{"gravity": None}],
+        default=[{"gravity": None}],
+    )
+    colliders: list[SystemColliderModel] = key(
+        "What it runs into, and what holds it.",
+        [{"shape": {"box": {"size": [2, 2, 0.8]}}, "container": True}],
+        default=[],
+    )
+    characters: list[CharacterModel] = key(
+        "Characters in motion that it runs into; none is written.",
+        [{"file": "walk.clip.yaml"}],
+        default=[],
+    )
+    systems: list[SystemSurfaceModel] = key(
+        "Rigid bodies of the scene, which float if `two_way` is true; cloth and "
+        "volumes.",
+        [{"system": "crates", "two_way": True}],
+        default=[],
+    )
+    meshes: list[MovingMeshModel] = key(
+        "Meshes of USD files that it runs into, whose points may move.",
+        [{"file": "set.usda", "prim": "/Set/rock", "closed": True}],
+        default=[],
+    )
+    primvars: list[Quantity] = key(
+        "What particles are written with: `age`, `density` (over that at rest), "
+        "`pressure` [Pa], `speed` [m/s].",
+        ["pressure"],
+        default=[],
+    )
+    color: ColorModel | None = key(
+        "What they are colored by.", {"by": "speed", "range": [0, 4]}, default=None
+    )
+    surface: FluidSurfaceModel | None = key(
+        "A mesh in place of points; needs `pip install 'animtool[surface]'`.",
+        {"cell": 0.02},
+        default=None,
+    )
+    max_particles: Annotated[Whole, Gt(0), Le(10**7)] = key(
+        "Particles at once.", 50_000, default=1_000_000
+    )
+
+    @property
+    def reads(self) -> list[str]:
+        """What acts on it, in words."""
+        counts = [(self.fills, "fill"), (self.emitters, "emitter")]
+        counts.append((self.drains, "drain"))
+        named = [counted(len(of), what) for of, what in counts if of]
+        return [*named, *super().reads]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What it is made of, by kind."""
+        return {
+            "fills": len(self.fills),
+            "emitters": len(self.emitters),
+            "drains": len(self.drains),
+            "max_particles": self.max_particles,
+        }
+
+    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
+        """Return which keys make no sense together (SIM064)."""
+        found = []
+        if not self.fills and not self.emitters:
+            message = "there is neither a fill nor an emitter, so it is never there"
+            hint = "fills: [{shape: {box: {size: [1, 1, 1]}}}]"
+            found.append(Fault("SIM064", message, where="fills", hint=hint))
+        for fill in self.fills:
+            if (fill.shape is None) is (fill.points is None):
+                message = "a fill is a shape or points, one of both"
+                hint = "shape: {box: {size: [1, 1, 1]}}"
+                found.append(Fault("SIM064", message, where="fills", hint=hint))
+            elif fill.velocities is not None and fill.points is None:
+                message = "velocities are of points, and there are none"
+                found.append(Fault("SIM064", message, where="fills"))
+            elif fill.shape is not None and next(iter(fill.shape)) in ENDLESS:
+                message = f"a {next(iter(fill.shape))} has no volume to fill"
+                hint = "fill a box, a sphere, a capsule or a mesh"
+                found.append(Fault("SIM064", message, where="fills", hint=hint))
+        for emitter in self.emitters:
+            if (emitter.radius is None) is (emitter.size is None):
+                message = "a nozzle is round or rectangular: give radius or size"
+                found.append(Fault("SIM064", message, where="emitters"))
+            for begin, end in emitter.opens:
+                if not begin <= end:
+                    message = f"the nozzle closes at {end:g} s, before {begin:g} s"
+                    found.append(Fault("SIM064", message, where="emitters"))
+        if self.color is not None and self.color.range[0] == self.color.range[1]:
+            message = "the first and the last color are of one value"
+            found.append(Fault("SIM064", message, where="color"))
+        return found
+
+
+ENDLESS = ("plane", "height_field")
