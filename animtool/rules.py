@@ -36,6 +36,7 @@ class Kind(StrEnum):
     SCENE = "scene"
     TARGETS = "targets"
     MAP = "map"
+    CAMERAS = "cameras"
     BVH = "bvh"
     USD = "usd"
 

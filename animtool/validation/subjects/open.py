@@ -29,6 +29,13 @@ def open_map(document: Document) -> Opened:
     return Opened(Kind.MAP, [], map_of_document(document))
 
 
+def open_cameras(document: Document) -> Opened:
+    """Return a camera file."""
+    from animtool.mocap.cameras.file import cameras_of_document
+
+    return Opened(Kind.CAMERAS, [], cameras_of_document(document))
+
+
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
 DOCUMENT_SUFFIXES = tuple(
@@ -48,6 +55,7 @@ _OPENERS = {
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
+    Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }
