@@ -37,6 +37,7 @@ class Kind(StrEnum):
     TARGETS = "targets"
     MAP = "map"
     MARKERS = "markers"
+    CAMERAS = "cameras"
     BVH = "bvh"
     USD = "usd"
 

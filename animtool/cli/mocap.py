@@ -11,6 +11,10 @@ COMMANDS = {
         "animtool.cli.mocap_clean:clean",
         "Remove spikes and noise from a take.",
     ),
+    "triangulate": (
+        "animtool.cli.mocap_triangulate:triangulate",
+        "Find markers in space from what cameras see.",
+    ),
 }
 
 
@@ -19,7 +23,8 @@ COMMANDS = {
     table=COMMANDS,
     epilog="""\b
 Examples:
-  animtool mocap clean take.bvh -o clean.usdc""",
+  animtool mocap clean take.bvh -o clean.usdc
+  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

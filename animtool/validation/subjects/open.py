@@ -30,7 +30,7 @@ def open_map(document: Document) -> CheckedFile:
     return CheckedFile(Kind.MAP, [], map_of_document(document))
 
 
-def open_markers(document: Document) -> Opened:
+def open_markers(document: Document) -> CheckedFile:
     """Return a marker template, checked against the rig that it names."""
     from animtool.mocap.template.file import template_of_document
 
@@ -41,7 +41,14 @@ def open_markers(document: Document) -> Opened:
             template.joints(Rig.load(template.rig))
         except AnimtoolError as error:
             faults += error.faults
-    return Opened(Kind.MARKERS, faults, template)
+    return CheckedFile(Kind.MARKERS, faults, template)
+
+
+def open_cameras(document: Document) -> CheckedFile:
+    """Return a camera file."""
+    from animtool.mocap.cameras.file import cameras_of_document
+
+    return CheckedFile(Kind.CAMERAS, [], cameras_of_document(document))
 
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
@@ -64,6 +71,7 @@ _OPENERS = {
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
     Kind.MARKERS: "animtool.validation.subjects.open:open_markers",
+    Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }
