@@ -80,6 +80,23 @@ DOCUMENT = Reader(
     ("rig", "clamp"),
 )
 
+_OF_MARKERS = ("unit", "up", "fps")
+C3D = Reader(
+    "C3D markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.c3d.read:read_c3d",
+)
+TRC = Reader(
+    "TRC markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.trc:read_trc",
+)
+ARRAYS = Reader(
+    "arrays of markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.marker_arrays:read_markers",
+)
+
 READERS: dict[str, Reader] = {
     ".bvh": BVH,
     ".usd": USD,
@@ -89,6 +106,9 @@ READERS: dict[str, Reader] = {
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
+    ".c3d": C3D,
+    ".trc": TRC,
+    ".npz": ARRAYS,
 }
 
 # What OpenTimelineIO and its adapters read.
