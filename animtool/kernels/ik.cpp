@@ -344,7 +344,7 @@ IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_
                 In<double, 2> starts, double anchor, double speed, double acceleration,
                 double robust, double rest_weight, double homing, std::size_t first,
                 std::size_t end, int iterations, int rounds, bool tracked) {
-  const Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+  Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
   check_poses("path", task, frames, path);
   check_poses("starts", task, frames, starts);
@@ -363,25 +363,27 @@ IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_
   const FitSettings over{{anchor, speed, acceleration},   robust, homing, static_cast<int>(first),
                          static_cast<int>(end), rounds, tracked};
   Buffer<double> fitted(frames * width), misses(frames * e * PARTS);
-  Buffer<std::int64_t> searched(frames);
+  Buffer<std::int64_t> searched(frames), taken(frames * e);
   FitOutcome outcome;
   {
     nb::gil_scoped_release release;
     std::copy(path.data(), path.data() + frames * width, fitted.get());
     std::fill(searched.get(), searched.get() + frames, 0);
     PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
-    outcome = fit.run(fitted.get(), searched.get());
+    for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
+    outcome = fit.run(fitted.get(), searched.get(), taken.get());
     State state(task);
     for (std::size_t t = 0; t < frames; ++t) {
       std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
       forward(task.chain, state.q.data(), state.frames);
-      measure(task, targets.data() + t * e * TARGET_WIDTH, state);
+      measure(task, fit.targets(static_cast<int>(t)), state);
       std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
     }
   }
   const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
-  const std::size_t by_frame[1] = {frames};
+  const std::size_t by_frame[1] = {frames}, by_target[2] = {frames, e};
   return {fitted.release(by_coordinate), misses.release(by_goal), searched.release(by_frame),
+          taken.release(by_target),
           outcome.rounds, outcome.before, outcome.after};
 }
 

@@ -31,11 +31,12 @@ struct FitOutcome {
 class PathFit : public Descent {
  public:
   // `starts` (F, Q) are where a frame is looked for that those before it do not lead to.
-  PathFit(const Task& task, const Settings& settings, const FitSettings& fit, int frames,
+  // The task's rest weight is how strongly those before it draw a frame.
+  PathFit(Task& task, const Settings& settings, const FitSettings& fit, int frames,
           const double* targets, const double* starts)
-      : Descent(task, settings), fit_(fit), frames_(frames), width_(task.chain.dofs),
+      : Descent(task, settings), own_task_(task), drawn_(task.rest_weight), fit_(fit), frames_(frames), width_(task.chain.dofs),
         coordinates_(task.chain.coordinates),
-        asked_(targets, targets + frames * task.goals.size() * TARGET_WIDTH), given_(targets),
+        given_(targets, targets + frames * task.goals.size() * TARGET_WIDTH), asked_(given_),
         starts_(starts), cost_(task.chain, frames, fit.weights, nullptr),
         band_(frames, fit.first, fit.end, fit.weights), blocks_(width_), home_(task.chain.coordinates),
         away_(width_), kept_(task) {
@@ -44,8 +45,13 @@ class PathFit : public Descent {
       if (node.kind == Kind::BALL && !node.follows) home_[node.coordinate + 3] = 1;
   }
 
-  // Improves a path (F, Q) in place; `searched` (F,) says which frames began anew.
-  FitOutcome run(double* path, std::int64_t* searched) {
+  // Targets (F, E, W), where those of goals were exchanged.
+  const double* targets(int t) const { return given(t); }
+
+  // Improves a path (F, Q) in place; `searched` (F,) says which frames began anew, `taken`
+  // (F, E) whose target a goal took, -1 where it gave its own away and took none.
+  FitOutcome run(double* path, std::int64_t* searched, std::int64_t* taken) {
+    taken_ = taken;
     now_path_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
     if (fit_.tracked)
       for (int t = fit_.first; t < fit_.end; ++t) searched[t] = track(t);
@@ -67,6 +73,15 @@ class PathFit : public Descent {
   // from so many starts, and what is found must cost this share of that.
   static constexpr double LOST = 0.45, BETTER = 0.8;
   static constexpr int SEEDS = 4;
+  // How strongly a frame is drawn to its start that is looked for elsewhere: joints that
+  // nothing holds stay there.
+  static constexpr double LOOSE = 1;
+  // A target is a stray that is so many times c^2 off, and another goal's that is within so
+  // many times c of it and this share as far from it. Where more are off than so many, the pose is at fault.
+  static constexpr double STRAY = 2, CLOSE = 2, NEARER = 0.25;
+  static constexpr std::size_t MOST_STRAYS = 16;
+  // So many goals outweigh whatever the frames before say.
+  static constexpr double DOUBT = 3;
   // Speed that is kept from frame to frame where nothing is seen.
   static constexpr double SLOWED = 0.9;
   // Tries of a round, each so many times stiffer.
@@ -86,8 +101,11 @@ class PathFit : public Descent {
   double* asked(int t) {
     return asked_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
+  double* given(int t) {
+    return given_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
+  }
   const double* given(int t) const {
-    return given_ + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
+    return given_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
 
   // Calls f(goal, part, squared weighted miss) for all that is asked in a frame.
@@ -146,10 +164,28 @@ class PathFit : public Descent {
     measure(task_, given(t), state);
   }
 
-  // kept_ <- the pose that a descent from a start ends in; what its goals cost.
-  double settle(int t, const double* start, const double* prefer) {
+  double largest_miss(int t, const State& state) const {
+    double most = 0;
+    each_miss(t, state, [&](std::size_t, int, double square) { most = std::max(most, square); });
+    return std::sqrt(most);
+  }
+
+  // What a pose is off where the frames before lead to, no more than DOUBT goals cost.
+  double surprise(const double* q, const double* predicted) {
+    difference(task_.chain, predicted, q, away_.data());
+    double square = 0;
+    for (const double x : away_) square += x * x;
+    const double cost = drawn_ * square / 2, most = DOUBT * fit_.robust * fit_.robust / 2;
+    return std::isfinite(most) ? cost / (1 + cost / most) : cost;
+  }
+
+  // kept_ <- the pose that a descent from a start ends in; what its goals cost. What is
+  // missed there by more than a scale counts little at first.
+  double settle(int t, const double* start, const double* prefer, bool all) {
     look(t, start, kept_);
-    double scale = std::max(fit_.robust, WIDER * median_miss(t, kept_));
+    double scale = all ? largest_miss(t, kept_) : WIDER * median_miss(t, kept_);
+    scale = std::max(fit_.robust, scale);
+    own_task_.rest_weight = all ? std::min(LOOSE, drawn_) : drawn_;
     begun_.assign(start, start + coordinates_);
     for (int i = 0; i < HALVINGS; ++i) {
       reweight(t, kept_, scale);
@@ -165,14 +201,17 @@ class PathFit : public Descent {
     return robust_cost(t, kept_, fit_.robust);
   }
 
-  // Where frames lead to: as fast as before, but for what nothing holds.
+  // Where frames lead to.
   void predict(int t, double* out) {
     const double* last = pose(now_path_, t - 1);
     std::fill(away_.begin(), away_.end(), 0.0);
     if (t > 1) difference(task_.chain, pose(now_path_, t - 2), last, away_.data());
     for (double& x : away_) x *= SLOWED;
     stepper_.move(last, away_.data(), out);
-    // Joints that no goal holds go home in time.
+  }
+
+  // And for joints that no goal holds: they go home in time.
+  void send_home(double* out) {
     difference(task_.chain, out, home_.data(), away_.data());
     for (const Node& node : task_.chain.nodes)
       for (int k = 0; k < node.width(); ++k)
@@ -190,20 +229,77 @@ class PathFit : public Descent {
     else
       std::copy(anew, anew + coordinates_, start.begin());
     prefer = start;
-    double cost = settle(t, start.data(), prefer.data());
+    if (follows) send_home(prefer.data());
+    if (follows && std::isfinite(fit_.robust)) exchange(t, start.data());
+    double cost = settle(t, start.data(), prefer.data(), !follows);
     std::vector<double> best = kept_.q;
     std::int64_t searched = !follows;
+    if (follows && largest_miss(t, kept_) > fit_.robust) {
+      const double own = cost + surprise(best.data(), prefer.data());
+      const double other = settle(t, start.data(), prefer.data(), true);
+      if (other + surprise(kept_.q.data(), prefer.data()) < own) cost = other, best = kept_.q;
+      look(t, best.data(), kept_);
+    }
     if (share(t, kept_) > LOST) {
       for (int i = 0; i < SEEDS; ++i) {
         std::copy(anew, anew + coordinates_, start.begin());
         if (i > 0) scatter(start);
-        const double other = settle(t, start.data(), start.data());
+        const double other = settle(t, start.data(), start.data(), true);
         if (!(other < BETTER * cost)) continue;
         cost = other, best = kept_.q, searched = 1;
       }
     }
     std::copy(best.begin(), best.end(), pose(now_path_, t));
     return searched;
+  }
+
+  // Targets that lie where frames before lead another goal to, which is without its own or
+  // far off it, are that goal's: two labels were mixed up.
+  void exchange(int t, const double* start) {
+    look(t, start, kept_);
+    strays_.clear();
+    const double limit = fit_.robust * fit_.robust;
+    for (std::size_t e = 0; e < task_.goals.size(); ++e) {
+      if (!(task_.goals[e].weights[0] > 0)) continue;
+      const double weight = weight_of(task_.goals[e], given(t) + TARGET_WIDTH * e, 0);
+      const double miss = weight * kept_.misses[PARTS * e];
+      if (!(weight > 0) || miss * miss > STRAY * limit) strays_.push_back(e);
+    }
+    if (strays_.size() < 2 || strays_.size() > MOST_STRAYS) return;
+    std::int64_t* taken = taken_ + static_cast<std::size_t>(t) * task_.goals.size();
+    const std::vector<double> before(given(t), given(t) + task_.goals.size() * TARGET_WIDTH);
+    for (const std::size_t from : strays_) {
+      const double* target = before.data() + TARGET_WIDTH * from;
+      if (!(target[WEIGHTS] > 0)) continue;
+      const double reach = CLOSE * fit_.robust / weight_of(task_.goals[from], target, 0);
+      double least = std::min(reach, NEARER * away(from, target));
+      std::size_t nearest = from;
+      for (const std::size_t to : strays_) {
+        const double* own = before.data() + TARGET_WIDTH * to;
+        const bool free = taken[to] < 0 || taken[to] == static_cast<std::int64_t>(to);
+        const double other = away(to, target);
+        if (to == from || !free || other > least) continue;
+        if (own[WEIGHTS] > 0 && other > NEARER * away(to, own)) continue;
+        least = other, nearest = to;
+      }
+      if (nearest == from) continue;
+      double* out = given(t) + TARGET_WIDTH * nearest;
+      std::copy(target, target + 3, out);
+      out[WEIGHTS] = target[WEIGHTS];
+      taken[nearest] = static_cast<std::int64_t>(from);
+      if (taken[from] != static_cast<std::int64_t>(from)) continue;
+      // Until another one is found for it.
+      given(t)[TARGET_WIDTH * from + WEIGHTS] = 0;
+      taken[from] = -1;
+    }
+    std::copy(given(t), given(t) + task_.goals.size() * TARGET_WIDTH, asked(t));
+  }
+
+  // How far a target is from where a goal is at kept_.
+  double away(std::size_t e, const double* target) const {
+    const double* point = &kept_.points[3 * e];
+    const double by[3] = {target[0] - point[0], target[1] - point[1], target[2] - point[2]};
+    return length(by);
   }
 
   // Other poses of joints that are not the root's.
@@ -340,14 +436,18 @@ class PathFit : public Descent {
     return true;
   }
 
+  Task& own_task_;
+  const double drawn_;
   const FitSettings fit_;
   const int frames_, width_, coordinates_;
-  std::vector<double> asked_;
-  const double *given_, *starts_;
+  std::vector<double> given_, asked_;  // targets, and as they are weighed at present
+  const double* starts_;
   PathCost cost_;
   TimeBand band_;
   BlockBand blocks_;
   std::vector<double> home_, away_, begun_, sizes_;
+  std::vector<std::size_t> strays_;
+  std::int64_t* taken_ = nullptr;
   State kept_;
   std::vector<double> now_path_, next_path_, anchors_, slope_, downhill_, normals_, step_;
   std::vector<std::vector<Fixed>> walls_;

@@ -35,8 +35,9 @@ using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, 
 // coordinates, misses, rounds, cost before and after
 using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
 
-// coordinates, misses, searched, rounds, cost before and after
-using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>, int, double, double>;
+// coordinates, misses, searched, taken, rounds, cost before and after
+using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
+                            Out<std::int64_t, 2>, int, double, double>;
 
 // triangles, corner_normals, edge_normals, bounds, nodes
 using MeshTree = std::tuple<Out<std::int32_t, 2>, Out<double, 2>, Out<double, 3>,
