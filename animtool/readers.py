@@ -80,6 +80,13 @@ DOCUMENT = Reader(
     ("rig", "clamp"),
 )
 
+LIVELINK = Reader(
+    "Live Link Face recordings",
+    "animtool.formats.livelink.read:read_livelink_rig",
+    "animtool.formats.livelink.read:read_livelink",
+    ("rig", "fps", "remap", "dropped"),
+)
+
 READERS: dict[str, Reader] = {
     ".bvh": BVH,
     ".usd": USD,
@@ -89,6 +96,7 @@ READERS: dict[str, Reader] = {
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
+    ".csv": LIVELINK,
 }
 
 # What OpenTimelineIO and its adapters read.

@@ -31,7 +31,9 @@ def completion(console: Console, shell: str) -> None:
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",
+    "landmarks": "animtool.mocap.face.file:LandmarksModel",
     "map": "animtool.mocap.retarget.file:MapModel",
+    "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",
     "targets": "animtool.ik.schema:TargetsModel",

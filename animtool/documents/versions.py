@@ -18,7 +18,9 @@ STEPS: dict[str, dict[int, Step]] = {
     "batch": {},
     "rig": {},
     "clip": {},
+    "landmarks": {},
     "map": {},
+    "remap": {},
     "scene": {},
     "targets": {},
 }
@@ -31,7 +33,16 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     },
 }
 # What the first line of a file may name: a batch names a scene too, others their rig.
-KINDS = ("batch", "clip", "map", "scene", "targets", "rig")
+KINDS = (
+    "batch",
+    "clip",
+    "landmarks",
+    "map",
+    "remap",
+    "scene",
+    "targets",
+    "rig",
+)
 
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {

@@ -153,6 +153,14 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
     std::int64_t nearest, In<double, 1> attraction, In<double, 1> alignment,
     In<double, 1> repulsion, double softening, In<double, 2> period, double most);
 
+// weights, poses, residuals, shares, rounds, change
+using FittedFace = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Out<double, 2>, int,
+                              double>;
+FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
+                    std::optional<In<double, 1>> camera, In<double, 2> poses,
+                    In<double, 2> weights, double threshold, double smooth, double rest,
+                    double enough, int rounds);
+
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 
 RoundedPoints round_points(In<double, 3> points, double unit);
