@@ -74,7 +74,7 @@ class Markers:
     @property
     def seen(self) -> BoolArray:
         """Which markers have a position in which frame ``(F, M)``."""
-        return np.isfinite(self.positions).all(axis=-1)
+        return np.asarray(np.isfinite(self.positions).all(axis=-1))
 
     def __len__(self) -> int:
         """Return the number of frames."""

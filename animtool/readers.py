@@ -87,6 +87,23 @@ LIVELINK = Reader(
     ("rig", "fps", "remap", "dropped"),
 )
 
+_OF_MARKERS = ("unit", "up", "fps")
+C3D = Reader(
+    "C3D markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.c3d.read:read_c3d",
+)
+TRC = Reader(
+    "TRC markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.trc:read_trc",
+)
+ARRAYS = Reader(
+    "arrays of markers",
+    options=_OF_MARKERS,
+    markers="animtool.formats.marker_arrays:read_markers",
+)
+
 READERS: dict[str, Reader] = {
     ".bvh": BVH,
     ".usd": USD,
@@ -97,6 +114,9 @@ READERS: dict[str, Reader] = {
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
     ".csv": LIVELINK,
+    ".c3d": C3D,
+    ".trc": TRC,
+    ".npz": ARRAYS,
 }
 
 # What OpenTimelineIO and its adapters read.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Check = Callable[[Any], Iterable[Fault]]
 PLUGIN_GROUP = "animtool.rules"
 _PAGES = resources.files("animtool") / "docs" / "rules"
-_CODE = re.compile(r"[A-Z]{2,8}[0-9]{3}")
+_CODE = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
 class Kind(StrEnum):

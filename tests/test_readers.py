@@ -20,10 +20,11 @@ DISTINCT = sorted(set(READERS.values()), key=lambda reader: reader.about)
 
 @pytest.mark.parametrize("reader", DISTINCT, ids=lambda reader: reader.about)
 def test_a_reader_keeps_its_promises(reader: Reader) -> None:
-    assert callable(load_object(reader.rig))
-    source = load_object(reader.source)
-    assert callable(source)
-    takes = inspect.signature(source).parameters
+    places = (reader.rig, reader.source, reader.markers)
+    assert any(places)
+    for place in filter(None, places):
+        assert callable(load_object(place))
+    takes = inspect.signature(load_object(reader.source or reader.markers)).parameters
     known = {field.name for field in fields(SourceOptions)} | {"progress"}
     assert set(reader.options) <= set(takes) & known
 
@@ -34,7 +35,13 @@ def test_what_is_not_of_the_kind(tmp_path: Path, suffix: str, text: str | None) 
     path = tmp_path / f"file{suffix}"
     if text is not None:
         path.write_text(text)
-    for opening in (Rig.load, open_source):
+    reader = READERS[suffix]
+    openings = {
+        reader.rig: Rig.load,
+        reader.source: open_source,
+        reader.markers: reader.markers and reader.markers_opener(path),
+    }
+    for opening in (found for place, found in openings.items() if place):
         with pytest.raises(FormatError) as caught:
             opening(path)
         assert caught.value.faults[0].path == str(path)

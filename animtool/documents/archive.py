@@ -231,6 +231,18 @@ class Archive:
         """Return an array of numbers, not to be written to."""
         return self._values(key, self.head(key))
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the arrays, in the order of the archive."""
+        return list(self._members)
+
+    def texts(self, key: str) -> list[str]:
+        """Return texts that are stored as an array of one dimension."""
+        head = self.head(key, "fiubU")
+        if head.dtype.kind != "U" or len(head.shape) != 1:
+            raise ArrayError(f"{self._path.name}#{key} is no list of texts")
+        return [str(text) for text in self._values(key, head)]
+
     def text(self, key: str) -> str:
         """Return a text that is stored as an array without dimensions."""
         head = self.head(key, "fiubU")

@@ -88,6 +88,24 @@ class Archives:
         with reading(path):
             return self._archive(path).text(key)
 
+    def texts(self, path: Path, key: str) -> list[str]:
+        """Return texts that stand among the arrays, a list of one dimension.
+
+        Raises:
+            ValueError: There is no such file or list.
+        """
+        with reading(path):
+            return self._archive(path).texts(key)
+
+    def names(self, path: Path) -> list[str]:
+        """Return the names of the arrays of a file.
+
+        Raises:
+            ValueError: There is no such file.
+        """
+        with reading(path):
+            return self._archive(path).names
+
     def load(self, path: Path, key: str) -> FloatArray:
         """Return an array as float64, not to be written to.
 

@@ -1,0 +1,208 @@
+"""Header and parameters of a C3D file, read without trust in what they claim.
+
+References:
+    Motion Lab Systems, "The C3D File Format: A Technical User Guide", 2021.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray
+
+BLOCK = 512
+MAGIC = 80
+# Groups and parameters of one file; the format allows 127 groups.
+MAX_PARAMETERS = 20_000
+
+
+class MalformedError(ValueError):
+    """The bytes are not those of a C3D file; the text says what is wrong."""
+
+
+class Processor(IntEnum):
+    """How numbers are stored."""
+
+    INTEL = 84
+    DEC = 85
+    SGI = 86
+
+    @property
+    def order(self) -> str:
+        """Byte order of integers, as numpy calls it."""
+        return ">" if self is Processor.SGI else "<"
+
+    def integers(self, data: bytes) -> npt.NDArray[Any]:
+        """Return signed 16-bit integers as int64."""
+        return np.frombuffer(data, f"{self.order}i2").astype(np.int64)
+
+    def floats(self, data: bytes) -> FloatArray:
+        """Return 32-bit floats as float64; DEC's are VAX F, words swapped, times 4."""
+        if self is not Processor.DEC:
+            return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
+        words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
+        raw = np.ascontiguousarray(words).view("<u4").ravel()
+        fraction = (raw & 0x7FFFFF) | 0x800000
+        exponent = ((raw >> 23) & 0xFF).astype(np.int64)
+        # Without an exponent it is zero, and there is no infinity.
+        size = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
+        return np.where(raw >> 31, -size, size)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The first block of a file."""
+
+    points: int
+    analog: int  # analogue numbers of a frame, all samples
+    first: int
+    last: int
+    scale: float
+    data_block: int
+    rate: float
+
+
+@dataclass(slots=True)
+class Sections:
+    """Header and parameters of a file."""
+
+    header: Header
+    processor: Processor
+    # Values by group and name, in capitals: arrays, or lists of texts.
+    groups: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def number(self, group: str, name: str) -> float | None:
+        """Return the first number of a parameter."""
+        found = self.groups.get(group, {}).get(name)
+        if isinstance(found, np.ndarray) and found.size:
+            return float(found.ravel()[0])
+        return None
+
+    def numbers(self, group: str, name: str) -> list[float]:
+        """Return all numbers of a parameter."""
+        found = self.groups.get(group, {}).get(name)
+        return found.ravel().tolist() if isinstance(found, np.ndarray) else []
+
+    def texts(self, group: str, name: str) -> list[str]:
+        """Return the texts of a parameter, and of those that continue it.
+
+        Names beyond 255 stand in ``LABELS2``, ``LABELS3`` and so on.
+        """
+        entries = self.groups.get(group, {})
+        found: list[str] = []
+        number = 1
+        key = name
+        while isinstance(entries.get(key), list):
+            found += entries[key]
+            number += 1
+            key = f"{name}{number}"
+        return found
+
+
+def read_sections(data: bytes) -> Sections:
+    """Return header and parameters; of parameters that are broken, those before.
+
+    Raises:
+        MalformedError: It is no C3D file.
+    """
+    if len(data) < BLOCK or data[1] != MAGIC:
+        raise MalformedError("does not begin as a C3D file does")
+    start = BLOCK * (data[0] - 1)
+    if data[0] < 2 or start + 4 > len(data):
+        raise MalformedError("has no parameters where its header says")
+    try:
+        processor = Processor(data[start + 3])
+    except ValueError:
+        known = ", ".join(f"{int(p)} {p.name}" for p in Processor)
+        message = f"has numbers of processor {data[start + 3]}; known are {known}"
+        raise MalformedError(message) from None
+    words = processor.integers(data[:BLOCK]) & 0xFFFF
+    scale, rate = (float(processor.floats(data[a : a + 4])[0]) for a in (12, 20))
+    points, analog, first, last = words[1:5].tolist()
+    header = Header(points, analog, first, last, scale, int(words[8]), rate)
+    sections = Sections(header, processor)
+    _read_parameters(sections, data, start + 4)
+    if not sections.groups:
+        raise MalformedError("has no parameters where its header says")
+    return sections
+
+
+def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
+    """Follow the chain of groups and parameters to its end, or to where it breaks."""
+    names: dict[int, str] = {}
+    waiting: list[tuple[int, str, Any]] = []
+    for _ in range(MAX_PARAMETERS):
+        if at + 2 > len(data):
+            break
+        length, number = _signed(data[at]), _signed(data[at + 1])
+        length = abs(length)  # below 0 is locked
+        body = at + 2 + length
+        if length == 0 or number == 0 or body + 2 > len(data):
+            break
+        name = _text(data[at + 2 : body]).upper()
+        jump = int(sections.processor.integers(data[body : body + 2])[0]) & 0xFFFF
+        if number < 0:
+            names[-number] = name
+        else:
+            value = _value(sections.processor, data, body + 2)
+            if value is not None:
+                waiting.append((number, name, value))
+        if jump == 0:
+            break
+        at = body + jump
+    # A group may follow its parameters.
+    for name in names.values():
+        sections.groups.setdefault(name, {})
+    for number, name, value in waiting:
+        if number in names:
+            sections.groups[names[number]][name] = value
+
+
+def _value(processor: Processor, data: bytes, at: int) -> Any:
+    """Return the value of a parameter: an array, or texts; None where it is broken."""
+    if at + 2 > len(data):
+        return None
+    kind, dimensions = _signed(data[at]), data[at + 1]
+    sizes = list(data[at + 2 : at + 2 + dimensions])
+    begin = at + 2 + dimensions
+    width = {-1: 1, 1: 1, 2: 2, 4: 4}.get(kind)
+    if width is None or dimensions > 7 or len(sizes) < dimensions:
+        return None
+    count = math.prod(sizes)
+    raw = data[begin : begin + count * width]
+    if len(raw) < count * width:
+        return None
+    if kind == -1:
+        return _texts(raw, sizes)
+    if kind == 1:
+        return np.frombuffer(raw, np.int8).astype(np.int64).reshape(sizes[::-1])
+    read = processor.integers if kind == 2 else processor.floats
+    return read(raw).reshape(sizes[::-1])
+
+
+def _texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
+    if len(sizes) < 2:
+        return [_text(raw)]
+    width = sizes[0]
+    count = math.prod(sizes[1:])
+    return [_text(raw[i * width : (i + 1) * width]) for i in range(count)]
+
+
+def _text(raw: bytes) -> str:
+    """Return text that is UTF-8, as some write, or else Latin-1."""
+    raw = raw.partition(b"\0")[0].strip()
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _signed(byte: int) -> int:
+    return byte - 256 if byte > 127 else byte

@@ -1,0 +1,239 @@
+"""Marker trajectories as a C3D file."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import Clock
+from animtool.errors import Fault, OptionError, Severity
+from animtool.formats.c3d.read import OWN_GROUP
+from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
+from animtool.markers import Markers
+from animtool.units import LengthUnit
+
+# Entries of a parameter: its dimensions are single bytes.
+MAX_ENTRIES = 255
+MAX_NAME = 255
+# Header and parameters count in 16 bits.
+MAX_COUNT = 65535
+MAX_CAMERAS = 7
+# Blocks of parameters are counted in a byte.
+MAX_BLOCKS = 255
+# Steps of a residual, which is a byte; 0 says that a point was not measured.
+RESIDUAL_STEPS = 255
+# What integers of the format could hold: the scale that readers expect of floats.
+INTEGER_RANGE = 32000
+FRAMES_AT_ONCE = 4096
+
+
+def write_c3d(
+    markers: Markers, path: Path | str, *, overwrite: bool = False
+) -> list[Fault]:
+    """Write markers as a C3D file of Intel floats, in millimetres.
+
+    Residuals are kept to a 255th of the largest, cameras as their number up to seven.
+    Filled positions have a residual of 0, as the format says, and are listed in the
+    group ``ANIMTOOL``, so that reading the file gives them back. Longer takes than
+    65535 frames have their length in ``TRIAL:ACTUAL_END_FIELD`` as usual.
+
+    Args:
+        markers: What to write.
+        path: ``.c3d``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold.
+
+    Raises:
+        OptionError: The file exists (OUT001), or the format cannot hold so many
+            markers or such names (C3D010).
+        OutputError: The file cannot be written (OUT002).
+    """
+    from animtool.output import check_outputs, write_parts
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    head = _head(markers, path)
+    write_parts(path, _parts(markers, head))
+    return _lost(markers, str(path))
+
+
+def _head(markers: Markers, path: Path) -> bytes:
+    """Return header and parameters."""
+    frames, count = markers.positions.shape[:2]
+    blocks = 1
+    # Where the data begin is a parameter itself.
+    section = _parameters(markers, 2 + blocks)
+    blocks = -(-len(section) // BLOCK)
+    if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
+        message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
+        message += f"and at least one frame; these are {count} in {frames} frames"
+        raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
+    section = _parameters(markers, 2 + blocks)
+    first, last = _shown(markers.clock)
+    scale = _scale(markers)
+    header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
+    header += struct.pack("<fHHf", scale, 2 + blocks, 0, float(markers.clock.rate))
+    text = section[:2] + bytes([blocks, int(Processor.INTEL)]) + section[4:]
+    return header.ljust(BLOCK, b"\0") + text.ljust(BLOCK * blocks, b"\0")
+
+
+def _shown(clock: Clock) -> tuple[int, int]:
+    """Return the first and the last frame as the header has room for them."""
+    first, last = _fields(clock)
+    if last <= MAX_COUNT:
+        return first, last
+    return 1, min(clock.count, MAX_COUNT)
+
+
+def _fields(clock: Clock) -> tuple[int, int]:
+    first = int(clock.start) if clock.start.denominator == 1 else 1
+    first = first if 0 <= first < 2**31 else 1
+    return first, first + clock.count - 1
+
+
+def _scale(markers: Markers) -> float:
+    """Return the scale, below 0 as for floats: a residual is so many of it [mm]."""
+    residuals = markers.residuals
+    if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
+        return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
+    largest = np.nanmax(np.abs(markers.positions), initial=0.0) * 1000.0
+    return -max(float(largest), 1.0) / INTEGER_RANGE
+
+
+def _parameters(markers: Markers, data_block: int) -> bytes:
+    """Return the parameter section, without its first bytes' numbers."""
+    frames, count = markers.positions.shape[:2]
+    first, last = _fields(markers.clock)
+    shown = min(frames, MAX_COUNT)
+    right, up = ("+X", f"+{markers.up}")
+    point: dict[str, bytes] = {
+        "USED": _integers([count]),
+        "SCALE": _floats([_scale(markers)]),
+        "RATE": _floats([float(markers.clock.rate)]),
+        "DATA_START": _integers([data_block]),
+        "FRAMES": _integers([shown]),
+        "UNITS": _texts([LengthUnit.MM.value]),
+        "X_SCREEN": _texts([right]),
+        "Y_SCREEN": _texts([up]),
+    }
+    point.update(_numbered("LABELS", [_texts(n) for n in _chunks(markers.names)]))
+    blank = [""] * count
+    point.update(_numbered("DESCRIPTIONS", [_texts(n) for n in _chunks(blank)]))
+    groups = {
+        "POINT": point,
+        "ANALOG": {
+            "USED": _integers([0]),
+            "LABELS": _texts([]),
+            "GEN_SCALE": _floats([1.0]),
+            "RATE": _floats([float(markers.clock.rate)]),
+        },
+        "TRIAL": {
+            f"ACTUAL_{name}_FIELD": _integers([field & 0xFFFF, field >> 16])
+            for name, field in (("START", first), ("END", last))
+        },
+    }
+    spans = filled_spans(markers)
+    if spans:
+        rows = [
+            _floats(np.array(spans[i : i + MAX_ENTRIES]))
+            for i in range(0, len(spans), MAX_ENTRIES)
+        ]
+        groups[OWN_GROUP] = _numbered("FILLED", rows)
+    out = bytes([1, MAGIC, 0, 0])
+    for number, (name, entries) in enumerate(groups.items(), 1):
+        raw = name.encode()
+        out += struct.pack("<bb", len(raw), -number) + raw + struct.pack("<HB", 3, 0)
+        for key, body in entries.items():
+            raw = key.encode()
+            out += struct.pack("<bb", len(raw), number) + raw
+            out += struct.pack("<H", len(body) + 3) + body + b"\0"
+    return out + b"\0\0"
+
+
+def _numbered(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
+    """Return parameters that continue each other: NAME, NAME2, NAME3."""
+    return {
+        name if i == 0 else f"{name}{i + 1}": value for i, value in enumerate(values)
+    }
+
+
+def _chunks(texts: Sequence[str]) -> list[Sequence[str]]:
+    return [texts[i : i + MAX_ENTRIES] for i in range(0, len(texts), MAX_ENTRIES)]
+
+
+def _texts(texts: Sequence[str]) -> bytes:
+    raw = [text.encode("utf-8")[:MAX_NAME] for text in texts]
+    width = max((len(text) for text in raw), default=0)
+    body = b"".join(text.ljust(width) for text in raw)
+    return struct.pack("<bBBB", -1, 2, width, len(raw)) + body
+
+
+def _integers(values: Sequence[int]) -> bytes:
+    size = bytes([1, len(values)]) if len(values) > 1 else bytes([0])
+    return b"\x02" + size + struct.pack(f"<{len(values)}H", *values)
+
+
+def _floats(values: Sequence[float] | FloatArray) -> bytes:
+    array = np.asarray(values, "<f4")
+    sizes = array.shape[::-1] if array.size > 1 else ()
+    return b"\x04" + bytes([len(sizes), *sizes]) + array.tobytes()
+
+
+def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
+    """Return marker, first and last frame of every filled span, from 0."""
+    if markers.filled is None:
+        return []
+    spans = []
+    for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
+        flags = markers.filled[:, marker].astype(np.int8)
+        edges = np.flatnonzero(np.diff(flags, prepend=0, append=0)).reshape(-1, 2)
+        spans += [(marker, first, end - 1) for first, end in edges.tolist()]
+    return spans
+
+
+def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
+    yield head
+    size = len(head)
+    for begin in range(0, len(markers), FRAMES_AT_ONCE):
+        part = _rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
+        size += len(part)
+        yield part
+    yield b"\0" * (-size % BLOCK)
+
+
+def _rows(markers: Markers, frames: slice) -> bytes:
+    positions = markers.positions[frames] * 1000.0
+    seen = np.asarray(np.isfinite(positions).all(axis=-1))
+    words = np.zeros(seen.shape, np.int64)
+    if markers.residuals is not None:
+        steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
+        known = np.isfinite(steps)
+        low = np.rint(np.where(known, steps, 0.0)).astype(np.int64)
+        words += np.where(known, np.clip(low, 1, RESIDUAL_STEPS), 0)
+    if markers.cameras is not None:
+        some = np.clip(markers.cameras[frames], 0, MAX_CAMERAS).astype(np.int64)
+        words += ((1 << some) - 1) << 8
+    if markers.filled is not None:
+        words[markers.filled[frames]] = 0
+    words[~seen] = -1
+    values = np.where(seen[..., None], positions, 0.0)
+    return np.concatenate([values, words[..., None]], -1).astype("<f4").tobytes()
+
+
+def _lost(markers: Markers, path: str) -> list[Fault]:
+    """Return what the format cannot hold."""
+    lost = []
+    if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
+        lost.append(f"more than {MAX_CAMERAS} cameras of a point")
+    if markers.clock.start.denominator != 1 or markers.clock.start < 0:
+        lost.append(f"the first frame {markers.clock.start}")
+    if not lost:
+        return []
+    message = f"a C3D cannot hold {' and '.join(lost)}"
+    return [Fault("C3D104", message, path, (), "write .npz", Severity.WARNING)]

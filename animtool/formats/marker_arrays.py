@@ -1,0 +1,202 @@
+"""Marker trajectories in npz files: what others write with numpy, and our own."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.clock import Clock, time_fraction
+from animtool.documents.arrays import Archives
+from animtool.documents.references import split_reference
+from animtool.errors import Fault, listed
+from animtool.files import open_input
+from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
+from animtool.markers import Markers
+from animtool.rates import FractionLike
+from animtool.units import LengthUnit, UpAxis
+
+_UNIT = re.compile(r"_(mm|cm|m|in)")
+# What the array of positions is called that is read where none is named.
+USUAL = "markers"
+
+
+def read_markers(
+    path: Path | str,
+    *,
+    array: str | None = None,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: FractionLike | None = None,
+    subject: str | None = None,
+) -> Markers:
+    """Return the markers of an npz file.
+
+    It holds the texts ``marker_names``, the number ``fs`` (frames a second), and
+    positions ``(F, M, 3)`` in an array whose name ends in its unit: ``_mm``, ``_cm``,
+    ``_m`` or ``_in``. What `write_marker_arrays` adds is read too. An array of other
+    points than the names are of is a cloud without labels: ``*0``, ``*1`` and so on.
+
+    Args:
+        path: The file; ``take.npz#unlabelled_mm`` names the array too.
+        array: The array of positions; None is the one that begins with ``markers``.
+        unit: What its numbers are in; None is what its name says.
+        up: Which axis points up; None is what the text ``up`` says, Y without.
+        fps: The frame rate, where the file has a wrong one or none.
+        subject: Whose prefix is left out of names, as `read_c3d` does.
+
+    Raises:
+        FormatError: It cannot be read, or has no such array, or one that is no array
+            of positions (MKR012), no rate (MKR010), or no frames or points (MKR013).
+        OptionError: fps is no rate (SCN022).
+    """
+    text, named = split_reference(str(path), "")
+    path = Path(text)
+    array = array or named or None
+    file = MarkerFile(str(path))
+    # What is no file, or may not be read, is said as of every file.
+    open_input(path, None).close()
+    try:
+        with Archives() as archives:
+            return _read(file, archives, path, array, unit, up, fps, subject)
+    except ValueError as error:
+        raise file.error("MKR012", _without_name(str(error), path)) from error
+
+
+def _without_name(message: str, path: Path) -> str:
+    """Return the message of an archive, which stands behind its name already."""
+    return message.removeprefix(path.name).lstrip("# ")
+
+
+def _read(
+    file: MarkerFile,
+    archives: Archives,
+    path: Path,
+    array: str | None,
+    unit: LengthUnit | None,
+    up: UpAxis | None,
+    fps: FractionLike | None,
+    subject: str | None,
+) -> Markers:
+    known = archives.names(path)
+    key = _array(file, archives, path, known, array)
+    head = archives.header(path, key)
+    if len(head.shape) != 3 or head.shape[2] != 3 or head.kind not in "fiu":
+        message = f"{key!r} has shape {head.shape}, not (frames, markers, 3)"
+        raise file.error("MKR012", message)
+    frames, count, _ = head.shape
+    if frames == 0 or count == 0:
+        raise file.error("MKR013", f"{key!r} has {frames} frames of {count} points")
+    if frames * count > MAX_POSITIONS:
+        message = f"{key!r} has {frames} frames of {count} points, more than are read"
+        raise file.error("MKR012", message)
+    suffix = _UNIT.fullmatch(key[key.rfind("_") :]) if "_" in key else None
+    length = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
+
+    def number(name: str) -> float | None:
+        return float(archives.stored(path, name).ravel()[0]) if name in known else None
+
+    def of_points(name: str) -> npt.NDArray[Any] | None:
+        if name not in known or key.partition("_")[0] != USUAL:
+            return None
+        return archives.stored(path, name)
+
+    rate = file.rate(number("fs"), fps)
+    stated = archives.text(path, "up") if "up" in known else None
+    axis = file.up(UpAxis(stated) if stated in {"Y", "Z"} else None, up)
+    names = archives.texts(path, "marker_names") if "marker_names" in known else []
+    labels = names if len(names) == count else [""] * count
+    positions = np.array(archives.stored(path, key), np.float64)
+    residuals, cameras = of_points("residuals_m"), of_points("cameras")
+    filled, start = of_points("filled"), number("start")
+    return Markers(
+        file.names(labels, subject),
+        Clock(rate, _start(start), Fraction(1), frames),
+        file.cleaned(positions, length.meters),
+        axis,
+        None if cameras is None else cameras.astype(np.int64),
+        None if residuals is None else residuals.astype(np.float64),
+        None if filled is None else filled.astype(bool),
+        tuple(file.notices),
+    )
+
+
+def _array(
+    file: MarkerFile,
+    archives: Archives,
+    path: Path,
+    known: list[str],
+    array: str | None,
+) -> str:
+    """Return the name of the array of positions."""
+    if array is not None:
+        # What there is none of is said by the archive, with those that there are.
+        archives.header(path, array)
+        return array
+    usual = [key for key in known if key.partition("_")[0] == USUAL]
+    if not usual:
+        suited = [key for key in known if _UNIT.search(key)]
+        message = f"has no array of positions that begins with {USUAL!r}"
+        hint = f"name one: {path.name}#{suited[0]}" if suited else None
+        raise file.error("MKR012", f"{message}; it holds {listed(known)}", hint)
+    if len(usual) > 1:
+        # Such as the names of the markers, which begin alike.
+        usual = [key for key in usual if _UNIT.search(key)] or usual
+    return usual[0]
+
+
+def _start(stated: float | None) -> Fraction:
+    if stated is None or not np.isfinite(stated):
+        return Fraction(1)
+    return time_fraction(stated)
+
+
+def write_marker_arrays(
+    markers: Markers, path: Path | str, *, overwrite: bool = False
+) -> list[Fault]:
+    """Write markers as arrays in an npz file, nothing lost.
+
+    Args:
+        markers: What to write.
+        path: ``.npz``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold: nothing.
+
+    Raises:
+        OptionError: The file exists (OUT001).
+        OutputError: The file cannot be written (OUT002).
+    """
+    from animtool.output import check_outputs, replacing
+    from animtool.placing import output_error
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "marker_names": np.array(markers.names, dtype=np.str_),
+        "fs": np.array(float(markers.clock.rate)),
+        "start": np.array(float(markers.clock.start)),
+        "up": np.array(str(markers.up)),
+        "markers_m": markers.positions,
+    }
+    extra = (
+        ("cameras", markers.cameras),
+        ("residuals_m", markers.residuals),
+        ("filled", markers.filled),
+    )
+    arrays.update({name: values for name, values in extra if values is not None})
+    with replacing(path) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+        except OSError as error:
+            raise output_error(path, error) from error
+    return []
+
+
+__all__ = ["read_markers", "write_marker_arrays"]

@@ -1,0 +1,173 @@
+"""What readers of marker files share: names, units, rates and missing positions."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, naming
+from animtool.rates import (
+    HIGHEST_WRITTEN_RATE,
+    LOWEST_WRITTEN_RATE,
+    FractionLike,
+    rate_from_float,
+    rate_option,
+)
+from animtool.similar import distinct
+from animtool.units import LengthUnit, UpAxis
+
+# How systems call points without a label, beside an empty name.
+_UNLABELLED = re.compile(
+    r"\*\d*|uname\*\d*|unlabell?ed[\W_]*\d*|unidentified[\W_]*\d*|unknown[\W_]*\d*",
+    re.IGNORECASE | re.ASCII,
+)
+_UNITS = {
+    "mm": LengthUnit.MM, "millimeter": LengthUnit.MM, "millimetre": LengthUnit.MM,
+    "cm": LengthUnit.CM, "centimeter": LengthUnit.CM, "centimetre": LengthUnit.CM,
+    "m": LengthUnit.M, "meter": LengthUnit.M, "metre": LengthUnit.M,
+    "in": LengthUnit.IN, "inch": LengthUnit.IN, "inche": LengthUnit.IN,
+}  # fmt: skip
+
+
+@dataclass(slots=True)
+class MarkerFile:
+    """A marker file that is being read, and the warnings about it so far."""
+
+    path: str
+    notices: list[Fault] = field(default_factory=list)
+
+    def error(self, code: str, message: str, hint: str | None = None) -> FormatError:
+        """Return the error of a file that cannot be read."""
+        return FormatError(Fault(code, message, self.path, (), hint))
+
+    def warn(self, code: str, message: str, hint: str | None = None) -> None:
+        """Add a warning."""
+        warning = Severity.WARNING
+        self.notices.append(Fault(code, message, self.path, (), hint, warning))
+
+    def note(self, code: str, message: str, hint: str | None = None) -> None:
+        """Add a note."""
+        self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
+
+    def rate(self, stated: float | None, fps: FractionLike | None) -> Fraction:
+        """Return the frame rate: the option, else what the file states.
+
+        Raises:
+            FormatError: There is neither (MKR010).
+            OptionError: The option is no rate (SCN022).
+        """
+        if fps is not None:
+            return rate_option(fps)
+        known = stated is not None and math.isfinite(stated)
+        if stated is None or not known or not _in_range(stated):
+            shown = "no frame rate" if stated in (None, 0) else f"the rate {stated:g}"
+            message = f"states {shown}"
+            raise self.error("MKR010", message, "--source-fps gives the rate")
+        return rate_from_float(stated)
+
+    def unit(
+        self, stated: str | None, given: LengthUnit | None, usual: LengthUnit
+    ) -> LengthUnit:
+        """Return the unit of lengths: the option, else the file's, else the usual one.
+
+        Raises:
+            FormatError: The file states a unit that is none (MKR011).
+        """
+        if given is not None:
+            return LengthUnit(given)
+        if stated is None or not stated.strip():
+            message = f"states no unit; {usual} is assumed"
+            self.note("MKR104", message, "--units says what its lengths are in")
+            return usual
+        unit = _UNITS.get(stated.strip().lower().rstrip("s."))
+        if unit is None:
+            message = f"states the unit {excerpt(stated)}"
+            hint = f"--units gives one of {', '.join(LengthUnit)}"
+            raise self.error("MKR011", message, hint)
+        return unit
+
+    def up(self, stated: UpAxis | None, given: UpAxis | None) -> UpAxis:
+        """Return the up axis: the option, else what the file states, else Y."""
+        if given is not None:
+            return UpAxis(given)
+        if stated is None:
+            message = "states no up axis; Y is assumed"
+            self.note("MKR103", message, "--up Z says that Z is up")
+            return UpAxis.Y
+        return stated
+
+    def names(self, labels: Sequence[str], subject: str | None) -> tuple[str, ...]:
+        """Return unique names of markers; a point without label begins with ``*``.
+
+        The prefix of a subject, as in ``Anna:LFHD``, is left out where all labels have
+        the same one, or where the subject is the one that is asked for. Of names that
+        stand twice, later ones get a number (MKR101).
+        """
+        stripped = [label.strip() for label in labels]
+        prefixes = {
+            name.rpartition(":")[0] for name in stripped if not is_unlabelled(name)
+        }
+        if subject is None and len(prefixes) == 1:
+            subject = next(iter(prefixes))
+        if subject:
+            stripped = [name.removeprefix(f"{subject}:") for name in stripped]
+        named = [
+            f"*{i}" if is_unlabelled(name) else name for i, name in enumerate(stripped)
+        ]
+        unique = distinct(named)
+        renamed = [new for old, new in zip(named, unique, strict=True) if old != new]
+        if renamed:
+            warning = naming(
+                "MKR101", "names that stand twice; later ones became ", renamed,
+                self.path, "rename them in the capture software", Severity.WARNING,
+            )  # fmt: skip
+            self.notices.append(warning)
+        return tuple(unique)
+
+    def cleaned(self, positions: FloatArray, meters: float) -> FloatArray:
+        """Return positions [m] in which what is not a position is NaN.
+
+        That is every point with an infinity or a number beyond float32 (MKR102), and
+        every point at exactly the origin, as many systems write missing points.
+
+        positions: ``(F, M, 3)`` in the unit of the file, changed in place.
+        """
+        with np.errstate(invalid="ignore"):
+            beyond = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
+            origin = (positions == 0.0).all(axis=-1)
+        if beyond.any():
+            count = counted(int(beyond.sum()), "position")
+            message = f"{count} beyond the largest number of float32: taken as not seen"
+            self.warn("MKR102", message, "export the file again")
+        if origin.any():
+            count = counted(int(origin.sum()), "position")
+            message = f"{count} at exactly 0, 0, 0: taken as not seen"
+            self.note("MKR105", message)
+        positions[beyond | origin | np.isnan(positions).any(axis=-1)] = np.nan
+        positions *= meters
+        return positions
+
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+# Positions of a take, above which a file is refused before memory is taken: an hour of
+# 100 markers at 240 Hz has 86 million.
+MAX_POSITIONS = 200_000_000
+
+
+def is_unlabelled(name: str) -> bool:
+    """Return whether a name is that of a point without label.
+
+    >>> is_unlabelled("*12"), is_unlabelled(""), is_unlabelled("LFHD")
+    (True, True, False)
+    """
+    return not name or _UNLABELLED.fullmatch(name) is not None
+
+
+def _in_range(rate: float) -> bool:
+    return LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE
