@@ -11,6 +11,10 @@ COMMANDS = {
         "animtool.cli.mocap_clean:clean",
         "Remove spikes and noise from a take.",
     ),
+    "face": (
+        "animtool.cli.mocap_face:face",
+        "Turn landmarks of a face into blend-shape weights.",
+    ),
 }
 
 
@@ -19,7 +23,8 @@ COMMANDS = {
     table=COMMANDS,
     epilog="""\b
 Examples:
-  animtool mocap clean take.bvh -o clean.usdc""",
+  animtool mocap clean take.bvh -o clean.usdc
+  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""
