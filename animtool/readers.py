@@ -80,6 +80,13 @@ DOCUMENT = Reader(
     ("rig", "clamp"),
 )
 
+LIVELINK = Reader(
+    "Live Link Face recordings",
+    "animtool.formats.livelink.read:read_livelink_rig",
+    "animtool.formats.livelink.read:read_livelink",
+    ("rig", "fps", "remap", "dropped"),
+)
+
 _OF_MARKERS = ("unit", "up", "fps")
 C3D = Reader(
     "C3D markers",
@@ -106,6 +113,7 @@ READERS: dict[str, Reader] = {
     ".yaml": DOCUMENT,
     ".yml": DOCUMENT,
     ".json": DOCUMENT,
+    ".csv": LIVELINK,
     ".c3d": C3D,
     ".trc": TRC,
     ".npz": ARRAYS,

@@ -15,6 +15,10 @@ COMMANDS = {
         "animtool.cli.mocap_triangulate:triangulate",
         "Find markers in space from what cameras see.",
     ),
+    "face": (
+        "animtool.cli.mocap_face:face",
+        "Turn landmarks of a face into blend-shape weights.",
+    ),
 }
 
 
@@ -24,7 +28,8 @@ COMMANDS = {
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
-  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz""",
+  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz
+  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

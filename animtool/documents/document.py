@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from animtool.documents.names import KINDS
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
 from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
@@ -16,10 +17,6 @@ from animtool.files import MAX_TEXT_BYTES, open_input
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
-# What a file says that it is, in its name too.
-_KINDS = frozenset(
-    {"batch", "cameras", "clip", "map", "markers", "rig", "scene", "targets"}
-)
 
 
 @dataclass(slots=True)
@@ -233,7 +230,7 @@ def document_of(text: str, path: Path) -> Document:
 
 def _kind_named(path: Path) -> str:
     """Return what the name of a file says that it is: ``hero.targets.yaml``."""
-    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in _KINDS]
+    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in KINDS]
     return kinds[-1] if kinds else "rig"
 
 

@@ -18,6 +18,20 @@ UNKNOWN = "?"
 MAX_NAMES = 2000
 # Of variables: a regular expression.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# What the first line of a file may name, its name too: a batch names a scene, others
+# their rig, which is therefore the last.
+KINDS = (
+    "batch",
+    "cameras",
+    "clip",
+    "landmarks",
+    "map",
+    "markers",
+    "remap",
+    "scene",
+    "targets",
+    "rig",
+)
 
 
 def file_suffixes(kind: str) -> tuple[str, ...]:

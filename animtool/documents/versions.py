@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from animtool.documents.document import Document, Location
+from animtool.documents.names import KINDS
 from animtool.errors import excerpt
 
 # A step takes the values of a whole file and returns those of the next version.
@@ -14,16 +15,7 @@ Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
 # By kind and the version that a step leads on from.
-STEPS: dict[str, dict[int, Step]] = {
-    "batch": {},
-    "cameras": {},
-    "rig": {},
-    "clip": {},
-    "map": {},
-    "markers": {},
-    "scene": {},
-    "targets": {},
-}
+STEPS: dict[str, dict[int, Step]] = {kind: {} for kind in KINDS}
 # Keys that have a new name in the same version, by kind and location: None is any entry
 # of a list. The old one is still read.
 RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
@@ -32,9 +24,6 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
         ("systems", None, "particles", "most"): "max_particles",
     },
 }
-# What the first line of a file may name: a batch names a scene too, others their rig.
-KINDS = ("batch", "cameras", "clip", "map", "markers", "scene", "targets", "rig")
-
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {
     "rig": ": what moves is a clip for it; animtool validate checks it, animtool "

@@ -187,6 +187,13 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     In<std::int32_t, 1> partners, In<double, 1> box, In<std::int32_t, 1> kinds,
     In<double, 3> forces, std::optional<In<double, 1>> charges, double cutoff, double onset,
     double damping);
+// weights, poses, residuals, shares, rounds, change
+using FittedFace = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Out<double, 2>, int,
+                              double>;
+FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
+                    std::optional<In<double, 1>> camera, In<double, 2> poses,
+                    In<double, 2> weights, double threshold, double smooth, double rest,
+                    double enough, int rounds);
 
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 

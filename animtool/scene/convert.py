@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from animtool.clip.reduction.keys import Reduction
     from animtool.rig.surfaces import StoredArrays
 
-_WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
+_WRITES = ".bvh, .clip.yaml, .csv, .usd, .usda, .usdc"
 MAX_NAMES = 6
 
 
@@ -80,7 +80,7 @@ def convert(
 
     Args:
         source: BVH, USD or clip.
-        output: ``.bvh``, ``.clip.yaml`` or a USD file.
+        output: ``.bvh``, ``.csv`` (Live Link Face), ``.clip.yaml`` or a USD file.
         options: What the source is.
         overwrite: Replace outputs that exist.
         strict: Take warnings for errors.
@@ -119,10 +119,10 @@ def convert(
             return _to_clip(
                 source, output, options, keys, overwrite, strict, progress, opener
             )
-        return _to_bvh(source, output, options, overwrite, strict, progress, opener)
+        return _to_text(source, output, options, overwrite, strict, progress, opener)
 
 
-def _to_bvh(
+def _to_text(
     source: Path,
     output: Path,
     options: SourceOptions | None,
@@ -134,18 +134,19 @@ def _to_bvh(
     check_outputs([output], [source], overwrite=overwrite)
     from animtool.edit.resample import resampled
     from animtool.formats.bvh.write import bvh_text
+    from animtool.formats.livelink.write import livelink_text
 
     stream = opener(source, options, progress=progress)
     take = stream.collect()
     if take.clock.step > 1:
         take = resampled(take, take.clock.fps)
-    text = bvh_text(take)
+    text = bvh_text(take) if _is_bvh(output) else livelink_text(take)
     noted = [notice for notice in take.notices if notice not in stream.notices]
     notices = stream.notices + noted + text.notices
     refuse_warnings(notices, strict=strict)
     write_parts(output, text.parts)
     count = take.clock.count
-    # A BVH numbers no frames; whatever reads it begins with the first.
+    # These files number no frames; whatever reads one begins with the first.
     span = Clock(take.clock.rate, Fraction(1), Fraction(1), count).span
     joints = len(take.rig.joints)
     return ConvertReport(output, span, count, joints, notices, files=[output])
@@ -167,7 +168,7 @@ def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
 
 def _check_name(output: Path) -> None:
     """Refuse names of what is no take (OUT004)."""
-    if is_usd(output) or output.suffix.lower() == ".bvh":
+    if is_usd(output) or _is_bvh(output) or output.suffix.lower() == ".csv":
         return
     if _is_clip(output):
         stated = Path(output.stem).suffix.lower().removeprefix(".")
@@ -178,6 +179,10 @@ def _check_name(output: Path) -> None:
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
     raise OptionError(Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}"))
+
+
+def _is_bvh(output: Path) -> bool:
+    return output.suffix.lower() == ".bvh"
 
 
 def _is_clip(output: Path) -> bool:

@@ -44,6 +44,9 @@ class SourceOptions:
             of others in place of their own joints, by name.
         force_fit: Take motion that does not fit the rig all the same.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
+        remap: Remap file for the shapes of a face recording.
+        dropped: What becomes of frames that a face recording has no row of:
+            ``interpolate``, ``hold`` or ``close``; None is the first.
         take: Which take of a clip library; None is the one that it selects.
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
@@ -66,7 +69,8 @@ class SourceOptions:
         "rate",
         "--source-fps",
         reason=_OF_BVH,
-        help="The real frame rate of a BVH whose Frame Time is wrong.",
+        help="The real frame rate of a BVH whose Frame Time is wrong, or what the time "
+        "code of a face recording counts.",
     )
     prim_path: str | None = option(
         None,
@@ -96,6 +100,22 @@ class SourceOptions:
         reason="is for clip libraries in USD, and this is no USD file",
         help="The take to read of a clip library in USD.  [default: the one selected]",
         metavar="NAME",
+    )
+    remap: Path | None = option(
+        None,
+        "file",
+        "--remap",
+        reason="is for face recordings (.csv), and this is none",
+        help="Remap file (.remap.yaml) for the shapes of a face recording.",
+    )
+    dropped: str | None = option(
+        None,
+        "choice",
+        "--dropped",
+        reason="is for face recordings (.csv), and this is none",
+        choices=("interpolate", "hold", "close"),
+        help="Frames that a face recording lacks: values in between, those of the "
+        "frame before, or none, so that later frames move up.  [default: interpolate]",
     )
     force_fit: bool = False
     shot: Shot | None = None

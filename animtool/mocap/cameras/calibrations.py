@@ -223,7 +223,11 @@ class _Entry:
     def _opencv(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or its numbers where the shape is off."""
         rows, columns, data = value.get("rows"), value.get("cols"), value["data"]
-        if isinstance(rows, int) and isinstance(columns, int) and isinstance(data, list):
+        if (
+            isinstance(rows, int)
+            and isinstance(columns, int)
+            and isinstance(data, list)
+        ):
             if rows > 0 and columns > 0 and rows * columns == len(data):
                 return [data[i * columns : (i + 1) * columns] for i in range(rows)]
         return None
@@ -244,7 +248,9 @@ class _Entry:
         matrix = nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
         if matrix is None:
             message = "is no rotation"
-            hint = "a matrix with rows of length 1 at right angles, or a rotation vector"
+            hint = (
+                "a matrix with rows of length 1 at right angles, or a rotation vector"
+            )
             key = self._key("rotation") or "rotation"
             self.document.add("CAM001", (*self.location, key), message, hint)
         return matrix

@@ -81,7 +81,9 @@ def measured_noise(
         alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
         scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MOST, _MOST))
         noise = np.maximum(pooled * scaled, LEAST_NOISE)
-        left_out = _stale_camera(cameras, pixels, trust, noise, active, ratios, settings)
+        left_out = _stale_camera(
+            cameras, pixels, trust, noise, active, ratios, settings
+        )
         if left_out is not None:
             worst, stale[worst] = left_out[0], left_out[1]
             active[:, worst] = False

@@ -191,7 +191,9 @@ class _Run:
             self.active[:, list(self.stale)] = False
         noise = measured.pixels
         middle = float(np.median(noise))
-        widths = [c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras]
+        widths = [
+            c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
+        ]
         if middle > MAX_NOISE * max(1.0, float(np.median(widths))):
             message = f"cameras do not agree: they miss each other by {middle:.0f} px"
             hint = "is this calibration of these cameras, in this order, and in pixels "

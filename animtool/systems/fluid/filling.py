@@ -77,7 +77,9 @@ def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
     return np.stack([points, velocities])
 
 
-def _check_outside(points: FloatArray, colliders: Colliders, t: float, name: str) -> None:
+def _check_outside(
+    points: FloatArray, colliders: Colliders, t: float, name: str
+) -> None:
     """Refuse points that are within colliders, or beyond a container."""
     if not colliders.rigid or not len(points):
         return
@@ -119,7 +121,9 @@ def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
     if count > spec.max_particles:
-        message = f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+        message = (
+            f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+        )
         message += f"and {spec.max_particles:,} are allowed"
         wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
         hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
@@ -175,7 +179,9 @@ class Nozzle:
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
         self._spacing = spec.spacing
-        self._spans = [(max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]]
+        self._spans = [
+            (max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]
+        ]
         self._opening = self._places(spec, emitter)
 
     def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
@@ -184,9 +190,7 @@ class Nozzle:
         wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
         _check_count(spec, float(counts[0]) * counts[1] / SPARSE, "emitters")
-        x, z = (
-            (np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts
-        )
+        x, z = ((np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts)
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
             return grid
@@ -219,7 +223,9 @@ class Nozzle:
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
         turns = np.repeat(now[:, 3:], len(self._opening), axis=0)
         places = np.tile(self._opening, (len(times), 1))
-        own = np.repeat((now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0)
+        own = np.repeat(
+            (now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0
+        )
         ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
         x = so3.rotate(turns, places) + np.repeat(
             now[:, :3], len(self._opening), axis=0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -23,8 +22,8 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
     Diagnostics,
     SimContext,
-    StoppedError,
     Stepped,
+    StoppedError,
     growing,
 )
 
@@ -191,7 +190,9 @@ class Fluid:
         if found.compression > max(COLLAPSED, TIMES * allowed):
             self._stop_dense(t + dt, found.compression)
         if found.compression > allowed:
-            message = f"it is {found.compression:.2%} denser than at rest at {t + dt:g} "
+            message = (
+                f"it is {found.compression:.2%} denser than at rest at {t + dt:g} "
+            )
             hint = "give it room: it is squeezed"
             self._warn("SIM137", f"{message}s, where {allowed:.2%} is allowed", hint)
         after = replace(
@@ -352,7 +353,11 @@ class Fluid:
                 hint = "raise max_particles, open a drain, or close an emitter"
                 self._warn("SIM121", f"{message}for no more", hint)
             free = has_room(
-                new.state[0], state.motion[0], self._colliders, until, self._spec.spacing
+                new.state[0],
+                state.motion[0],
+                self._colliders,
+                until,
+                self._spec.spacing,
             )
             blocked = int((~free).sum())
             if blocked:

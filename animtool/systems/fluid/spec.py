@@ -58,9 +58,7 @@ class FluidEmitterModel(PlacedModel):
     """A nozzle that fluid comes out of, along its y."""
 
     name: str = key("For messages.", "tap", default="")
-    radius: Positive | None = key(
-        "Of a round nozzle [m].", 0.1, default=None
-    )
+    radius: Positive | None = key("Of a round nozzle [m].", 0.1, default=None)
     size: Annotated[list[Positive], Len(2, 2)] | None = key(
         "Sides of a rectangular one, along its x and z [m].", [0.4, 0.2], default=None
     )

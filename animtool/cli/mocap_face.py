@@ -1,0 +1,193 @@
+"""``animtool mocap face``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    read_values,
+    record_option,
+    source_option,
+    source_options,
+    source_options_record,
+    strict_option,
+)
+from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.errors import counted, listed
+from animtool.mocap.face.options import FaceOptions
+from animtool.quantities import length_text
+
+if TYPE_CHECKING:
+    from animtool.scene.face import FaceResult
+
+MAX_NAMED = 8
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc
+  animtool mocap face take.c3d --rig hero.rig.yaml --landmarks hero.landmarks.yaml \\
+      -o face.usdc
+  animtool mocap face helmet.npz --rig hero.rig.yaml --landmarks hero.landmarks.yaml \\
+      --camera helmet.cameras.yaml -o face.usdc"""
+)
+@click.argument("landmarks", type=INPUT)
+@click.option(
+    "--rig",
+    type=INPUT,
+    required=True,
+    metavar="RIG",
+    help="The rig whose shapes move: a rig file or USD file.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=INPUT,
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .csv.  "
+    "[default: nothing]",
+)
+@click.option(
+    "--landmarks",
+    "landmarks_file",
+    type=INPUT,
+    metavar="FILE",
+    help="Landmarks file (.landmarks.yaml): where landmarks are on the rig.  [default: "
+    "the face that LANDMARKS brings]",
+)
+@source_option("remap")
+@click.option(
+    "--camera",
+    type=INPUT,
+    metavar="FILE",
+    help="Camera file of a head-mounted camera, for landmarks in pixels.",
+)
+@click.option(
+    "--camera-name", metavar="NAME", help="The camera, where its file has several."
+)
+@record_option(FaceOptions)
+@source_options
+@strict_option
+@existing_options
+@format_option
+@common_options
+@click.pass_obj
+def face(console: Console, /, landmarks: Path, **given: Any) -> None:
+    """Turn landmarks of a face into weights of a rig's blend shapes.
+
+    LANDMARKS is an npz of positions or pixels, or a file of markers. Weights stay
+    between 0 and 1, outliers count little, gaps are bridged, and the head's own motion
+    is kept apart. Without -o the report is all.
+    """
+    from animtool.scene.face import FaceJob, face_outputs, run_face
+
+    reading = source_options_record(given)
+    job = FaceJob(
+        landmarks,
+        given["rig"],
+        given["output"],
+        given["landmarks_file"],
+        given["remap"],
+        given["camera"],
+        given["camera_name"],
+        FaceOptions(**read_values(FaceOptions, given)),
+        reading.unit,
+        reading.up,
+        reading.fps,
+        given["overwrite"],
+        given["strict"],
+    )
+    if job.output is not None and skipped(
+        console, "mocap face", given, job.output, lambda: face_outputs(job)
+    ):
+        return
+    with all_named(), console.progress(f"face {landmarks.name}") as progress:
+        result = run_face(job, progress=progress)
+    console.faults(result.notices)
+    if given["report_format"] == "json":
+        console.result_json(face_json(result))
+        return
+    for line in face_text(result):
+        console.say(line)
+    for stage, seconds in result.seconds.items():
+        console.detail(f"{stage}: {seconds:.3f} s")
+
+
+def _residual(result: FaceResult, value: float) -> str:
+    if not result.pixels:
+        return length_text(value)
+    return f"{value:.3g} px ({length_text(value / result.pixels_per_meter)})"
+
+
+def face_text(result: FaceResult) -> list[str]:
+    """Return the lines of a summary."""
+    fit = result.fit
+    frames = len(fit.weights)
+    rate = frames / max(result.seconds["solve"], 1e-9)
+    moved = int((fit.weights.max(axis=0, initial=0) > 0).sum())
+    lines = [
+        f"{result.job.capture} onto {result.take.rig.name}: {counted(frames, 'frame')}, "
+        f"{counted(len(fit.model.names), 'landmark')}, {moved} of "
+        f"{counted(len(fit.model.shapes), 'shape')} move, {rate:.0f} frames a second",
+        f"  landmarks within {_residual(result, fit.rms)} RMS; noise "
+        f"{_residual(result, fit.noise)} in each direction",
+    ]
+    counts = Counter(map(str, fit.status))
+    if set(counts) != {"solved"}:
+        shown = [f"{count} {name}" for name, count in sorted(counts.items())]
+        lines.append(f"  frames: {listed(shown)}")
+    if result.links.lost:
+        names = listed(result.links.lost, MAX_NAMED)
+        lines.append(f"  shapes that the rig lacks: {names}")
+    if result.written is not None:
+        lines.append(f"  written: {', '.join(map(str, result.written.files))}")
+    return lines
+
+
+def face_json(result: FaceResult) -> dict[str, object]:
+    """Return a summary as plain values; residuals in metres, or pixels of a camera."""
+    import numpy as np
+
+    fit = result.fit
+    used = np.isfinite(fit.residuals) & (fit.shares >= 0.5)
+    squares = np.where(used, fit.residuals, 0.0) ** 2
+    rms = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
+    files = [] if result.written is None else result.written.files
+    return {
+        "face": "animtool/1",
+        "source": str(result.job.capture),
+        "rig": str(result.job.rig),
+        "outputs": [str(path) for path in files],
+        "frames": len(fit.weights),
+        "residual_unit": "px" if result.pixels else "m",
+        "pixels_per_meter": result.pixels_per_meter or None,
+        "rms": fit.rms,
+        "noise": fit.noise,
+        "rounds": fit.rounds,
+        "change": fit.change,
+        "landmarks": [
+            {
+                "name": name,
+                "rms": float(rms[i]),
+                "seen": int(np.isfinite(fit.residuals[:, i]).sum()),
+                "outliers": int((np.isfinite(fit.residuals[:, i]) & ~used[:, i]).sum()),
+            }
+            for i, name in enumerate(fit.model.names)
+        ],
+        "shapes": [
+            {"name": name, "max": float(fit.weights[:, i].max(initial=0.0))}
+            for i, name in enumerate(fit.model.shapes)
+        ],
+        "status": [str(status) for status in fit.status],
+        "lost": list(result.links.lost),
+        "seconds": result.seconds,
+        "notices": [notice.as_dict() for notice in result.notices],
+    }

@@ -1,0 +1,6 @@
+"""Live Link Face recordings (CSV): a row of weights and angles a captured frame."""
+
+from animtool.formats.livelink.read import read_livelink, read_livelink_rig
+from animtool.formats.livelink.write import write_livelink
+
+__all__ = ["read_livelink", "read_livelink_rig", "write_livelink"]

@@ -1,0 +1,255 @@
+"""The columns of a Live Link Face recording, and the numbers below them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.files import read_input
+from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
+
+# As the app writes them; readers take any case.
+TIMECODE, COUNT = "Timecode", "BlendShapeCount"
+# Rotations about the axes of the face: up, to its left, out of it.
+AXES = ("Yaw", "Pitch", "Roll")
+PARTS = ("Head", "LeftEye", "RightEye")
+ANGLES = tuple(part + axis for part in PARTS for axis in AXES)
+# In the order of the app.
+APP_SHAPES = (
+    *(
+        f"Eye{what}{side}"
+        for side in ("Left", "Right")
+        for what in [
+            "Blink",
+            "LookDown",
+            "LookIn",
+            "LookOut",
+            "LookUp",
+            "Squint",
+            "Wide",
+        ]
+    ),
+    *("JawForward", "JawRight", "JawLeft", "JawOpen", "MouthClose", "MouthFunnel"),
+    *("MouthPucker", "MouthRight", "MouthLeft"),
+    *(
+        f"Mouth{what}{side}"
+        for what in ("Smile", "Frown", "Dimple", "Stretch")
+        for side in ("Left", "Right")
+    ),
+    *("MouthRollLower", "MouthRollUpper", "MouthShrugLower", "MouthShrugUpper"),
+    *(
+        f"Mouth{what}{side}"
+        for what in ("Press", "LowerDown", "UpperUp")
+        for side in ("Left", "Right")
+    ),
+    *("BrowDownLeft", "BrowDownRight", "BrowInnerUp", "BrowOuterUpLeft"),
+    *("BrowOuterUpRight", "CheekPuff", "CheekSquintLeft", "CheekSquintRight"),
+    *("NoseSneerLeft", "NoseSneerRight", "TongueOut"),
+)
+MAX_COLUMNS = 4096
+MAX_BYTES = 1_000_000_000
+MAX_FAULTS = 100
+MAX_NAMED = 12
+_DELIMITERS = ",;\t"
+_ANGLES = {name.lower(): name for name in ANGLES}
+
+
+@dataclass(slots=True)
+class Recording:
+    """A recording as its file has it: rows in its order.
+
+    Attributes:
+        path: The file.
+        shapes: Name of each column of weights, ARKit's spelling where it is one.
+        angles: Which of `ANGLES` there are, in the order of ``turns``.
+        labels: Time code of each row, as written.
+        lines: 1-based line of each row ``(R,)``.
+        weights: Of the shapes ``(R, S)``; NaN where the file has none.
+        turns: Angles [rad] ``(R, A)``, as ``weights``.
+        notices: What is odd.
+    """
+
+    path: Path
+    shapes: tuple[str, ...]
+    angles: tuple[str, ...]
+    labels: list[str]
+    lines: IntArray
+    weights: FloatArray
+    turns: FloatArray
+    notices: list[Fault] = field(default_factory=list)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording.
+
+    Raises:
+        FormatError: It cannot be read (IO001), is no recording (LLF001), names a
+            column twice (LLF002), a row has another number of columns (LLF003) or a
+            value that is no number (LLF004), or there is no row (LLF001).
+    """
+    lines = _lines(path)
+    header = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if header is None:
+        raise FormatError(Fault("LLF001", "is empty", str(path)))
+    table = _Table(path, lines[header], header + 1)
+    rows = [(i + 1, line) for i, line in enumerate(lines) if i > header]
+    return table.read([(n, line) for n, line in rows if line.strip(" \t,;\0")])
+
+
+def _lines(path: Path) -> list[str]:
+    data = read_input(path, MAX_BYTES)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text = data.decode("utf-16", "replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = data.count(b"\n", 0, error.start) + 1
+            message = f"byte {data[error.start]:#04x} is not UTF-8"
+            raise FormatError(Fault("LLF001", message, str(path), (line,))) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+class _Table:
+    """The columns that a header names."""
+
+    def __init__(self, path: Path, header: str, line: int) -> None:
+        self.path, self.line = path, line
+        self.delimiter = max(_DELIMITERS, key=header.count)
+        self.names = [n.strip().strip('"').strip() for n in self._cells(header)]
+        lower = [name.lower() for name in self.names]
+        if TIMECODE.lower() not in lower:
+            message = "no column is called Timecode: this is no Live Link Face file"
+            hint = f"the first columns are {listed(self.names[:4])}"
+            raise FormatError(Fault("LLF001", message, str(path), (line,), hint))
+        if len(self.names) > MAX_COLUMNS:
+            message = f"has {len(self.names)} columns, and at most {MAX_COLUMNS} count"
+            raise FormatError(Fault("LLF001", message, str(path), (line,)))
+        self.time = lower.index(TIMECODE.lower())
+        self.count = lower.index(COUNT.lower()) if COUNT.lower() in lower else None
+        # What is known keeps its own spelling, so that a column named twice shows.
+        self.known = [
+            arkit_name(n) or _ANGLES.get(n.lower(), n.lower()) for n in self.names
+        ]
+        faults = [
+            self._fault("LLF002", i, f"column {name!r} stands twice")
+            for i, name in enumerate(self.names)
+            if name and self.known.index(self.known[i]) < i
+        ]
+        if faults:
+            raise FormatError(faults)
+        rest = [i for i in range(len(lower)) if i not in (self.time, self.count)]
+        self.turns = [i for i in rest if lower[i] in _ANGLES]
+        self.shapes = [i for i in rest if lower[i] not in _ANGLES and self.names[i]]
+
+    def _cells(self, line: str) -> list[str]:
+        return line.split(self.delimiter)
+
+    def _fault(self, code: str, cell: int, message: str, line: int = 0) -> Fault:
+        """Return a fault of a cell; its column is that of the table, as people count."""
+        return Fault(
+            code, message, str(self.path), (line or self.line,), column=cell + 1
+        )
+
+    def read(self, rows: list[tuple[int, str]]) -> Recording:
+        """Return the rows below the header."""
+        width = len(self.names)
+        notices: list[Fault] = []
+        cells = [(number, self._cells(line)) for number, line in rows]
+        # A comma behind the last value of each row is no column.
+        for _, row in cells:
+            if len(row) == width + 1 and not row[-1].strip():
+                row.pop()
+        if cells and len(cells[-1][1]) < width:
+            number, row = cells.pop()
+            message = f"the last row is cut short at column {len(row)}: left out"
+            notices.append(
+                Fault(
+                    *("LLF103", message, str(self.path), (number,)),
+                    severity=Severity.WARNING,
+                )
+            )
+        faults = [
+            Fault(
+                "LLF003",
+                f"has {counted(len(row), 'column')}; the header names {width}",
+                str(self.path),
+                (number,),
+            )
+            for number, row in cells
+            if len(row) != width
+        ]
+        if faults:
+            raise FormatError(faults[:MAX_FAULTS])
+        if not cells:
+            message = "holds no frame: only the header"
+            raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
+        values = self._numbers(cells)
+        lines = np.array([number for number, _ in cells], np.int64)
+        found = Recording(
+            self.path,
+            tuple(arkit_name(self.names[i]) or self.names[i] for i in self.shapes),
+            tuple(_ANGLES[self.names[i].lower()] for i in self.turns),
+            [row[self.time].strip().strip('"') for _, row in cells],
+            lines,
+            values[:, self.shapes],
+            values[:, self.turns],
+            notices,
+        )
+        if not (set(found.shapes) & set(ARKIT_SHAPES)) and not self.shapes:
+            message = "has no column of weights"
+            raise FormatError(Fault("LLF001", message, str(self.path), (self.line,)))
+        notices += self._count_notice(values, lines)
+        return found
+
+    def _numbers(self, cells: Sequence[tuple[int, list[str]]]) -> FloatArray:
+        """Return all values ``(R, C)``, NaN where there is none, or no column of one."""
+        columns = [*self.shapes, *self.turns]
+        if self.count is not None:
+            columns.append(self.count)
+        made = np.full((len(cells), len(self.names)), np.nan)
+        faults: list[Fault] = []
+        for r, (number, row) in enumerate(cells):
+            try:
+                made[r, columns] = [float(row[c]) for c in columns]
+            except ValueError:
+                for c in columns:
+                    text = row[c].strip().strip('"')
+                    try:
+                        made[r, c] = float(text) if text else np.nan
+                    except ValueError:
+                        message = f"{self.names[c]}: {excerpt(text)} is no number"
+                        faults.append(self._fault("LLF004", c, message, number))
+            if len(faults) >= MAX_FAULTS:
+                break
+        if faults:
+            raise FormatError(faults[:MAX_FAULTS])
+        made[np.isinf(made)] = np.nan
+        return made
+
+    def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:
+        """Return a warning where rows do not have as many values as they say."""
+        if self.count is None:
+            return []
+        has = {len(self.shapes) + len(self.turns), len(self.shapes)}
+        stated = values[:, self.count]
+        odd: BoolArray = np.isfinite(stated) & ~np.isin(stated, list(has))
+        if not odd.any():
+            return []
+        row = int(np.flatnonzero(odd)[0])
+        message = (
+            f"{COUNT} is {stated[row]:g}, and there are "
+            f"{counted(max(has), 'value')} in the row"
+        )
+        where = int(lines[row])
+        notice = Fault("LLF106", message, str(self.path), (where,))
+        return [_warning(notice)]
+
+
+def _warning(fault: Fault) -> Fault:
+    return replace(fault, severity=Severity.WARNING)

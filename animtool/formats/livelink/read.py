@@ -1,0 +1,286 @@
+"""A Live Link Face recording as a take."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted, listed, naming
+from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
+from animtool.formats.livelink.timecodes import RowFrames, row_frames
+from animtool.maths.euler import to_quaternion
+from animtool.maths.so3 import align_signs, slerp
+from animtool.motion import Channel, Motion
+from animtool.rates import FractionLike, rate_option
+from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, head_joints, local_rotations
+from animtool.rig.parts import Shape
+from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.take import TakeStream
+from animtool.units import unit_name
+
+Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
+DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
+MAX_NAMED = 12
+_JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+# What an own rig calls them, and where they are in metres: of no picture, but apart.
+_OWN = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
+_PLACES = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
+_PLACES[RIGHT_EYE] = (-0.032, 0.03, 0.08)
+
+
+def read_livelink(
+    path: Path | str,
+    *,
+    rig: Path | str | None = None,
+    fps: FractionLike | None = None,
+    remap: Path | str | None = None,
+    dropped: Dropped = "interpolate",
+) -> TakeStream:
+    """Open a Live Link Face recording (CSV) as a take.
+
+    Weights go to the shapes of the same names, in any of ARKit's spellings. Head and
+    eyes turn joints of those names; angles are radians about the axes of the face, yaw
+    about up, then pitch about its left, then roll about ahead.
+
+    Args:
+        path: The file.
+        rig: The rig that it is for; None is one of its own, with its columns as shapes.
+        fps: Labels a second that its time code counts; None finds it.
+        remap: A remap file, for shapes with other names.
+        dropped: What becomes of frames without a row: values between those of their
+            neighbours, those of the frame before (``hold``), or none, so that later
+            frames move up (``close``).
+
+    Raises:
+        FormatError: The file is malformed (LLF001 to LLF006), or the remap file is.
+        OptionError: The rig has none of its shapes and no head (LLF007), or ``fps`` is
+            no rate (SCN022).
+    """
+    path = Path(path)
+    if dropped not in DROPPED:
+        message = f"dropped is {dropped!r}"
+        hint = f"allowed: {', '.join(DROPPED)}"
+        raise OptionError(Fault("SCN022", message, str(path), (), hint))
+    clock = None if fps is None else rate_option(fps)
+    recording = read_recording(path)
+    frames = row_frames(recording.labels, recording.lines, str(path), clock)
+    target = own_rig(recording) if rig is None else Rig.load(Path(rig))
+    table = None if remap is None else load_remap(remap)
+    links = link_shapes(
+        recording.shapes, [shape.name for shape in target.shapes], table
+    )
+    joints = head_joints(target)
+    notices = [*recording.notices, *frames.notices]
+    turned = _turned(recording)
+    if not links.links and not (set(turned) & set(joints)):
+        message = f"{target.name!r} has no shape of this recording, and no head joint"
+        hint = "--remap names the shapes of other conventions"
+        if not target.shapes:
+            hint = "the rig has no shapes"
+        raise OptionError(Fault("LLF007", message, str(path), (), hint))
+    notices += _notices(recording, frames, dropped)
+    notices += _unmatched(recording, links, turned, joints, rig is not None)
+    motion = _motion(recording, frames, target, links, joints, dropped)
+    details: dict[str, object] = {
+        "format": "Live Link Face",
+        "timecode": recording.labels[int(frames.rows[0])],
+        "clock": str(frames.clock),
+        "rows": len(recording.labels),
+        "dropped_frames": frames.dropped.tolist(),
+        "units": unit_name(target.meters_per_unit),
+    }
+    if rig is not None:
+        details["rig"] = str(rig)
+        notices = [*target.notices, *notices]
+    return TakeStream(
+        target, frames.rate, None, Fraction(1), iter([motion]), notices, details
+    )
+
+
+def read_livelink_rig(path: Path) -> Rig:
+    """Return a rig with the shapes of a recording, and joints of its head and eyes."""
+    return own_rig(read_recording(path))
+
+
+def own_rig(recording: Recording) -> Rig:
+    """Return the rig of a recording: its shapes without meshes, a head, and eyes."""
+    parts = [
+        part for part in PARTS if part == "Head" or part in _turned_parts(recording)
+    ]
+    joints = tuple(
+        Joint(_OWN[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
+              _PLACES[_JOINTS[part]])
+        for part in parts
+    )  # fmt: skip
+    shapes = tuple(Shape(name) for name in recording.shapes)
+    return Rig(recording.path.stem, joints, shapes=shapes)
+
+
+def _turned_parts(recording: Recording) -> list[str]:
+    """Return the parts whose three angles are there."""
+    return [
+        part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
+    ]
+
+
+def _turned(recording: Recording) -> dict[str, FloatArray]:
+    """Return yaw, pitch and roll of head and eyes by part [deg] ``(R, 3)``."""
+    found = {}
+    for part in _turned_parts(recording):
+        columns = [recording.angles.index(part + axis) for axis in AXES]
+        angles = np.degrees(recording.turns[:, columns])
+        found[_JOINTS[part]] = angles
+    return found
+
+
+def _motion(
+    recording: Recording,
+    frames: RowFrames,
+    rig: Rig,
+    links: ShapeLinks,
+    joints: dict[str, int],
+    dropped: Dropped,
+) -> Motion:
+    times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
+    at = np.arange(int(times[-1]) + 1)
+    raw = _filled(recording.weights[frames.rows], times)
+    moved = links.apply(raw, len(rig.shapes))
+    weights = np.stack(
+        [_between(column, times, at, dropped) for column in moved.T], axis=-1
+    ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
+    rotations = Channel.still(rig.rest_rotations, len(at))
+    for part, angles in _turned(recording).items():
+        if part not in joints:
+            continue
+        turns = to_quaternion(_filled(angles[frames.rows], times), "YXZ")
+        local = local_rotations(rig, joints[part], turns)
+        values = _turns_between(align_signs(local), times, at, dropped)
+        which = np.array([joints[part]])
+        rotations = rotations.put(which, values[:, None])
+    return Motion(
+        Channel.still(rig.rest_translations, len(at)),
+        rotations.compact(),
+        weights=Channel.from_dense(weights[..., None]) if len(rig.shapes) else None,
+    )
+
+
+def _filled(values: FloatArray, times: IntArray) -> FloatArray:
+    """Return values ``(N, C)`` with those that are missing put in between; none is 0."""
+    made = values.copy()
+    for column in made.T:
+        there = np.isfinite(column)
+        if not there.all():
+            found = there.any()
+            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
+    return made
+
+
+def _between(
+    values: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
+) -> FloatArray:
+    if dropped == "hold":
+        held: FloatArray = values[np.searchsorted(times, at, side="right") - 1]
+        return held
+    return np.interp(at, times, values)
+
+
+def _turns_between(
+    turns: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
+) -> FloatArray:
+    before = np.searchsorted(times, at, side="right") - 1
+    if dropped == "hold" or len(times) == 1:
+        return turns[before]
+    after = np.minimum(before + 1, len(times) - 1)
+    span = np.maximum(times[after] - times[before], 1)
+    share = (at - times[before]) / span
+    made = slerp(turns[before], turns[after], share)
+    exact: BoolArray = share == 0
+    made[exact] = turns[before[exact]]
+    return made
+
+
+def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[Fault]:
+    """Return warnings of what is missing or odd in the numbers."""
+    path = str(recording.path)
+    made = []
+    gaps = frames.dropped
+    if len(gaps):
+        what = {
+            "interpolate": "interpolated",
+            "hold": "held from the frame before",
+            "close": "left out, so that later frames move up",
+        }[dropped]
+        message = (
+            f"{len(gaps)} of {frames.count} frames have no row: {what}; from the first, "
+            f"frames {listed((gaps).tolist(), MAX_NAMED)}"
+        )
+        hint = "--dropped interpolate, hold or close says what becomes of them"
+        made.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
+    for values, names in (
+        (recording.weights, recording.shapes),
+        (recording.turns, recording.angles),
+    ):
+        missing = ~np.isfinite(values)
+        for c in np.flatnonzero(missing.any(axis=0)).tolist():
+            lines = recording.lines[missing[:, c]].tolist()
+            how = "put in from its neighbours"
+            if missing[:, c].all():
+                how = "taken for 0"
+            message = f"{names[c]} has no value in {counted(len(lines), 'row')}: {how}"
+            fault = Fault("LLF102", message, path, tuple(lines[:MAX_NAMED]))
+            made.append(replace(fault, severity=Severity.WARNING))
+    # Nothing is changed: some rigs go further, and percents show.
+    with np.errstate(invalid="ignore"):
+        beyond = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
+    if beyond.any():
+        row, column = np.argwhere(beyond)[0].tolist()
+        message = (
+            f"{counted(int(beyond.sum()), 'weight')} outside 0 to 1, the first "
+            f"{recording.shapes[column]} = {recording.weights[row, column]:g}"
+        )
+        line = (int(recording.lines[row]),)
+        hint = "a remap file has gain and clamp"
+        made.append(Fault("LLF109", message, path, line, hint, Severity.WARNING))
+    return made
+
+
+def _unmatched(
+    recording: Recording,
+    links: ShapeLinks,
+    turned: dict[str, FloatArray],
+    joints: dict[str, int],
+    named: bool,
+) -> list[Fault]:
+    """Return notices of what only the recording, or only the rig has."""
+    path = str(recording.path)
+    made = []
+    if named and links.lost:
+        still = {
+            name
+            for name, column in zip(recording.shapes, recording.weights.T, strict=True)
+            if not np.nan_to_num(column).any()
+        }
+        lost = [name for name in links.lost if name not in still]
+        if lost:
+            message = f"{len(lost)} shapes are not in the rig: "
+            hint = "--remap names the shapes that they move"
+            made.append(naming("LLF108", message, lost, path, hint, Severity.WARNING))
+    for part, angles in turned.items():
+        if part not in joints and np.nan_to_num(angles).any():
+            message = f"the rig has no joint for the {part}: its rotation is left out"
+            made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
+    lone = {
+        angle
+        for angle in recording.angles
+        if not any(angle.startswith(part) for part in _turned_parts(recording))
+    }
+    if lone:
+        message = f"{listed(sorted(lone))} without the two others: left out"
+        made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
+    return made

@@ -1,0 +1,237 @@
+"""Which frame each row of a recording is, by its time code."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.clock import day_frames, parse_timecode
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.rates import rate_label
+
+# What clocks of recorders count, and the one that the app starts with.
+CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
+USUAL_CLOCK = 60
+# Rows come every so many labels where this share of them does.
+REGULAR_SHARE = 0.9
+MAX_STEP = 16
+# Parts of a frame by which rows that follow a clock miss its beat: that of phones is off
+# by 2e-4 a row, while time stamps of a network jitter by a frame.
+STEADY = 0.1
+# Nobody means to invent more than this between two rows [s].
+MAX_GAP_SECONDS = 600
+MAX_NAMED = 12
+_LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
+
+
+@dataclass(frozen=True, slots=True)
+class RowFrames:
+    """Which frames rows are.
+
+    Attributes:
+        clock: Labels a second, exact.
+        step: Labels from one frame to the next.
+        rows: The rows that count, in the order of time ``(N,)``.
+        frames: Which frame each of them is, from 0, ascending ``(N,)``.
+        notices: What is odd.
+    """
+
+    clock: Fraction
+    step: int
+    rows: IntArray
+    frames: IntArray
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second."""
+        return self.clock / self.step
+
+    @property
+    def count(self) -> int:
+        """Number of frames, those without a row included."""
+        return int(self.frames[-1]) + 1
+
+    @property
+    def dropped(self) -> IntArray:
+        """The frames without a row."""
+        missing = np.ones(self.count, np.bool_)
+        missing[self.frames] = False
+        return np.flatnonzero(missing)
+
+
+def row_frames(
+    labels: Sequence[str],
+    lines: IntArray,
+    path: str,
+    clock: Fraction | None = None,
+) -> RowFrames:
+    """Return which frames rows with time codes ``HH:MM:SS:FF.mmm`` are.
+
+    The clock is the one whose seconds end where those of the labels do. A recorder may
+    write a row every second label. Where rows keep the beat of the clock, parts of
+    frames are rounded; where they jitter, a label is the frame.
+
+    Args:
+        labels: One a row, as written.
+        lines: Line of each in the file.
+        path: The file, for messages.
+        clock: Labels a second; None finds it.
+
+    Raises:
+        FormatError: One is no time code (LLF005), or two are very far apart (LLF006).
+    """
+    fields = _fields(labels, lines, path)
+    notices: list[Fault] = []
+    drop = any(";" in label for label in labels)
+    rate = clock if clock is not None else _clock(fields, drop, path, notices)
+    whole, parts = _counted(labels, rate, lines, path)
+    day = day_frames(rate, drop=drop)
+    # Over midnight, and back where rows are out of order, the shorter way.
+    steps = (np.diff(whole) + day // 2) % day - day // 2
+    times = np.concatenate([[0], np.cumsum(steps)])
+    order = np.argsort(times + parts, kind="stable")
+    notices += _unsorted(order, lines, path)
+    times, parts = times[order] - times[order[0]], parts[order]
+    ahead = np.diff(times)
+    if len(ahead) and (worst := ahead.max()) > MAX_GAP_SECONDS * rate:
+        at = int(ahead.argmax())
+        message = (
+            f"{worst / float(rate):.6g} s without a row before {labels[order[at + 1]]}"
+        )
+        hint = "split the recording there, or mend the time code"
+        line = (int(lines[order[at + 1]]),)
+        raise FormatError(Fault("LLF006", message, path, line, hint))
+    step, frames = _frames(times, parts)
+    first = np.concatenate([[True], np.diff(frames) > 0])
+    notices += _repeated(first, order, lines, path)
+    return RowFrames(rate, step, order[first], frames[first], tuple(notices))
+
+
+def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
+    """Return hours, minutes, seconds and frames of labels ``(R, 4)``."""
+    found = [_LABEL.fullmatch(label) for label in labels]
+    faults = [
+        Fault(
+            "LLF005",
+            f"{excerpt(label)} is no time code such as 12:00:00:00.000",
+            path,
+            (int(line),),
+            column=1,
+        )
+        for label, match, line in zip(labels, found, lines.tolist(), strict=True)
+        if match is None
+    ]
+    if faults:
+        raise FormatError(faults[:100])
+    return np.array([[int(m[i]) for i in (1, 2, 3, 5)] for m in found if m], np.int64)
+
+
+def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fraction:
+    """Return labels a second: the clock in whose seconds the labels fit best."""
+    most = int(fields[:, 3].max())
+    seconds = fields[:, :3] @ [3600, 60, 1]
+    fitting = [n for n in CLOCKS if n > most] or [most + 1]
+    if drop:
+        fitting = [n for n in (30, 60) if n > most] or [60]
+        return Fraction(fitting[0] * 1000, 1001)
+    turns = np.flatnonzero(np.diff(seconds) == 1)
+    if len(fitting) > 1 and not len(turns):
+        rate = USUAL_CLOCK if USUAL_CLOCK in fitting else fitting[0]
+        message = (
+            f"the time code ends in no second, so it counts {rate} frames as the app "
+            "does unless told otherwise"
+        )
+        hint = "--source-fps says what it counts"
+        notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
+        return Fraction(rate)
+    if len(fitting) == 1:
+        return Fraction(fitting[0])
+    inside = np.diff(fields[:, 3])[np.diff(seconds) == 0]
+    usual = np.median(inside[inside > 0]) if (inside > 0).any() else 1
+    # From the last label of a second to the first of the next as from others.
+    over = fields[turns + 1, 3] - fields[turns, 3]
+    misses = [np.median(np.abs(over + n - usual)) for n in fitting]
+    return Fraction(fitting[int(np.argmin(misses))])
+
+
+def _counted(
+    labels: Sequence[str], rate: Fraction, lines: IntArray, path: str
+) -> tuple[IntArray, FloatArray]:
+    """Return the labels from midnight, and the parts of a frame behind them."""
+    whole, parts, faults = [], [], []
+    for label, line in zip(labels, lines.tolist(), strict=True):
+        text = label if label[1] != ":" else f"0{label}"
+        try:
+            found = parse_timecode(text, rate)
+        except ValueError as error:
+            message = f"{error} at {rate_label(rate)}"
+            faults.append(Fault("LLF005", message, path, (line,), column=1))
+            continue
+        whole.append(found.numerator // found.denominator)
+        parts.append(float(found - whole[-1]))
+    if faults:
+        raise FormatError(faults[:100])
+    return np.array(whole, np.int64), np.array(parts)
+
+
+def _frames(times: IntArray, parts: FloatArray) -> tuple[int, IntArray]:
+    """Return labels a frame, and the frame of each row, from 0."""
+    ahead = np.diff(times)
+    moving = ahead[ahead > 0]
+    if not len(moving):
+        return 1, np.zeros(len(times), np.int64)
+    exact = ahead + np.diff(parts)
+    step = 1
+    for every in range(min(MAX_STEP, int(np.median(moving))), 1, -1):
+        regular = max((moving % every == 0).mean(), _on_beat(exact, every).mean())
+        if regular >= REGULAR_SHARE:
+            step = every
+            break
+    if _on_beat(exact, step).mean() >= REGULAR_SHARE and np.ptp(parts) > 0:
+        beats = np.round(exact / step)
+    else:
+        # The label says it, whatever part of a frame is behind it.
+        return step, np.round(times / step).astype(np.int64)
+    return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
+
+
+def _on_beat(exact: FloatArray, step: int) -> BoolArray:
+    """Return which rows are a whole number of steps after the one before."""
+    beats = exact / step
+    return np.asarray(np.abs(beats - np.round(beats)) * step <= STEADY)
+
+
+def _unsorted(order: IntArray, lines: IntArray, path: str) -> list[Fault]:
+    moved = np.flatnonzero(np.diff(order) < 0)
+    if not len(moved):
+        return []
+    late = lines[order[moved + 1]].tolist()
+    message = f"{counted(len(late), 'row')} out of the order of time: sorted"
+    notice = Fault(
+        "LLF104", message, path, tuple(late[:MAX_NAMED]), None, Severity.WARNING
+    )
+    return [notice]
+
+
+def _repeated(
+    first: BoolArray,
+    order: IntArray,
+    lines: IntArray,
+    path: str,
+) -> list[Fault]:
+    again = sorted(lines[order[~first]].tolist())
+    if not again:
+        return []
+    message = (
+        f"{counted(len(again), 'row')} of a frame that has one already: left out, "
+        f"lines {listed(again, MAX_NAMED)}"
+    )
+    return [
+        Fault("LLF105", message, path, tuple(again[:MAX_NAMED]), None, Severity.WARNING)
+    ]

@@ -1,0 +1,143 @@
+"""A take as a Live Link Face recording (CSV)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import count_rate
+from animtool.errors import Fault, OptionError, Severity, naming
+from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
+from animtool.maths.euler import from_quaternion
+from animtool.maths.so3 import align_signs
+from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
+from animtool.rig.shapes import arkit_name
+from animtool.take import Take
+
+# As the app prints them.
+PLACES = 10
+_JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class LiveLinkText:
+    """The parts of a recording."""
+
+    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
+    notices: list[Fault]  # what the format cannot hold
+
+
+def write_livelink(
+    take: Take, path: Path | str, *, overwrite: bool = False
+) -> list[Fault]:
+    """Write a take as a Live Link Face recording; see `livelink_text`.
+
+    Args:
+        take: What to write.
+        path: ``.csv``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold.
+
+    Raises:
+        OptionError: The rig has no shape of ARKit's (LLF008), time codes do not count
+            its rate (LLF009), or the file exists (OUT001).
+        OutputError: The file cannot be written (OUT002).
+    """
+    from animtool.output import check_outputs, write_parts
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    text = livelink_text(take)
+    write_parts(path, text.parts)
+    return text.notices
+
+
+def livelink_text(take: Take) -> LiveLinkText:
+    """Return a take as a recording: ARKit's 52 weights, rotations of head and eyes.
+
+    The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97 and
+    59.94. What the rig lacks is 0. Other shapes and joints have no place in the format;
+    shapes that move are named in the notices.
+    """
+    columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
+    columns.pop(None, None)
+    if not columns:
+        message = f"{take.rig.name!r} has no shape of ARKit's, and a CSV holds these"
+        hint = "write USD, or keys in a .clip.yaml"
+        raise OptionError(Fault("LLF008", message, hint=hint))
+    rate = take.clock.rate
+    try:
+        count_rate(rate)
+    except ValueError as error:
+        hint = "--fps 60 makes it a rate that time codes count"
+        raise OptionError(Fault("LLF009", str(error), hint=hint)) from error
+    weights = np.zeros((take.clock.count, len(APP_SHAPES)))
+    channel = take.motion.weights
+    dense = None if channel is None else channel.dense()[..., 0]
+    for i, name in enumerate(APP_SHAPES):
+        at = columns.get(arkit_name(name))
+        if dense is not None and at is not None:
+            weights[:, i] = dense[:, at]
+    notices = []
+    if dense is not None:
+        known = set(columns.values())
+        lost = [
+            shape.name
+            for i, shape in enumerate(take.rig.shapes)
+            if i not in known and dense[:, i].any()
+        ]
+        if lost:
+            message = f"{len(lost)} shapes have no column of a CSV: "
+            notices.append(naming("LLF111", message, lost, severity=Severity.WARNING))
+    return LiveLinkText(_parts(weights, _angles(take), rate), notices)
+
+
+def _angles(take: Take) -> FloatArray:
+    """Return yaw, pitch and roll of head, left eye and right eye [rad] ``(F, 9)``."""
+    made = np.zeros((take.clock.count, len(ANGLES)))
+    joints = head_joints(take.rig)
+    for k, part in enumerate(PARTS):
+        joint = joints.get(_JOINTS[part])
+        if joint is None:
+            continue
+        local = take.motion.rotations.gather(np.array([joint]))[:, 0]
+        turned = align_signs(face_rotations(take.rig, joint, local))
+        made[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(turned, "YXZ"))
+    return made
+
+
+def _parts(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
+    yield (",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES)) + "\n").encode()
+    count = len(APP_SHAPES) + len(ANGLES)
+    row = f"%s,{count}," + ",".join([f"%.{PLACES}f"] * count) + "\n"
+    # No minus in front of a zero.
+    values = np.round(np.concatenate([weights, angles], axis=1), PLACES) + 0.0
+    for frame, numbers in enumerate(values.tolist()):
+        yield (row % (timecode(frame, rate), *numbers)).encode()
+
+
+def timecode(frame: int, rate: Fraction) -> str:
+    """Return the label of a frame counted from midnight, with parts of a frame.
+
+    >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
+    ('00:01:00;02.000', '00:00:01:01.000')
+    """
+    labels = count_rate(rate)
+    left_out = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}.get(rate, 0)
+    if left_out:
+        tens, rest = divmod(frame, 600 * labels - 9 * left_out)
+        minute = max(0, rest - left_out) // (60 * labels - left_out)
+        frame += left_out * (9 * tens + minute)
+    seconds, frames = divmod(frame, labels)
+    minutes, seconds = divmod(seconds, 60)
+    hours, minutes = divmod(minutes, 60)
+    sign = ";" if left_out else ":"
+    wide = max(2, len(str(labels - 1)))
+    return f"{hours % 24:02d}:{minutes:02d}:{seconds:02d}{sign}{frames:0{wide}d}.000"

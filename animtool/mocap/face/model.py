@@ -1,0 +1,164 @@
+"""Where the landmarks of a face are at weights of its shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault, OptionError, Severity, naming
+from animtool.maths.faces import rigid_motion
+from animtool.maths.so3 import conjugate, rotate
+from animtool.rig.parts import Shape
+from animtool.rig.shapes import combined_weights
+from animtool.skin.shapes import PreparedShapes, blend_points
+
+# A shape whose landmarks move by less than this share of the face's size moves none.
+MIN_MOTION = 1e-6
+# Shapes whose motions have a cosine above this cannot be told apart.
+SAME_SHAPE = 1 - 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class FaceModel:
+    """Landmarks of a face, and what its shapes do to them.
+
+    Attributes:
+        names: Of the landmarks; ``0``, ``1``, … where they have none.
+        shapes: Names of the shapes with a weight of their own.
+        neutral: Landmarks at rest [m] ``(N, 3)``.
+        deltas: Added at weight 1 [m] ``(S, N, 3)``.
+        bent: The whole of the shapes, where in-betweens or correctives add to a sum of
+            deltas; None where nothing does.
+
+    Raises:
+        OptionError: Arrays do not fit together or are not finite (FAC003).
+    """
+
+    names: tuple[str, ...]
+    shapes: tuple[str, ...]
+    neutral: FloatArray
+    deltas: FloatArray
+    bent: BentShapes | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers."""
+        count, shapes = len(self.names), len(self.shapes)
+        faults = []
+        for name, shape in (("neutral", (count, 3)), ("deltas", (shapes, count, 3))):
+            values: FloatArray = getattr(self, name)
+            if values.shape != shape:
+                message = f"{name} must have shape {shape}, not {values.shape}"
+                faults.append(Fault("FAC003", message))
+            elif not np.isfinite(values).all():
+                faults.append(
+                    Fault("FAC003", f"{name} holds a value that is not finite")
+                )
+        for what, names in (("landmarks", self.names), ("shapes", self.shapes)):
+            if len(set(names)) < len(names):
+                twice = next(n for n in names if names.count(n) > 1)
+                faults.append(Fault("FAC003", f"two {what} are called {twice!r}"))
+        if faults:
+            raise OptionError(faults)
+
+    @property
+    def size(self) -> float:
+        """Root of the mean square distance of a landmark from their mean [m]."""
+        return spread(self.neutral)
+
+    def offsets(self, weights: FloatArray) -> FloatArray:
+        """Return what is beyond the sum of deltas at weights [m] ``(F, N, 3)``."""
+        if self.bent is None:
+            return np.zeros((len(weights), *self.neutral.shape))
+        whole = self.bent.points(weights)
+        return whole - self.neutral - np.tensordot(weights, self.deltas, 1)
+
+    def points(self, weights: FloatArray) -> FloatArray:
+        """Return the landmarks at weights in the frame of the face [m] ``(F, N, 3)``."""
+        if self.bent is not None:
+            return self.bent.points(weights)
+        return self.neutral + np.tensordot(weights, self.deltas, 1)
+
+    def moving(self) -> BoolArray:
+        """Return which shapes move a landmark ``(S,)``."""
+        lengths = np.linalg.norm(self.deltas, axis=-1)
+        return np.asarray(lengths.max(axis=1, initial=0) > MIN_MOTION * self.size)
+
+    def select(self, shapes: BoolArray) -> FaceModel:
+        """Return the model with some of its shapes; the others have weight 0."""
+        names = tuple(n for n, k in zip(self.shapes, shapes.tolist(), strict=True) if k)
+        bent = None if self.bent is None else self.bent.select(shapes)
+        return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
+
+    def notices(self) -> list[Fault]:
+        """Return warnings of shapes that landmarks do not show, or not apart."""
+        made = []
+        moving = self.moving()
+        still = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
+        if still:
+            message = f"{len(still)} shapes move no landmark, and stay at 0: "
+            made.append(naming("FAC101", message, still, severity=Severity.WARNING))
+        flat = self.deltas.reshape(len(self.shapes), -1)
+        norms = np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
+        alike = (flat / norms) @ (flat / norms).T
+        pairs = np.argwhere(np.triu(alike > SAME_SHAPE, 1) & np.outer(moving, moving))
+        if len(pairs):
+            names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs.tolist()]
+            message = f"{len(pairs)} pairs of shapes move landmarks alike, and share: "
+            made.append(naming("FAC102", message, names, severity=Severity.WARNING))
+        return made
+
+    def of_actor(self, captured: FloatArray) -> FaceModel:
+        """Return the model with the proportions of landmarks of a neutral face.
+
+        Deltas are scaled by the sizes of the two faces. Landmarks that were not seen
+        keep their place in the model.
+
+        Args:
+            captured: Landmarks of the neutral frame, NaN where missing [m] ``(N, 3)``.
+        """
+        seen = np.isfinite(captured).all(axis=1)
+        scale = spread(captured[seen]) / spread(self.neutral[seen])
+        turn, shift = rigid_motion(self.neutral[seen] * scale, captured[seen])
+        neutral = self.neutral * scale
+        neutral[seen] = rotate(conjugate(turn), captured[seen] - shift)
+        return replace(self, neutral=neutral, deltas=self.deltas * scale, bent=None)
+
+
+@dataclass(frozen=True, slots=True)
+class BentShapes:
+    """Shapes of a mesh at landmarks, with in-betweens and correctives."""
+
+    shapes: tuple[Shape, ...]  # of the rig, those that move landmarks or combine such
+    prepared: PreparedShapes  # those of them with deltas
+    own: tuple[int, ...]  # of each solved shape its index in ``shapes``
+
+    def points(self, weights: FloatArray) -> FloatArray:
+        """Return the landmarks at weights of the solved shapes ``(F, S)``."""
+        given = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
+        for i, column in zip(self.own, weights.T, strict=True):
+            given[self.shapes[i].name] = column
+        whole = combined_weights(self.shapes, given)
+        return blend_points(
+            self.prepared, np.stack([whole[n] for n in self.prepared.names], axis=-1)
+        )
+
+    def select(self, shapes: BoolArray) -> BentShapes:
+        """Return them for some of the solved shapes."""
+        kept = np.flatnonzero(shapes).tolist()
+        return replace(self, own=tuple(self.own[i] for i in kept))
+
+
+def spread(points: FloatArray) -> float:
+    """Return the root of the mean square distance of points from their mean."""
+    if not len(points):
+        return 0.0
+    away = points - points.mean(axis=0)
+    return float(np.sqrt((away * away).sum(axis=1).mean()))
+
+
+def landmark_names(count: int, names: Sequence[str] | None = None) -> tuple[str, ...]:
+    """Return names of landmarks; numbers where they have none."""
+    return tuple(map(str, range(count))) if names is None else tuple(names)

@@ -1,0 +1,98 @@
+"""Where a head is, from landmarks of a face at rest: what a fit begins with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths.so3 import from_matrix, rotate
+
+# Rounds of reweighting, and of perspective.
+ROUNDS = 4
+PERSPECTIVE_ROUNDS = 30
+
+
+def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
+    """Return a pose a frame, quaternion x, y, z, w and translation ``(F, 7)``.
+
+    Landmarks that move most count least. Frames without three landmarks have the pose of
+    the frame before them that has some.
+
+    Args:
+        neutral: Landmarks at rest ``(N, 3)``.
+        observed: Likewise in the world, NaN where missing ``(F, N, 3)``.
+    """
+    seen = np.isfinite(observed).all(axis=-1)
+    points = np.where(seen[..., None], observed, 0.0)
+    shares = seen.astype(np.float64)
+    poses = np.zeros((len(observed), 7))
+    poses[:, 3] = 1.0
+    for _ in range(ROUNDS):
+        poses = _rigid(neutral, points, shares)
+        placed = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
+        miss = np.where(seen, np.linalg.norm(points - placed, axis=-1), np.nan)
+        usual = np.full(len(miss), np.inf)
+        some = seen.any(axis=1)
+        usual[some] = np.maximum(np.nanmedian(miss[some], axis=1), 1e-9)
+        shares = np.where(seen, 1.0 / (1.0 + (miss / usual[:, None]) ** 2), 0.0)
+    return held(poses, seen.sum(axis=1) >= 3)
+
+
+def _rigid(neutral: FloatArray, points: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return poses by Kabsch's rule, weighted ``(F, 7)``."""
+    whole = np.maximum(shares.sum(axis=1), 1e-300)[:, None]
+    middle = shares @ neutral / whole
+    target = np.einsum("fn,fni->fi", shares, points) / whole
+    away = neutral[None] - middle[:, None]
+    covariance = np.einsum("fn,fni,fnj->fij", shares, points - target[:, None], away)
+    u, _, vt = np.linalg.svd(covariance)
+    signs = np.ones((len(points), 3))
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    turns = from_matrix((u * signs[:, None]) @ vt)
+    return np.concatenate([turns, target - rotate(turns, middle)], axis=1)
+
+
+def held(poses: FloatArray, good: BoolArray) -> FloatArray:
+    """Return poses, each that is not good as the good one before, or the first."""
+    if not good.any():
+        return poses
+    before = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
+    return np.asarray(poses[np.where(before < 0, int(np.argmax(good)), before)])
+
+
+def camera_pose(
+    neutral: FloatArray, pixels: FloatArray, camera: FloatArray
+) -> FloatArray | None:
+    """Return the pose of a head in front of a camera ``(7,)``; None where none is found.
+
+    Args:
+        neutral: Landmarks at rest ``(N, 3)``.
+        pixels: Where they are seen, free of lens distortion, NaN where missing
+            ``(N, 2)``.
+        camera: fx, fy, cx, cy [px].
+
+    References:
+        D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
+        1995.
+    """
+    seen = np.isfinite(pixels).all(axis=1)
+    if seen.sum() < 4:
+        return None
+    points, image = neutral[seen], (pixels[seen] - camera[2:]) / camera[:2]
+    middle = points.mean(axis=0)
+    inverse = np.linalg.pinv(np.c_[points - middle, np.ones(len(points))])
+    depth = np.ones(len(points))
+    rotation, shift = np.eye(3), np.zeros(3)
+    for _ in range(PERSPECTIVE_ROUNDS):
+        rows = inverse @ (image * depth[:, None])
+        lengths = np.linalg.norm(rows[:3], axis=0)
+        if not (np.isfinite(rows).all() and lengths.min() > 1e-12):
+            return None
+        scale = float(np.sqrt(lengths.prod()))
+        first, second = rows[:3, 0] / lengths[0], rows[:3, 1] / lengths[1]
+        u, _, vt = np.linalg.svd(np.stack([first, second, np.cross(first, second)]))
+        rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        shift = np.array([rows[3, 0], rows[3, 1], 1.0]) / scale
+        depth = 1.0 + (points - middle) @ rotation[2] / shift[2]
+    turn = from_matrix(rotation[None])[0]
+    return np.concatenate([turn, shift - rotation @ middle])

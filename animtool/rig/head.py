@@ -1,0 +1,72 @@
+"""The joints of a head, and rotations of a face as theirs."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths.so3 import conjugate, multiply
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Rig
+from animtool.units import UpAxis
+
+HEAD, LEFT_EYE, RIGHT_EYE = "head", "left eye", "right eye"
+_NAMES = {
+    HEAD: ("head",),
+    LEFT_EYE: ("eyel", "lefteye", "leye", "eyeleft", "eyeballl", "eyeballleft"),
+    RIGHT_EYE: ("eyer", "righteye", "reye", "eyeright", "eyeballr", "eyeballright"),
+}
+# From Y up, where a face looks along +Z, to Z up, where it looks along -Y.
+_Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+
+
+def head_joints(rig: Rig) -> dict[str, int]:
+    """Return the joints of a head and of its eyes, by part; what is not there is left out.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))
+    {'head': 0, 'left eye': 1}
+    """
+    found: dict[str, int] = {}
+    for j, joint in enumerate(rig.joints):
+        bare = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
+        for part, names in _NAMES.items():
+            if bare in names:
+                found.setdefault(part, j)
+    return found
+
+
+def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
+    """Return what a joint's local rotation is when it turns from rest ``(F, 4)``.
+
+    Joints above it are at rest.
+
+    Args:
+        rig: Whose joint it is.
+        joint: Its index.
+        rotations: In the frame of a face, X to its left, Y up, Z ahead ``(F, 4)``.
+    """
+    if rig.up is UpAxis.Z:
+        rotations = multiply(multiply(_Z_UP, rotations), conjugate(_Z_UP))
+    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    parent = rig.joints[joint].parent
+    own = rig.rest_rotations[joint]
+    if parent < 0:
+        return multiply(rotations, own)
+    above = rest.rotations[0, parent]
+    return multiply(multiply(conjugate(above), multiply(rotations, above)), own)
+
+
+def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
+    """Return what `local_rotations` makes these local rotations of ``(F, 4)``."""
+    rest = forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+    parent = rig.joints[joint].parent
+    made = multiply(local, conjugate(rig.rest_rotations[joint]))
+    if parent >= 0:
+        above = rest.rotations[0, parent]
+        made = multiply(multiply(above, made), conjugate(above))
+    if rig.up is UpAxis.Z:
+        made = multiply(multiply(conjugate(_Z_UP), made), _Z_UP)
+    return made

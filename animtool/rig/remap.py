@@ -1,0 +1,186 @@
+"""Remap files, ``*.remap.yaml``: names of shapes of one convention as those of another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Len
+
+from animtool._types import FloatArray
+from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.document import Document, read_document
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real, key
+from animtool.documents.names import nearest
+from animtool.rig.shapes import arkit_name
+
+
+class RemapEntryModel(FileModel):
+    """A shape of the source, and what its weight is on the target."""
+
+    source: Name = key("A shape of the source.", "Smile_L")
+    target: Name = key(
+        "The shape that it moves: of the rig, or by a name of ARKit.", "mouthSmileLeft"
+    )
+    gain: Real = key("What its weight is multiplied by.", 0.8, default=1.0)
+    offset: Real = key("What is added to that.", -0.1, default=0.0)
+    clamp: Pair | None = key(
+        "Least and largest value of the result. Not given: any.", [0, 1], default=None
+    )
+
+
+class RemapModel(FileModel):
+    """A remap file."""
+
+    remap: Literal["animtool/1"] = key(
+        "What the file is, and the version of its format.", "animtool/1"
+    )
+    shapes: Annotated[list[RemapEntryModel], Len(1)] = key(
+        "Which shape moves which. Weights of several sources of one target add up, and "
+        "a source may have several targets.",
+        [{"source": "Smile_L", "target": "mouthSmileLeft"}],
+    )
+    others: Literal["auto", "none"] = key(
+        "Shapes that the file does not name: `auto` pairs them by name, `none` leaves "
+        "them out.",
+        "none",
+        default="auto",
+    )
+    ignore: list[IgnoreModel] = key(
+        "Findings of `animtool validate` that are known and stay.",
+        [{"code": "FAC002", "why": "it is meant"}],
+        default=[],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RemapFile:
+    """A remap file that was read."""
+
+    document: Document
+    model: RemapModel
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeLink:
+    """What one shape of a source gives one of a target."""
+
+    source: int  # index of the shape
+    target: int  # index of the shape
+    gain: float = 1.0
+    offset: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeLinks:
+    """Which shapes of a target follow which of a source."""
+
+    links: tuple[ShapeLink, ...]
+    lost: tuple[str, ...]  # shapes of the source that move nothing
+    resting: tuple[str, ...]  # shapes of the target that nothing moves
+
+    def apply(self, weights: FloatArray, count: int) -> FloatArray:
+        """Return weights of the target ``(F, count)`` of those of the source."""
+        made = np.zeros((len(weights), count))
+        for link in self.links:
+            moved = link.gain * weights[:, link.source] + link.offset
+            made[:, link.target] += np.clip(moved, link.low, link.high)
+        return made
+
+
+def load_remap(path: Path | str) -> RemapFile:
+    """Return a remap file; names of shapes are checked by `link_shapes`.
+
+    Raises:
+        FormatError: It cannot be read or is malformed, with every fault.
+    """
+    return remap_of_document(read_document(Path(path)))
+
+
+def remap_of_document(document: Document) -> RemapFile:
+    """Return a document as a remap file (an entry twice, or a bad clamp: FAC002)."""
+    check_version(document, "remap")
+    model = validated(document, RemapModel)
+    taken: dict[tuple[str, str], int] = {}
+    for i, entry in enumerate(model.shapes):
+        pair = (entry.source, entry.target)
+        if pair in taken:
+            message = f"{entry.source!r} moves {entry.target!r} twice"
+            hint = f"leave it out here, or of shapes[{taken[pair]}]"
+            document.add("FAC002", ("shapes", i), message, hint)
+        taken.setdefault(pair, i)
+        if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
+            message = f"clamp goes from {entry.clamp[0]:g} down to {entry.clamp[1]:g}"
+            document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
+    document.check()
+    return RemapFile(document, model)
+
+
+def link_shapes(
+    source: Sequence[str], target: Sequence[str], remap: RemapFile | None = None
+) -> ShapeLinks:
+    """Return which shapes of a target follow which of a source, by name.
+
+    Names are equal, or ARKit's in any spelling: ``eyeBlink_L``, ``blendShape1.JawOpen``.
+
+    Raises:
+        FormatError: The source or the target has no shape that a file names (FAC001).
+    """
+    ours, theirs = _index(source), _index(target)
+    links: list[ShapeLink] = []
+    model = None if remap is None else remap.model
+    if remap is not None and model is not None:
+        document = remap.document
+        for i, entry in enumerate(model.shapes):
+            found = {}
+            for side, index in (("source", ours), ("target", theirs)):
+                name = getattr(entry, side)
+                at = index.get(name, index.get(arkit_name(name) or name))
+                if at is None:
+                    message = f"the {side} has no shape {name!r}"
+                    names = source if side == "source" else target
+                    document.add(
+                        "FAC001", ("shapes", i, side), message, nearest(name, names)
+                    )
+                else:
+                    found[side] = at
+            if len(found) == 2:
+                low, high = entry.clamp or (-np.inf, np.inf)
+                links.append(
+                    ShapeLink(
+                        *(found["source"], found["target"], entry.gain, entry.offset),
+                        low=low,
+                        high=high,
+                    )
+                )
+        document.check()
+    if model is None or model.others == "auto":
+        taken = {link.source for link in links}
+        full = {link.target for link in links}
+        for i, name in enumerate(source):
+            at = theirs.get(name, theirs.get(arkit_name(name) or name))
+            if at is not None and i not in taken and at not in full:
+                links.append(ShapeLink(i, at))
+                full.add(at)
+    moving = {link.source for link in links}
+    moved = {link.target for link in links}
+    return ShapeLinks(
+        tuple(links),
+        tuple(name for i, name in enumerate(source) if i not in moving),
+        tuple(name for i, name in enumerate(target) if i not in moved),
+    )
+
+
+def _index(names: Sequence[str]) -> Mapping[str, int]:
+    """Return shapes by every name that finds them, their own first."""
+    index = {name: i for i, name in enumerate(names)}
+    for i, name in enumerate(names):
+        known = arkit_name(name)
+        if known is not None:
+            index.setdefault(known, i)
+    return index
