@@ -21,9 +21,9 @@ from animtool.errors import Fault
 
 # What a value is, and so how files and the command line write it.
 Kind: TypeAlias = Literal[
-    "switch", "answer", "text", "file", "choice", "unit", "axis", "rate", "range",
-    "frame", "rest", "source_rest", "offsets", "length", "lengths", "count", "name",
-    "names", "angle", "amount", "seed", "codes", "severities", "processes",
+    "switch", "answer", "text", "file", "output", "choice", "unit", "axis", "rate",
+    "range", "frame", "rest", "source_rest", "offsets", "length", "lengths", "count",
+    "name", "names", "angle", "amount", "seed", "codes", "severities", "processes",
 ]  # fmt: skip
 
 
@@ -49,6 +49,7 @@ class Option:
     # Other options that it excludes, and how a refusal says so, if not the usual way.
     excludes: Mapping[str, str]
     goes_with: str  # another option that it wants, or none
+    lacking: str  # how a refusal says that it lacks that, if not the usual way
     scene: Key | None
     batch: Key | None
     help: str  # of the command line; empty where commands have another such option
@@ -74,6 +75,7 @@ def option(
     over_layer: str = "",
     excludes: Mapping[str, str] = NOTHING,
     goes_with: str = "",
+    lacking: str = "",
     scene: Key | None = None,
     batch: Key | None = None,
     both: Key | None = None,
@@ -97,6 +99,7 @@ def option(
         over_layer,
         excludes,
         goes_with,
+        lacking,
         scene or both,
         batch or both,
         help,
@@ -214,7 +217,8 @@ def clashes(record: Any) -> list[str]:
                 usual = f"{one.flag} and {given[other].flag} exclude each other"
                 messages.append(message or usual)
         if one.goes_with and one.goes_with not in given:
-            messages.append(f"{one.flag} goes with {options[one.goes_with].flag}")
+            usual = f"{one.flag} goes with {options[one.goes_with].flag}"
+            messages.append(one.lacking or usual)
     return messages
 
 

@@ -239,7 +239,7 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
     """Return the rule of a plug-in, or what is wrong with it."""
     what = f"the plug-in rule {point.name!r} ({point.value})"
     try:
-        rule = load_plugin(point, Rule, "VAL004")
+        rule = load_plugin(point, Rule, "IO003")
         rule.load()
     except OptionError as error:
         return error.faults[0]
@@ -247,9 +247,9 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
         # Its module may do anything when it is imported.
         hint = "mend or remove the plug-in"
         message = f"{what} has a check that cannot be loaded: {error}"
-        return Fault("VAL004", message, hint=hint)
+        return Fault("IO003", message, hint=hint)
     wrong = _wrong(point.name, rule)
-    return Fault("VAL004", f"{what} {wrong}") if wrong else rule
+    return Fault("IO003", f"{what} {wrong}") if wrong else rule
 
 
 def _wrong(name: str, rule: Rule) -> str:

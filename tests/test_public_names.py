@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -28,3 +31,14 @@ def test_no_module_takes_the_place_of_a_public_name(face: str) -> None:
         name for name in module.__all__ if name not in {"edit", "ik", "sim", "usd"}
     }
     assert not names & modules
+
+
+@pytest.mark.slow(seconds=20)
+def test_a_script_of_a_user_passes_pyright(root: Path) -> None:
+    if find_spec("pyright") is None:
+        pytest.skip("pyright is not installed: pip install 'animtool[types]'")
+    command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable]
+    done = subprocess.run(
+        command, cwd=root, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout

@@ -128,6 +128,6 @@ def test_rules_of_plug_ins(
         assert not broken
         assert rules["STU001"].title == GOOD.title
     else:
-        assert [fault.code for fault in broken] == ["VAL004"]
+        assert [fault.code for fault in broken] == ["IO003"]
         assert word in broken[0].message
         assert rules == own_rules()

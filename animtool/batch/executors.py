@@ -130,7 +130,7 @@ def find_executor(name: str) -> Executor:
         return EXECUTORS[name]
     points = plugin_points(PLUGIN_GROUP)
     if name in points:
-        return load_plugin(points[name], Executor, "BAT032")
+        return load_plugin(points[name], Executor, "IO003")
     hint = nearest(name, sorted({*EXECUTORS, *points}))
     message = f"no executor is named {excerpt(name)}"
     raise OptionError(Fault("BAT030", message, hint=hint))
@@ -196,7 +196,7 @@ def dask(work: Work) -> Iterator[Outcome]:
     if importlib.util.find_spec("distributed") is None:
         message = "the executor dask needs the package distributed"
         hint = "pip install 'animtool[farm]'"
-        raise OptionError(Fault("BAT034", message, hint=hint))
+        raise OptionError(Fault("IO005", message, hint=hint))
     return _outcomes(work, _address(Path(about)) if file else about)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,16 +21,16 @@ from animtool.batch.records import (
     LineWriter,
     RecordError,
     list_in,
+    number_in,
     object_of,
     text_in,
     texts_in,
     whole_in,
 )
-from animtool.batch.score_records import scores_in
 from animtool.errors import Fault
 from animtool.files import FileState, open_input
 from animtool.output import replacing
-from animtool.scores import PassScores
+from animtool.scores import PassScores, Score, ScoreUnit
 
 # What names, digests and clocks can be.
 MAX_DIGEST = 200
@@ -277,3 +278,39 @@ def rewrite_manifest(
         writer.claim(known)
         for record in items:
             writer.add(record)
+
+
+def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
+    """Return the scores that `PassScores.as_dict` wrote; none without the key."""
+    if key not in record:
+        return ()
+    return tuple(_pass_scores(object_of(one)) for one in list_in(record, key))
+
+
+def _pass_scores(plain: Mapping[str, Any]) -> PassScores:
+    names = object_of(plain.get("names"))
+    return PassScores(
+        tuple(_score(object_of(one)) for one in _some(plain, "scores")),
+        {what: tuple(texts_in(names, what)) for what in names},
+        text_in(plain, "pass"),
+        text_in(plain, "where"),
+    )
+
+
+def _some(plain: Mapping[str, Any], key: str) -> Sequence[Any]:
+    entries = list_in(plain, key)
+    if not entries:
+        raise RecordError(f"{key!r} is empty")
+    return entries
+
+
+def _score(plain: Mapping[str, Any]) -> Score:
+    unit = text_in(plain, "unit")
+    if unit not in {*ScoreUnit}:
+        raise RecordError(f"{unit!r} is no unit of a score")
+    value, usual, ideal = (
+        number_in(plain, key, -math.inf) for key in ("value", "usual", "ideal")
+    )
+    if usual <= ideal:
+        raise RecordError("'usual' is not above 'ideal'")
+    return Score(text_in(plain, "name"), value, ScoreUnit(unit), usual, ideal)

@@ -156,7 +156,7 @@ def read_timeline(path: Path) -> Any:
     except ModuleNotFoundError as error:
         message = "cut lists need the package OpenTimelineIO"
         hint = "pip install 'animtool[otio]'"
-        raise OptionError(Fault("BAT040", message, hint=hint)) from error
+        raise OptionError(Fault("IO005", message, hint=hint)) from error
     check_text(path)
     try:
         timeline = otio.adapters.read_from_file(str(path))

@@ -201,6 +201,7 @@ def _of_scene(name: str) -> Callable[[str], Any]:
 _TYPES: dict[str, tuple[Any, str | None]] = {
     "text": (str, None),
     "file": (INPUT, "FILE"),
+    "output": (FILE, None),
     "unit": (click.Choice(["m", "cm", "mm", "in"]), None),
     "axis": (click.Choice(["Y", "Z"], case_sensitive=False), None),
     "rate": (RATE, "RATE"),
@@ -255,8 +256,16 @@ def declared(
         return click.option(flags, name, default=None, help=option.help)
     if option.choices and option.kind != "name":
         chosen = click.Choice(option.choices)
-        usual = option.choices[0] if option.kind == "switch" else None
-        return click.option(flag, name, type=chosen, default=usual, help=option.help)
+        usual = option.choices[0] if option.kind == "switch" else default
+        shows = option.kind != "switch" and default is not None
+        return click.option(
+            flag,
+            name,
+            type=chosen,
+            default=usual,
+            show_default=shows,
+            help=option.help,
+        )
     if option.kind == "switch":
         return click.option(flag, name, is_flag=True, help=option.help)
     if option.kind == "count":

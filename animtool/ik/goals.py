@@ -214,12 +214,13 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         near = similar(goal.joint, rig.names)
         hint = f"did you mean {near}?" if near else None
         message = f"no joint of {rig.name!r} is {excerpt(goal.joint)}"
-        faults.append(Fault("IK001", message, where=where, hint=hint))
+        faults.append(Fault("TGT001", message, where=where, hint=hint))
     faults += _root_faults(goal, rig, where)
     weights = np.array(goal.weights, np.float64)
     if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
         message = "weights are numbers from 0, one of them more than 0"
-        faults.append(Fault("IK002", message, where=where))
+        code = "TGT007" if weights.any() else "TGT002"
+        faults.append(Fault(code, message, where=where))
     if not (isinstance(goal.priority, int) and goal.priority >= 0):
         message = f"its priority is a whole number from 0, not {goal.priority!r}"
         faults.append(Fault("IK002", message, where=where))
@@ -237,7 +238,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         message = f"its offset is beyond {FARTHEST:g} m, or no number"
         faults.append(Fault("IK002", message, where=where))
     if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
-        faults.append(Fault("IK002", "its aim axis is not of length 1", where=where))
+        faults.append(Fault("TGT008", "its aim axis is not of length 1", where=where))
     return faults
 
 
@@ -246,13 +247,13 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         return []
     if goal.root not in rig.names:
         message = f"no joint of {rig.name!r} is {excerpt(goal.root)}"
-        return [Fault("IK001", message, where=where)]
+        return [Fault("TGT001", message, where=where)]
     if goal.joint not in rig.names:
         return []
     if rig.index(goal.root) in rig.upwards(rig.index(goal.joint)):
         return []
     message = f"its root {goal.root!r} is not above {goal.joint!r}"
-    return [Fault("IK007", message, where=where)]
+    return [Fault("TGT012", message, where=where)]
 
 
 def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:

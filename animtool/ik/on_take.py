@@ -270,7 +270,7 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
         if not matches:
             message = f"no joint of {whole.name!r} is {pattern!r}"
             hint = nearest(pattern, whole.names)
-            faults.append(Fault("IK001", message, hint=hint))
+            faults.append(Fault("TGT001", message, hint=hint))
         names |= matches
     if faults:
         raise OptionError(faults)

@@ -81,13 +81,15 @@ def build(
             give way by about as much.
 
     Raises:
-        OptionError: With every fault: a joint that the rig lacks (IK001), a goal that
-            asks for nothing or in numbers that are not finite (IK002), a goal that no
-            joint moves (IK003), a pole without a limb of two bones (IK004), reversed
-            limits (IK005), no goals (IK006), a goal's root that is not above its joint
-            (IK007), a limb that is soft or stretches but slides, has a root that is
-            moved, or shares its bones with another that stretches (IK008), or a bone
-            longer than numbers have squares for (IK009).
+        OptionError: With every fault: a joint that the rig lacks (TGT001), a goal that
+            asks for nothing (TGT002), a weight that is not finite or less than 0
+            (TGT007), an aim axis not of length 1 (TGT008), another option out of its
+            range (IK002), a goal that no joint moves (IK003), a pole without a limb of
+            two bones (IK004), reversed limits (IK005), no goals (IK006), a goal's root
+            that is not above its joint (TGT012), a limb that is soft or stretches but
+            slides, has a root that is moved, or shares its bones with another that
+            stretches (IK008), a bone longer than numbers have squares for (IK009), or
+            ``rest_weight`` less than 0 (IK014).
         ValueError: ``pose`` does not fit the rig.
 
     >>> from animtool.rig.skeleton import Joint, JointType
@@ -140,11 +142,11 @@ def _faults(
         faults += goal_faults(goal, rig, f"goals[{i}]")
     if isinstance(joints, str):
         message = f"joints are a list of names, such as [{joints!r}], not text"
-        faults.append(Fault("IK001", message))
+        faults.append(Fault("TGT001", message))
         joints = ()
     for name in joints or ():
         if name not in names:
-            faults.append(Fault("IK001", f"no joint of {rig.name!r} is {name!r}"))
+            faults.append(Fault("TGT001", f"no joint of {rig.name!r} is {name!r}"))
     faults += rest_faults(rest_weight)
     for joint in rig.joints:
         if _reversed(joint.limits):
@@ -160,7 +162,7 @@ def rest_faults(weight: float) -> list[Fault]:
     """Return what is wrong with a weight of the pose that is kept."""
     if np.isfinite(weight) and weight >= 0:
         return []
-    return [Fault("IK002", f"rest_weight must be at least 0, not {weight}")]
+    return [Fault("IK014", f"rest_weight must be at least 0, not {weight}")]
 
 
 def _reversed(limits: RangeLimit | BallLimit | None) -> bool:

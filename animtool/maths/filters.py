@@ -20,7 +20,7 @@ from animtool.maths import so3
 # tenth of the rate, less than a hundred-thousandth of the power.
 NOISE_ORDER = 8
 # Cut-offs that are tried, as shares of the rate.
-LEAST_SHARE, MOST_SHARE, TRIED = 0.005, 0.4, 24
+MIN_SHARE, MAX_SHARE, TRIED = 0.005, 0.4, 24
 # A filter that would leave more of the noise's power than this is left out.
 WORTH = 0.8
 # Median of a square of a normal number, by how many numbers are added [1]
@@ -126,7 +126,7 @@ def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None
     noise = noise_level(values) ** 2 * max(1, int((np.ptp(values, axis=0) > 0).sum()))
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
-    shares = np.geomspace(LEAST_SHARE, MOST_SHARE, TRIED)
+    shares = np.geomspace(MIN_SHARE, MAX_SHARE, TRIED)
     waves = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     errors = []
     for share in shares.tolist():

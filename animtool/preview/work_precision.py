@@ -64,7 +64,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Refuse a picture without matplotlib (SCN070), or of no such kind (SCN072)."""
+    """Refuse a picture without matplotlib (IO005), or of no such kind (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is no kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
@@ -103,7 +103,7 @@ def _figures() -> tuple[Any, Any, Any]:
     except ModuleNotFoundError as error:
         message = "pictures need the package matplotlib"
         hint = "pip install 'animtool[preview]'"
-        raise OptionError(Fault("SCN070", message, hint=hint)) from error
+        raise OptionError(Fault("IO005", message, hint=hint)) from error
     return mpl, figure, ticker
 
 

@@ -150,7 +150,7 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
         path: The file.
 
     Raises:
-        OptionError: The take has no such frame (TGT018).
+        OptionError: The take has no such frame (SCN013).
     """
     clock = take.clock
     if frame is None:
@@ -160,7 +160,7 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
         last = clock.start + clock.step * (clock.count - 1)
         message = f"frame {float(frame):g} is none of the frames "
         message += f"{float(clock.start):g} to {float(last):g}"
-        raise OptionError(Fault("TGT018", message, str(path)))
+        raise OptionError(Fault("SCN013", message, str(path)))
     return int(place)
 
 

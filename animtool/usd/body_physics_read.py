@@ -38,7 +38,7 @@ Y = AXES["Y"]
 ALIKE = 1e-5
 EARTH = 9.81  # [m/s²], where a scene does not say
 # What is read; more would fill the memory before anything is simulated.
-MOST = 100_000
+MAX_PRIMS = 100_000
 
 
 def read_bodies(path: Path, root: str, frame: float | None) -> Physics:
@@ -83,8 +83,8 @@ class _Reader:
         if not own:
             message = f"{excerpt(str(self.root.GetPath()))} holds no rigid body"
             Spot(str(self.path)).fail("SIM051", message, "apply PhysicsRigidBodyAPI")
-        if len(prims) > MOST:
-            message = f"there are {len(prims)} prims, and {MOST} are read at most"
+        if len(prims) > MAX_PRIMS:
+            message = f"there are {len(prims)} prims, and {MAX_PRIMS} are read at most"
             Spot(str(self.path)).fail("SIM051", message, "name a prim further down")
         names = distinct([str(prim.GetName()) for prim in own])
         places = {str(prim.GetPath()): k for k, prim in enumerate(own)}
@@ -355,7 +355,7 @@ class _Reader:
         limits, swing = self._limits(prim, kind)
         for name in ("breakForce", "breakTorque"):
             value = prim.GetAttribute(f"physics:{name}").Get()
-            if value is not None and math.isfinite(value) and value < MOST_FORCE:
+            if value is not None and math.isfinite(value) and value < MAX_FORCE:
                 self._note(prim, f"breaks by {name}: here it never does")
         return PhysicsJoint(
             str(prim.GetName()),
@@ -439,7 +439,7 @@ class _Reader:
             max(value(drives[0], "Damping"), 0.0) * gain,
             0.0 if ball else targets[0],
             so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
-            most * force if 0 < most < MOST_FORCE else None,
+            most * force if 0 < most < MAX_FORCE else None,
         )
 
 
@@ -462,4 +462,4 @@ ROUND = {"Sphere", "Capsule"}
 # Lengths, masses and rates of a shot are below this; it is far from overflowing.
 LARGEST = 1e12
 # What is meant to be without end is written as the largest of float32.
-MOST_FORCE = 1e37
+MAX_FORCE = 1e37

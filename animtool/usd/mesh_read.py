@@ -104,7 +104,8 @@ def _bind(query: Any, skeleton: Any, at: Spot) -> tuple[float, ...] | None:
         authored = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
     matrix = np.array(authored, np.float64).T
     if not np.isfinite(matrix).all():
-        at.fail("USD017", "its transform at bind time is not finite")
+        code = "USD235" if query.HasJointInfluences() else "USD017"
+        at.fail(code, "its transform at bind time is not finite")
     return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
 
 
@@ -118,7 +119,7 @@ def _mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = floats(PointReader(prim).attr, 3, at)
+    points = floats(PointReader(prim).attr, 3, at, "USD265")
     if not len(points):
         at.fail("USD017", "the mesh has no points")
     normals = None
@@ -181,12 +182,12 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: Spot) -> Skin:
             f"{len(indices)} jointIndices and {len(weights)} jointWeights for "
             f"{rows} x {width} influences"
         )
-        at.fail("USD017", message)
+        at.fail("USD231", message)
     if not np.isfinite(weights).all():
-        at.fail("USD017", "jointWeights hold a value that is not finite")
+        at.fail("USD233", "jointWeights hold a value that is not finite")
     names = joint_names(query, rig, at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
-        at.fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}")
+        at.fail("USD230", f"a jointIndex is not in 0 to {len(names) - 1}")
     shape = (points, width)
     method = str(query.GetSkinningMethod())
     return Skin(
@@ -207,12 +208,12 @@ def _shapes(
     targets = query.GetBlendShapeTargetsRel().GetTargets()
     if len(order) != len(targets):
         message = f"{len(order)} blendShapes for {len(targets)} targets"
-        Spot.of(where, query.GetPrim()).fail("USD017", message)
+        Spot.of(where, query.GetPrim()).fail("USD245", message)
     stage = query.GetPrim().GetStage()
     for target in targets:
         if not stage.GetPrimAtPath(target):
             message = f"a blendShapeTarget, {target}, does not exist"
-            Spot.of(where, query.GetPrim()).fail("USD017", message)
+            Spot.of(where, query.GetPrim()).fail("USD208", message)
     return [
         _shape(
             UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
@@ -227,24 +228,24 @@ def _shapes(
 
 def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     at = Spot.of(where, shape)
-    deltas = floats(shape.GetOffsetsAttr(), 3, at)
+    deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
     if not len(deltas) and len(array_value(shape.GetNormalOffsetsAttr())):
         # It turns normals alone.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
-        at.fail("USD017", f"{len(deltas)} offsets for {rows} points")
+        at.fail("USD240", f"{len(deltas)} offsets for {rows} points")
     if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:
-        at.fail("USD018", f"a pointIndex is not in 0 to {points - 1}")
+        at.fail("USD241", f"a pointIndex is not in 0 to {points - 1}")
 
     def rows_of(attr: Any) -> HeldArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
-        values = floats(attr, 3, at)
+        values = floats(attr, 3, at, "USD243")
         if len(values) != rows:
             at.fail(
-                "USD017",
+                "USD242" if attr.GetName().endswith("normalOffsets") else "USD240",
                 f"{attr.GetName()} has {counted(len(values), 'row')}, not {rows}",
             )
         return HeldArray(values)
@@ -254,7 +255,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         weight, offsets = step.GetWeight(), rows_of(step.GetAttr())
         if weight is None or offsets is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
-            at.fail("USD017", message)
+            at.fail("USD240" if offsets is None else "USD244", message)
         normals = rows_of(step.GetNormalOffsetsAttr())
         between.append(Inbetween(float(weight), offsets, normals))
     return Shape(
@@ -307,7 +308,7 @@ def _carrier(query: Any, rig: SkeletonRig, at: Spot) -> str | None:
     names = joint_names(query, rig, at)
     if not 0 <= indices[0] < len(names):
         message = f"a jointIndex is not in 0 to {len(names) - 1}"
-        at.fail("USD018", message)
+        at.fail("USD230", message)
     return names[int(indices[0])]
 
 
@@ -316,12 +317,12 @@ def _points(curves: Any, query: Any, at: Spot) -> FloatArray | None:
     counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = floats(PointReader(curves.GetPrim()).attr, 3, at)
+    values = floats(PointReader(curves.GetPrim()).attr, 3, at, "USD265")
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
     if not np.isfinite(matrix).all():
-        at.fail("USD017", "geomBindTransform is not finite")
+        at.fail("USD235", "geomBindTransform is not finite")
     return transformed(values, matrix).reshape(len(counts), -1, 3)
 
 

@@ -62,13 +62,13 @@ def unique_name(name: str, used: set[str]) -> str:
     return unique
 
 
-def floats(attr: Any, width: int, at: Spot) -> FloatArray:
-    """Return the rows of an attribute ``(N, width)``."""
+def floats(attr: Any, width: int, at: Spot, code: str = "USD017") -> FloatArray:
+    """Return the rows of an attribute ``(N, width)``; ``code``: of one not finite."""
     # Points that are sampled only are those of the first sample.
     values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} hold a value that is not finite"
-        at.fail("USD017", message)
+        at.fail(code, message)
     return values
 
 
@@ -80,7 +80,7 @@ def joint_names(query: Any, rig: SkeletonRig, at: Spot) -> tuple[str, ...]:
     unknown = [token for token in tokens if token not in index]
     if unknown:
         message = f"{unknown[0]!r} is no joint of the Skeleton"
-        at.fail("USD018", message)
+        at.fail("USD238", message)
     return tuple(rig.rig.names[index[token]] for token in tokens)
 
 

@@ -118,6 +118,84 @@ class ValidateOptions:
         )
 
 
+FORMATS = ("text", "json", "github", "sarif", "junit")
+_FOR_FIX = "is for --fix, which writes"
+_NO_REPORT = "--diff writes a diff, not a report: no --format"
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """What to do about findings: fix or show them, where, and the exit code.
+
+    Attributes:
+        strict: Warnings end the command with 1, too.
+        exit_zero: It ends with 0 whatever is found.
+        fix: Fix what has a safe remedy.
+        output: Where the repaired copy of one USD file goes; None is in place.
+        overwrite: Replace the output, or without one USD files themselves.
+        diff: Show what a fix would change, and write nothing.
+        report_format: One of `FORMATS`.
+        output_file: Where the report goes; None is stdout.
+    """
+
+    strict: bool = option(
+        False, "switch", "--strict", help="End with 1 where there are warnings."
+    )
+    exit_zero: bool = option(
+        False, "switch", "--exit-zero", help="End with 0 whatever is found."
+    )
+    fix: bool = option(
+        False,
+        "switch",
+        "--fix",
+        help="Fix in place what has a safe remedy in rigs, clips, scenes and targets, "
+        "and report what is left. A USD file needs -o or --overwrite; BVH is not "
+        "written.",
+    )
+    output: Path | None = option(
+        None,
+        "output",
+        "--output",
+        short="-o",
+        goes_with="fix",
+        lacking=f"-o {_FOR_FIX}",
+        help="With --fix and one USD file: write the repaired copy there.",
+    )
+    overwrite: bool = option(
+        False,
+        "switch",
+        "--overwrite",
+        goes_with="fix",
+        lacking=f"--overwrite {_FOR_FIX}",
+        help="With --fix: replace the file of -o; without -o, USD files themselves.",
+    )
+    diff: bool = option(
+        False,
+        "switch",
+        "--diff",
+        excludes={
+            "output": f"-o {_FOR_FIX}",
+            "overwrite": f"--overwrite {_FOR_FIX}",
+            "report_format": _NO_REPORT,
+            "output_file": _NO_REPORT,
+        },
+        help="Show what --fix would change, and write nothing.",
+    )
+    report_format: str = option(
+        "text",
+        "choice",
+        "--format",
+        choices=FORMATS,
+        help="text, JSON, annotations of GitHub, SARIF 2.1.0 or JUnit XML.",
+    )
+    output_file: Path | None = option(
+        None,
+        "output",
+        "--output-file",
+        help="Write the report there, and what it comes to on stderr.",
+    )
+
+
 def _best(code: str, beginnings: Iterable[str]) -> str | None:
     """Return the longest of the beginnings of a code, in its own or an old spelling."""
     matching = [b for b in beginnings if code.startswith(current_codes(b))]

@@ -147,7 +147,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(OptionError) as error:
         dask(work(tmp_path, "tcp://127.0.0.1:1"))
-    assert error.value.code == "BAT034"
+    assert error.value.code == "IO005"
 
 
 def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:

@@ -322,7 +322,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "opentimelineio", None)
     with pytest.raises(OptionError) as error:
         read_cuts(tmp_path / "a.otio")
-    assert error.value.code == "BAT040"
+    assert error.value.code == "IO005"
 
 
 def test_an_edl(takes: Path) -> None:

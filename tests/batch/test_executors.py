@@ -170,7 +170,7 @@ def test_executors_of_plug_ins(
         return
     with pytest.raises(OptionError) as error:
         find_executor(name)
-    assert error.value.code == "BAT032"
+    assert error.value.code == "IO003"
 
 
 def test_one_that_there_is_none_of() -> None:

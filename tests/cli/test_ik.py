@@ -185,7 +185,7 @@ def test_one_pose(place: Path) -> None:
     assert "1 converged" in done.stderr
     done = run(place, "-t", "feet.targets.yaml", "--clip", STRIDE, "--pose", "99")
     assert done.code == 2
-    assert "TGT018 frame 99 is none of the frames 1 to 24" in done.stderr
+    assert "SCN013 frame 99 is none of the frames 1 to 24" in done.stderr
 
 
 def test_a_layer_over_a_rig_in_usd(place: Path) -> None:
@@ -312,7 +312,7 @@ def test_targets_beyond_numbers_are_missed_by_words(place: Path) -> None:
 
 def test_joints_that_the_rig_lacks_are_a_fault_of_its_file(place: Path) -> None:
     done = run(place, "-t", "reach.targets.yaml", "--joints", "elbow_q")
-    assert f"{BIPED}: IK001 no joint of 'biped' is 'elbow_q'" in done.stderr
+    assert f"{BIPED}: TGT001 no joint of 'biped' is 'elbow_q'" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -161,7 +161,7 @@ def test_outputs_that_exist_are_kept(place: Path) -> None:
         (("-o", "stride.targets.json"), "OUT004"),
         (("-o", "none/stride.targets.yaml"), "OUT002"),
         (("--chains", "leg_*,lag_l"), "TGT001"),
-        (("--pose", "25"), "TGT018"),
+        (("--pose", "25"), "SCN013"),
         (("--clip", "samples/walk/walk.bvh"), "TGT017"),
     ],
 )

@@ -327,7 +327,7 @@ def test_without_matplotlib_nothing_is_measured(
     picture = comets.with_name("a.png")
     done = animtool("bake", comets, "--table", "--plot", picture)
     assert (done.code, done.stdout) == (2, "")
-    assert "SCN070" in done.stderr
+    assert "IO005" in done.stderr
     assert "animtool[preview]" in done.stderr
 
 

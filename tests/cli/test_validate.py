@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from support.cli import animtool, animtool_process
 
-from animtool.cli.validate import FORMATS
 from animtool.errors import Severity
 from animtool.rules import Kind, Rule, own_rules
 from animtool.validation.formats import FORMATS as WRITERS
+from animtool.validation.options import FORMATS
 
 RIG = "rig: animtool/1\nname: leg\njoints:\n- {name: knee, type: pin, axis: [1, 0, 0]"
 WARNED, RIGHT, WRONG = f"{RIG}, limits: [1, 9]}}\n", f"{RIG}}}\n", f"{RIG}, a: 1}}\n"
@@ -29,6 +29,23 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_forms_are_those_that_there_are() -> None:
     assert list(FORMATS) == list(WRITERS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "a.usda"], "-o is for --fix, which writes."),
+        (["--overwrite", "--fix", "--diff"], "--overwrite is for --fix, which writes."),
+        (["--diff", "--format", "json"], "--diff writes a diff, not a report"),
+        (["--diff", "--output-file", "a"], "--diff writes a diff, not a report"),
+    ],
+)
+def test_options_of_reports_that_exclude_each_other(
+    arguments: list[str], message: str
+) -> None:
+    done = animtool("validate", "none.rig.yaml", *arguments)
+    assert done.code == 2
+    assert message in done.stderr
 
 
 @pytest.mark.parametrize("form", FORMATS)

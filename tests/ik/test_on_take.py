@@ -185,7 +185,7 @@ def test_a_chain_that_cannot_move_is_refused(tmp_path: Path) -> None:
     assert fault.path == str(tracks.path)
     with pytest.raises(OptionError, match="did you mean 'tail'") as caught:
         solve_take(take, tracks, TakeOptions(joints=("tale",)))
-    assert caught.value.code == "IK001"
+    assert caught.value.code == "TGT001"
 
 
 def test_limits_that_are_reversed_are_refused(tmp_path: Path) -> None:

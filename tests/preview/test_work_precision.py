@@ -137,7 +137,7 @@ def test_without_matplotlib_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(OptionError) as error:
         check_drawable(Path("a.png"))
-    assert error.value.code == "SCN070"
+    assert error.value.code == "IO005"
     assert error.value.faults[0].hint == "pip install 'animtool[preview]'"
 
 

@@ -82,7 +82,7 @@ def test_chains_and_limits_of_another_rig(place: Path) -> None:
         (f"{{targets: feet.targets.yaml, seed: {2**64}}}", ["IK014"]),
         (
             "{targets: feet.targets.yaml, rest_weight: -1, restarts: -1, smooth: -1}",
-            ["IK002", "IK014", "IK014"],
+            ["IK014", "IK014", "IK014"],
         ),
         ("{targets: feet.targets.yaml, goals: []}", ["SCN001"]),
     ],

@@ -234,18 +234,18 @@ def test_a_scale_that_rigs_do_not_hold_is_said(tmp_path: Path, name: str) -> Non
 
 
 FAULTS = [
-    ("body", "primvars:skel:jointIndices", Vt.IntArray([0]), "USD017"),
-    ("body", "primvars:skel:jointIndices", Vt.IntArray([9] * 80), "USD018"),
-    ("body", "primvars:skel:jointWeights", Vt.FloatArray([np.nan] * 80), "USD017"),
+    ("body", "primvars:skel:jointIndices", Vt.IntArray([0]), "USD231"),
+    ("body", "primvars:skel:jointIndices", Vt.IntArray([9] * 80), "USD230"),
+    ("body", "primvars:skel:jointWeights", Vt.FloatArray([np.nan] * 80), "USD233"),
     ("body", "points", Vt.Vec3fArray(0), "USD017"),
-    ("body", "points", Vt.Vec3fArray([(0, 0, np.inf)] * 40), "USD017"),
+    ("body", "points", Vt.Vec3fArray([(0, 0, np.inf)] * 40), "USD265"),
     ("body", "faceVertexCounts", Vt.IntArray([4]), "USD017"),
     ("body", "faceVertexCounts", Vt.IntArray(0), "USD017"),
     ("body", "faceVertexIndices", Vt.IntArray([99] * 111), "USD018"),
-    ("body/jaw", "pointIndices", Vt.IntArray([77] * 10), "USD018"),
-    ("body/jaw", "offsets", Vt.Vec3fArray([(0, 0, 0)]), "USD017"),
-    ("body/jaw", "inbetweens:step_1", Vt.Vec3fArray([(0, 0, 0)]), "USD017"),
-    ("body", "skel:blendShapes", Vt.TokenArray(["one"]), "USD017"),
+    ("body/jaw", "pointIndices", Vt.IntArray([77] * 10), "USD241"),
+    ("body/jaw", "offsets", Vt.Vec3fArray([(0, 0, 0)]), "USD240"),
+    ("body/jaw", "inbetweens:step_1", Vt.Vec3fArray([(0, 0, 0)]), "USD240"),
+    ("body", "skel:blendShapes", Vt.TokenArray(["one"]), "USD245"),
 ]
 
 

@@ -49,7 +49,7 @@ def with_data_of_text(layer: Any) -> None:
     [
         (with_vectors, "USD200"),
         (with_words, "USD229"),
-        (with_a_lost_shape, "USD017"),
+        (with_a_lost_shape, "USD208"),
         (with_data_of_text, ""),
     ],
 )

@@ -126,7 +126,7 @@ def test_a_shape_without_any_offsets_stays_an_error(tmp_path: Path) -> None:
     assert "USD240" in [fault.code for fault in validate(face)]
     with pytest.raises(FormatError) as caught:
         Rig.load(face)
-    assert caught.value.code == "USD017"
+    assert caught.value.code == "USD240"
 
 
 def test_an_animation_that_only_names_joints_is_at_rest(tmp_path: Path) -> None:

@@ -228,9 +228,9 @@ def test_curves_that_are_no_strands_are_said(
 @pytest.mark.parametrize(
     ("name", "value", "code"),
     [
-        ("points", Vt.Vec3fArray([(np.nan, 0, 0)] * 20), "USD017"),
-        ("skel:joints", Vt.TokenArray(["elsewhere"]), "USD018"),
-        ("primvars:skel:jointIndices", Vt.IntArray([4]), "USD018"),
+        ("points", Vt.Vec3fArray([(np.nan, 0, 0)] * 20), "USD265"),
+        ("skel:joints", Vt.TokenArray(["elsewhere"]), "USD238"),
+        ("primvars:skel:jointIndices", Vt.IntArray([4]), "USD230"),
     ],
 )
 def test_what_does_not_fit_is_refused(

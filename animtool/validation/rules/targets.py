@@ -13,22 +13,46 @@ from itertools import combinations
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.documents.document import Document, read_document
+from animtool.documents.document import Document, Location, read_document
 from animtool.errors import Fault, listed
+from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Span, Still, Value
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rules import Kind
 from animtool.take import Take
 from animtool.units import LengthUnit, unit_name
 from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.scene import SceneSubject
-from animtool.validation.subjects.targets import TargetsSubject
+from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Of many goals that ask the same, the first pairs say all.
 MAX_PAIRS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class TargetsSubject(DocumentSubject):
+    """What is asked of a rig, and the file that says it."""
+
+    targets: TargetTracks  # what it makes, of a rig that is not known
+
+    def outside(
+        self, goal: int, key: Location, message: str, first: float, last: float
+    ) -> Fault:
+        """Return a fault of what lies outside the file's range (TGT201)."""
+        message += f"; the range is {first:g} to {last:g}"
+        hint = "widen the range, or leave it out"
+        return self.fault("TGT201", ("goals", goal, *key), message, hint)
+
+
+def open_targets(document: Document) -> CheckedFile:
+    """Return a targets file as its rules see it."""
+    targets = targets_of_document(document, None)
+    subject = TargetsSubject(document, targets)
+    return CheckedFile(Kind.TARGETS, list(targets.notices), subject)
 
 
 def outside_range(subject: TargetsSubject) -> Iterator[Fault]:

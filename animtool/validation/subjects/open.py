@@ -68,7 +68,7 @@ _OPENERS = {
     Kind.RIG: "animtool.validation.subjects.rig:open_rig",
     Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
-    Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
+    Kind.TARGETS: "animtool.validation.rules.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
     Kind.MARKERS: "animtool.validation.subjects.open:open_markers",
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
