@@ -6,7 +6,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    runtime_checkable,
+)
 
 import numpy as np
 
@@ -16,9 +24,11 @@ from animtool.sim.colliders import Colliders, MovingBodies, Poses
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
-from animtool.sim.trials.trial import Setting
 from animtool.systems.fields import Member
 from animtool.systems.surfaces import Bodies, RigidSystem, Surface
+
+if TYPE_CHECKING:
+    from animtool.sim.trials.trial import Setting
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.
@@ -125,8 +135,8 @@ class Simulation(Protocol[State]):
 
     One whose frames take long has an attribute ``checked``, True: its steps raise
     where numbers do not stay finite (SIM102), and frames are not made to see that.
-    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Tried`, and, where
-    others run into it, `RigidSystem` or `Skinned`. One with an attribute
+    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Resumed`, `Tried`,
+    and, where others run into it, `RigidSystem` or `Skinned`. One with an attribute
     ``step_length`` [s] chose that step itself.
     """
 
@@ -175,6 +185,14 @@ class SeenAhead(Protocol[State_contra]):
         """Take note of the state that it ends in, before the first frame is shown."""
 
 
+@runtime_checkable
+class Resumed(Protocol[State_contra]):
+    """A simulation whose states must fit in more than the shapes of their arrays."""
+
+    def misfit(self, state: State_contra, t: float) -> str:
+        """Return why it cannot go on from a state of a file; empty where it can."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ways:
     """In what ways a system is simulated for a table of time against error."""
@@ -207,7 +225,10 @@ def growing(axis: int = 0) -> dict[str, Any]:
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that is None at first: later one of some records, or a number."""
+    """Mark a field that is None at first: later a number, or one of some records.
+
+    ``np.ndarray`` among these is an array.
+    """
     return {"later": records}
 
 

@@ -22,6 +22,7 @@ from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.simulation import (
     EntryRun,
     Joined,
+    Resumed,
     Simulation,
     SimulationRun,
 )
@@ -106,7 +107,7 @@ def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[Entry
     run = run_entries(members, opening)
     for member in members:
         if member.setup.resume is not None:
-            run.state = read_state(member.setup.resume, clocked(member, run), run.state)
+            _resume(run, member)
             break
     if not isinstance(run.simulation, Joined):
         return [run]
@@ -115,6 +116,20 @@ def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[Entry
         EntryRun(member.name, run, view)
         for member, view in zip(members, views, strict=True)
     ]
+
+
+def _resume(run: SimulationRun, member: SceneSystem) -> None:
+    """Go on from the state of a file."""
+    path = member.setup.resume
+    assert path is not None
+    run.state = read_state(path, clocked(member, run), run.state)
+    if isinstance(run.simulation, Resumed):
+        t = run.time(run.state.steps)
+        why = run.simulation.misfit(run.state.state, t)
+        if why:
+            raise OptionError(
+                Fault("SIM035", f"its state does not fit: {why}", str(path))
+            )
 
 
 def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
