@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -61,13 +60,8 @@ class Stepped(Generic[State]):
     wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
 
 
-class Carrier(Protocol):
-    """What carries others: a joint, a vertex or a prim in motion."""
-
-    file: Path
-
-
-class SimContext(Protocol):
+@dataclass(frozen=True, slots=True)
+class SimContext:
     """What a simulation may ask for while it is built.
 
     Attributes:
@@ -80,44 +74,22 @@ class SimContext(Protocol):
             of what has a shape, the record of a `RecordModel`, and of other models such
             parts again, with the ``poses`` of those that are placed. Plain values are
             in the spec alone.
+        poses: Returns where a part that carries others is over time.
         budget: Most evaluations of a step; None is the usual one.
         members: Entries that are simulated as one: of kinds that cannot be joined, one.
-        clock: Told the time that was reached in a long call [s].
+        clock: Returns what is told the time that was reached in a long call [s].
+        phase: Returns what long work before the first step tells the share done.
     """
 
-    @property
-    def begin(self) -> float:
-        """Time of its first step [s]."""
-
-    @property
-    def last(self) -> float:
-        """The last time that will be asked for [s]."""
-
-    @property
-    def colliders(self) -> Colliders:
-        """All that its entry says it runs into."""
-
-    @property
-    def parts(self) -> Mapping[str, Any]:
-        """What other keys of its entry are read as, by key, a list for a list."""
-
-    @property
-    def budget(self) -> int | None:
-        """Most evaluations of a step; None is the usual one."""
-
-    @property
-    def members(self) -> Sequence[Member]:
-        """Entries that are simulated as one."""
-
-    @property
-    def clock(self) -> Progress:
-        """Told the time that was reached in a long call [s]."""
-
-    def phase(self) -> Progress:
-        """Return what long work before the first step tells the share done, 0 to 1."""
-
-    def poses(self, carrier: Carrier) -> Poses:
-        """Return where a part that carries others is over time."""
+    begin: float
+    last: float
+    colliders: Colliders
+    parts: Mapping[str, Any]
+    poses: Callable[[Any], Poses]
+    budget: int | None = None
+    members: Sequence[Member] = ()
+    clock: Callable[[], Progress] = lambda: None
+    phase: Callable[[], Progress] = lambda: None
 
 
 class SystemView(Protocol[State_contra]):

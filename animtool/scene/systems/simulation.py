@@ -11,18 +11,17 @@ from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
-from animtool.scene.systems.carriers import Carrier
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
 from animtool.scene.systems.saved import Clocked, read_state
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.sim.colliders import Colliders, Poses
-from animtool.systems.fields import Member, SystemSpec
+from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.simulation import (
     EntryRun,
     Joined,
     Resumed,
+    SimContext,
     Simulation,
     SimulationRun,
 )
@@ -74,32 +73,6 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
         raise FormatError(list(map(put, error.faults))) from error
     except ToleranceError as error:
         raise ToleranceError(list(map(put, error.faults))) from error
-
-
-@dataclass(frozen=True, slots=True)
-class Context:
-    """What a build may ask for, as `SimContext` says."""
-
-    begin: float
-    last: float
-    colliders: Colliders
-    parts: Mapping[str, Any]
-    budget: int | None
-    members: Sequence[Member]
-    opening: Opening
-
-    @property
-    def clock(self) -> Progress:
-        """Told the time that was reached in a long call [s]."""
-        return self.opening.clock(self.begin)
-
-    def phase(self) -> Progress:
-        """Return what long work before the first step tells the share done, 0 to 1."""
-        return self.opening.phase()
-
-    def poses(self, carrier: Carrier) -> Poses:
-        """Return where a part that carries others is over time."""
-        return carrier.poses(self.opening.characters)
 
 
 def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
@@ -156,16 +129,21 @@ def run_entries(
     around = Surroundings.of([setup.around for setup in setups])
     colliders = around.built(opening.characters, opening.opened)
     build = cast(
-        Callable[[SystemSpec, Context], Simulation[Any]],
+        Callable[[SystemSpec, SimContext], Simulation[Any]],
         load_object(SYSTEM_KINDS[members[0].kind].build),
     )
-    entries = [member_of(member) for member in members]
-    simulation = build(
-        spec,
-        Context(
-            begin, opening.last, colliders, setups[0].parts, budget, entries, opening
-        ),
+    context = SimContext(
+        begin,
+        opening.last,
+        colliders,
+        setups[0].parts,
+        lambda carrier: carrier.poses(opening.characters),
+        budget,
+        [member_of(member) for member in members],
+        lambda: opening.clock(begin),
+        opening.phase,
     )
+    simulation = build(spec, context)
     name = " + ".join(member.name for member in members)
     step = getattr(simulation, "step_length", spec.step)
     run = SimulationRun(name, simulation, begin, step)

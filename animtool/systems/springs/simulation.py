@@ -115,7 +115,7 @@ class SpringSimulation:
         self._take_note(self._run(start, begin), begin)
         self.measure(start)
         self.begun = self.stretch
-        self.clock = context.clock
+        self.clock = context.clock()
 
     def _fine_enough(
         self, options: SpringOptions, context: SimContext
