@@ -119,7 +119,7 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
         facts.step,
         facts.colliders,
         list(dict.fromkeys(name for name, _ in setup.joined)),
-        list(dict.fromkeys(name for name, _ in setup.needs)),
+        list(dict.fromkeys(name for name, _ in setup.around.needs)),
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
         scene.path in setup.files,
         system.place.line,

@@ -182,18 +182,6 @@ class SystemSetup:
         return () if self.spec.save is None else (self.spec.save,)
 
     @property
-    def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that are to be there before it, and where they are named."""
-        named: tuple[tuple[str, Location], ...] = self.around.needs
-        return named
-
-    @property
-    def pushes(self) -> tuple[tuple[str, Location], ...]:
-        """Systems whose bodies it pushes, and where that is said."""
-        named: tuple[tuple[str, Location], ...] = self.around.pushes
-        return named
-
-    @property
     def files(self) -> tuple[Path, ...]:
         """Files that are read along with the scene."""
         characters = (one.file for one in self.around.characters)
@@ -222,11 +210,6 @@ class SystemSetup:
         """What it is made of, in numbers."""
         counts, step = self._told.counts, self.spec.step
         return SystemFacts(counts, self.method, step, self.around.count)
-
-    @property
-    def preroll(self) -> float:
-        """Time before 0 s that it begins in [s]."""
-        return self.spec.preroll
 
 
 @dataclass(frozen=True, slots=True)

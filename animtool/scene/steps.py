@@ -201,7 +201,8 @@ def _system_steps(scene: Scene, outputs: Sequence[_Output]) -> list[Step]:
 
 def _system_step(scene: Scene, system: SceneSystem) -> Step:
     setup, where = system.setup, system.place.where
-    reads = setup.reads
+    # The scene's own character has the file of the scene.
+    reads = tuple(one for one in setup.reads if one != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
     return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
 

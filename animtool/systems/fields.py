@@ -91,7 +91,7 @@ class PrimMeshModel(FileModel):
 
 
 class _CarrierModel(FileModel):
-    """What carries others; a part is a `Carrier`, for `SimContext.poses`."""
+    """What carries others; a part is for `SimContext.poses`."""
 
     offset: Vector | None = key(
         "Where in its frame the particles are held [m]; the whole system "

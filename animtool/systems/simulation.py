@@ -5,8 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    runtime_checkable,
+)
 
 import numpy as np
 
@@ -16,9 +23,11 @@ from animtool.sim.colliders import Colliders, MovingBodies, Poses
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
-from animtool.sim.trials.trial import Setting
 from animtool.systems.fields import Member
 from animtool.systems.surfaces import Bodies, RigidSystem, Surface
+
+if TYPE_CHECKING:
+    from animtool.sim.trials.trial import Setting
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.
@@ -51,13 +60,8 @@ class Stepped(Generic[State]):
     wrenches: Sequence[Wrenches] = ()  # of each of the colliders' `bodies`
 
 
-class Carrier(Protocol):
-    """What carries others: a joint, a vertex or a prim in motion."""
-
-    file: Path
-
-
-class SimContext(Protocol):
+@dataclass(frozen=True, slots=True)
+class SimContext:
     """What a simulation may ask for while it is built.
 
     Attributes:
@@ -70,44 +74,22 @@ class SimContext(Protocol):
             of what has a shape, the record of a `RecordModel`, and of other models such
             parts again, with the ``poses`` of those that are placed. Plain values are
             in the spec alone.
+        poses: Returns where a part that carries others is over time.
         budget: Most evaluations of a step; None is the usual one.
         members: Entries that are simulated as one: of kinds that cannot be joined, one.
-        clock: Told the time that was reached in a long call [s].
+        clock: Returns what is told the time that was reached in a long call [s].
+        phase: Returns what long work before the first step tells the share done.
     """
 
-    @property
-    def begin(self) -> float:
-        """Time of its first step [s]."""
-
-    @property
-    def last(self) -> float:
-        """The last time that will be asked for [s]."""
-
-    @property
-    def colliders(self) -> Colliders:
-        """All that its entry says it runs into."""
-
-    @property
-    def parts(self) -> Mapping[str, Any]:
-        """What other keys of its entry are read as, by key, a list for a list."""
-
-    @property
-    def budget(self) -> int | None:
-        """Most evaluations of a step; None is the usual one."""
-
-    @property
-    def members(self) -> Sequence[Member]:
-        """Entries that are simulated as one."""
-
-    @property
-    def clock(self) -> Progress:
-        """Told the time that was reached in a long call [s]."""
-
-    def phase(self) -> Progress:
-        """Return what long work before the first step tells the share done, 0 to 1."""
-
-    def poses(self, carrier: Carrier) -> Poses:
-        """Return where a part that carries others is over time."""
+    begin: float
+    last: float
+    colliders: Colliders
+    parts: Mapping[str, Any]
+    poses: Callable[[Any], Poses]
+    budget: int | None = None
+    members: Sequence[Member] = ()
+    clock: Callable[[], Progress] = lambda: None
+    phase: Callable[[], Progress] = lambda: None
 
 
 class SystemView(Protocol[State_contra]):
@@ -125,8 +107,8 @@ class Simulation(Protocol[State]):
 
     One whose frames take long has an attribute ``checked``, True: its steps raise
     where numbers do not stay finite (SIM102), and frames are not made to see that.
-    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Tried`, and, where
-    others run into it, `RigidSystem` or `Skinned`. One with an attribute
+    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Resumed`, `Tried`,
+    and, where others run into it, `RigidSystem` or `Skinned`. One with an attribute
     ``step_length`` [s] chose that step itself.
     """
 
@@ -175,6 +157,14 @@ class SeenAhead(Protocol[State_contra]):
         """Take note of the state that it ends in, before the first frame is shown."""
 
 
+@runtime_checkable
+class Resumed(Protocol[State_contra]):
+    """A simulation whose states must fit in more than the shapes of their arrays."""
+
+    def misfit(self, state: State_contra, t: float) -> str:
+        """Return why it cannot go on from a state of a file; empty where it can."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ways:
     """In what ways a system is simulated for a table of time against error."""
@@ -207,7 +197,10 @@ def growing(axis: int = 0) -> dict[str, Any]:
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that is None at first: later one of some records, or a number."""
+    """Mark a field that is None at first: later a number, or one of some records.
+
+    ``np.ndarray`` among these is an array.
+    """
     return {"later": records}
 
 

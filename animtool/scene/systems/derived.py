@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import (
@@ -32,7 +32,9 @@ from animtool.systems.fields import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
+    CharacterModel,
     GaitsModel,
+    MovingMeshModel,
     Part,
     PhysicsStageModel,
     PlacedModel,
@@ -41,6 +43,7 @@ from animtool.systems.fields import (
     RecordModel,
     SystemColliderModel,
     SystemSpec,
+    SystemSurfaceModel,
 )
 from animtool.units import UpAxis
 
@@ -123,25 +126,26 @@ class PartReader(EntryReader):
         self.carriers: list[Path] = []
 
     def parts(
-        self, at: Location, model: FileModel, skipped: Container[str] = ()
+        self, at: Location, model: FileModel, keys: Collection[str] | None = None
     ) -> dict[str, Any]:
-        """Return what the keys of a model are read as, by key; plain ones are left out.
+        """Return what keys of a model are read as, by key; plain ones are left out.
 
         A list has one of each entry, without those that faults leave none. A model in a
         model is such parts again, or its record, and what is placed has its ``poses``
         among them.
         """
         parts: dict[str, Any] = {}
-        self.note_ranges(at, model)
         check = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(at, model, model.code)
             parts["poses"] = self._sound(at, poses, check=check)
         for key, declared in type(model).model_fields.items():
+            if keys is not None and key not in keys:
+                continue
             value = getattr(model, key)
             placing = isinstance(model, PlacedModel) and key in PLACING
             read = self._reader(declared.annotation, declared.metadata, check=check)
-            if key in skipped or placing or read is None or value is None:
+            if placing or read is None or value is None:
                 continue
             if isinstance(value, list):
                 each = [read((*at, key, i), entry) for i, entry in enumerate(value)]
@@ -152,6 +156,7 @@ class PartReader(EntryReader):
 
     def _entry(self, at: Location, model: FileModel) -> Any:
         """Return the parts of a model, or its record; None where faults leave none."""
+        self.note_ranges(at, model)
         parts = self.parts(at, model)
         if not isinstance(model, RecordModel):
             return parts
@@ -193,6 +198,9 @@ class PartReader(EntryReader):
                 CarryingVertexModel: self.carrying_vertex,
                 CarryingPrimModel: self.carrying_prim,
                 SystemColliderModel: self.collider,
+                CharacterModel: self.met,
+                SystemSurfaceModel: self.surface,
+                MovingMeshModel: self.mesh,
             }
             own = (
                 read for kind, read in models.items() if issubclass(annotation, kind)
@@ -335,7 +343,7 @@ class PartReader(EntryReader):
         return part
 
 
-_AROUND = {"colliders", "characters", "systems", "meshes"}
+AROUND = ("colliders", "characters", "systems", "meshes")
 
 
 def read_spec(
@@ -346,26 +354,17 @@ def read_spec(
     What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
     into, where the spec has them; other keys are read as their types say.
     """
-    outside, reader = EntryReader(document, roots), PartReader(document, roots)
-
-    def entries(key: str) -> tuple[Location, Any]:
-        return (*at, key), getattr(spec, key, [])
-
-    colliders = outside.colliders(*entries("colliders"))
+    outside, reader = PartReader(document, roots), PartReader(document, roots)
+    met = outside.parts(at, spec, AROUND[:1])
     # Systems that are named are looked for, whatever else makes no sense.
     sound = outside.sound
-    characters = outside.characters(*entries("characters"))
-    surfaces = outside.surfaces(*entries("systems"))
-    meshes = outside.meshes(*entries("meshes"))
-    parts = reader.parts(at, spec, _AROUND)
+    met |= outside.parts(at, spec, AROUND[1:])
+    parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
+    reader.note_ranges(at, spec)
     record, faults = spec.made(parts)
     for fault in faults:
-        document.add(
-            fault.code,
-            (*at, *location_of(fault.where or "")),
-            fault.message,
-            fault.hint,
-        )
+        place = (*at, *location_of(fault.where or ""))
+        document.add(fault.code, place, fault.message, fault.hint)
     if reader.sound:
         reader.note_whole(at, spec, spec.faults(parts))
     resume = None
@@ -376,6 +375,9 @@ def read_spec(
     if record is None and (faults or not (sound and reader.sound)):
         return None
     followed = (*outside.files, *reader.files)
-    around = Surroundings(tuple(colliders), characters, surfaces, meshes, followed)
+    colliders, characters, surfaces, meshes = (
+        tuple(met.get(key, ())) for key in AROUND
+    )
+    around = Surroundings(colliders, characters, surfaces, meshes, followed)
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, around, parts, record, at, carriers, resume)

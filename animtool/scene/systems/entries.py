@@ -154,24 +154,19 @@ class EntryReader:
         place = self.named(at, entry, PLACES, "place", "SIM021")
         return MeshSurface(place) if isinstance(place, Mesh) else place
 
-    def meshes(
-        self, at: Location, models: Sequence[MovingMeshModel]
-    ) -> tuple[MovingMesh, ...]:
-        """Return the meshes of USD files of entries, whose points may move."""
-        found = []
-        for i, model in enumerate(models):
-            path = self.input((*at, i, "file"), model.file)
-            if path is None:
-                continue
-            self.files.append(path)
-            mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
-            try:
-                for option, why in mesh.sheet().problems():
-                    self.note((*at, i, option), Fault("SIM020", why))
-            except AnimtoolError as error:
-                self.note((*at, i, "prim"), replace(error.faults[0], code="SIM051"))
-            found.append(mesh)
-        return tuple(found)
+    def mesh(self, at: Location, model: MovingMeshModel) -> MovingMesh | None:
+        """Return the mesh of a USD file, whose points may move."""
+        path = self.input((*at, "file"), model.file)
+        if path is None:
+            return None
+        self.files.append(path)
+        mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
+        try:
+            for option, why in mesh.sheet().problems():
+                self.note((*at, option), Fault("SIM020", why))
+        except AnimtoolError as error:
+            self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
+        return mesh
 
     def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
         """Return where an entry stands over time; None where what is noted leaves none.
@@ -232,35 +227,22 @@ class EntryReader:
             so3.multiply(turns, place[3:]),
         )
 
-    def characters(
-        self, at: Location, models: Sequence[CharacterModel]
-    ) -> tuple[CharacterCollider, ...]:
-        """Return characters, and what touching one does."""
-        found = []
-        for i, model in enumerate(models):
-            path = self.character((*at, i), model)
-            if path is None:
-                continue
-            given = model.model_dump(exclude={"file", "source"})
-            found.append(CharacterCollider(path, **given))
-            for option, why in found[-1].problems():
-                self.note((*at, i, option), Fault("SIM020", why))
-        return tuple(found)
+    def met(self, at: Location, model: CharacterModel) -> CharacterCollider | None:
+        """Return a character, and what touching it does."""
+        path = self.character(at, model)
+        if path is None:
+            return None
+        found = CharacterCollider(path, **model.model_dump(exclude={"file", "source"}))
+        for option, why in found.problems():
+            self.note((*at, option), Fault("SIM020", why))
+        return found
 
-    def surfaces(
-        self, at: Location, models: Sequence[SystemSurfaceModel]
-    ) -> tuple[SurfaceCollider, ...]:
-        """Return surfaces of the scene that entries name."""
-        surfaces = tuple(
-            SurfaceCollider(
-                one.system, one.restitution, one.friction, (*at, i), one.two_way
-            )
-            for i, one in enumerate(models)
-        )
-        for surface in surfaces:
-            for option, why in surface.problems():
-                self.note((*surface.at, option), Fault("SIM020", why))
-        return surfaces
+    def surface(self, at: Location, model: SystemSurfaceModel) -> SurfaceCollider:
+        """Return a surface of the scene that an entry names."""
+        found = SurfaceCollider(**dict(model), at=at)
+        for option, why in found.problems():
+            self.note((*at, option), Fault("SIM020", why))
+        return found
 
     def character(self, at: Location, model: NamedCharacter) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""

@@ -27,7 +27,7 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
         needs = {
             of[first[name]]
             for i in group
-            for name, _ in systems[i].setup.needs
+            for name, _ in systems[i].setup.around.needs
             if name in first
         }
         sorter.add(k, *sorted(needs))
@@ -40,12 +40,12 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     Those that they need, and what these need, each with what it is joined to.
     """
     groups = in_order(systems)
-    wanted = {name for i in group for name, _ in systems[i].setup.needs}
+    wanted = {name for i in group for name, _ in systems[i].setup.around.needs}
     found: list[int] = []
     for other in reversed(groups[: groups.index(list(group))]):
         if any(systems[i].name in wanted for i in other):
             found += other
-            wanted |= {name for i in other for name, _ in systems[i].setup.needs}
+            wanted |= {name for i in other for name, _ in systems[i].setup.around.needs}
     return sorted(found)
 
 
@@ -60,7 +60,7 @@ def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> lis
         more |= {
             i
             for i, system in enumerate(systems)
-            if any(name in names for name, _ in system.setup.pushes)
+            if any(name in names for name, _ in system.setup.around.pushes)
         }
         if more == found:
             return sorted(found)
@@ -90,9 +90,9 @@ def check_links(
         setup = system.setup
         for name, at in setup.joined:
             sound &= _check_name(document, at, name, system, systems, names, "weldable")
-        for name, at in setup.needs:
+        for name, at in setup.around.needs:
             sound &= _check_name(document, at, name, system, systems, names, "surface")
-        for name, at in setup.pushes if sound else ():
+        for name, at in setup.around.pushes if sound else ():
             sound &= _check_name(document, at, name, system, systems, names, "rigid")
     sound = sound and _check_circles(document, systems)
     for group in in_order(systems) if sound else ():
@@ -134,7 +134,7 @@ def _check_circles(document: Document, systems: Sequence[SceneSystem]) -> bool:
         groups = _groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
         for system in systems:
-            for name, at in system.setup.needs if system.name in members else ():
+            for name, at in system.setup.around.needs if system.name in members else ():
                 if name in members:
                     message = f"{listed(sorted(members))} run into each other in a "
                     message += "circle"

@@ -250,7 +250,7 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
     faults = []
     for system in systems:
         step = system.setup.facts.step or LONGEST_STEP
-        seconds = max(last, 0.0) + system.setup.preroll
+        seconds = max(last, 0.0) + system.setup.spec.preroll
         if seconds / step > MAX_STEPS:
             message = f"{plain(seconds)} s in steps of {plain(step)} s are "
             message += f"{seconds / step:.3g} steps, and {MAX_STEPS} are run at most"

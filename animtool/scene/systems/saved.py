@@ -176,7 +176,7 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
     """Return a part that the first state lacks; None where these arrays do, too.
 
     Raises:
-        TypeError: It is neither a number nor one of the records.
+        TypeError: It is none of the records, and no number or array where those may be.
     """
     held = {
         name.removeprefix(f"{above}."): values if values.ndim else values.item()
@@ -185,9 +185,12 @@ def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
     }
     if not held:
         return None
-    if not records and isinstance(held.get(above), float):
-        return held[above]
+    (first, *more) = held.values()
+    if above in held and not more and type(first) in (records or (float,)):
+        return first
     for record in records:
+        if record is np.ndarray:
+            continue
         hints = get_type_hints(record)
         kinds = {
             name: float if hint is float else np.ndarray for name, hint in hints.items()

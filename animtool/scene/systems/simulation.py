@@ -11,17 +11,17 @@ from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
-from animtool.scene.systems.carriers import Carrier
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
 from animtool.scene.systems.saved import Clocked, read_state
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.sim.colliders import Colliders, Poses
-from animtool.systems.fields import Member, SystemSpec
+from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.simulation import (
     EntryRun,
     Joined,
+    Resumed,
+    SimContext,
     Simulation,
     SimulationRun,
 )
@@ -75,38 +75,12 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
         raise ToleranceError(list(map(put, error.faults))) from error
 
 
-@dataclass(frozen=True, slots=True)
-class Context:
-    """What a build may ask for, as `SimContext` says."""
-
-    begin: float
-    last: float
-    colliders: Colliders
-    parts: Mapping[str, Any]
-    budget: int | None
-    members: Sequence[Member]
-    opening: Opening
-
-    @property
-    def clock(self) -> Progress:
-        """Told the time that was reached in a long call [s]."""
-        return self.opening.clock(self.begin)
-
-    def phase(self) -> Progress:
-        """Return what long work before the first step tells the share done, 0 to 1."""
-        return self.opening.phase()
-
-    def poses(self, carrier: Carrier) -> Poses:
-        """Return where a part that carries others is over time."""
-        return carrier.poses(self.opening.characters)
-
-
 def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
     """Return what is simulated as one, each entry at its beginning."""
     run = run_entries(members, opening)
     for member in members:
         if member.setup.resume is not None:
-            run.state = read_state(member.setup.resume, clocked(member, run), run.state)
+            _resume(run, member)
             break
     if not isinstance(run.simulation, Joined):
         return [run]
@@ -115,6 +89,20 @@ def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[Entry
         EntryRun(member.name, run, view)
         for member, view in zip(members, views, strict=True)
     ]
+
+
+def _resume(run: SimulationRun, member: SceneSystem) -> None:
+    """Go on from the state of a file."""
+    path = member.setup.resume
+    assert path is not None
+    run.state = read_state(path, clocked(member, run), run.state)
+    if isinstance(run.simulation, Resumed):
+        t = run.time(run.state.steps)
+        why = run.simulation.misfit(run.state.state, t)
+        if why:
+            raise OptionError(
+                Fault("SIM035", f"its state does not fit: {why}", str(path))
+            )
 
 
 def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
@@ -141,16 +129,21 @@ def run_entries(
     around = Surroundings.of([setup.around for setup in setups])
     colliders = around.built(opening.characters, opening.opened)
     build = cast(
-        Callable[[SystemSpec, Context], Simulation[Any]],
+        Callable[[SystemSpec, SimContext], Simulation[Any]],
         load_object(SYSTEM_KINDS[members[0].kind].build),
     )
-    entries = [member_of(member) for member in members]
-    simulation = build(
-        spec,
-        Context(
-            begin, opening.last, colliders, setups[0].parts, budget, entries, opening
-        ),
+    context = SimContext(
+        begin,
+        opening.last,
+        colliders,
+        setups[0].parts,
+        lambda carrier: carrier.poses(opening.characters),
+        budget,
+        [member_of(member) for member in members],
+        lambda: opening.clock(begin),
+        opening.phase,
     )
+    simulation = build(spec, context)
     name = " + ".join(member.name for member in members)
     step = getattr(simulation, "step_length", spec.step)
     run = SimulationRun(name, simulation, begin, step)

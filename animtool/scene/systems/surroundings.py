@@ -160,6 +160,7 @@ class Surroundings:
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
+            *(one.file.name for one in self.characters),
             *(one.system for one in self.surfaces),
             *(mesh.prim for mesh in self.meshes),
         ]

@@ -104,7 +104,7 @@ def _trial(
     return Trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
-        float(times[-1]) + max(member.setup.preroll for member in members),
+        float(times[-1]) + max(member.setup.spec.preroll for member in members),
         ways.chosen,
         ways.settings,
         ways.references,

@@ -14,7 +14,6 @@ from animtool.documents.names import nearest
 from animtool.errors import Fault, listed
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.simulation import Carrier
 from animtool.systems.springs import Air, Pins, Targets
 from animtool.systems.springs.bodies import BodyEntry, SpringBody
 from animtool.systems.springs.paths import over_knots
@@ -36,14 +35,14 @@ class Pin:
     # Where they are over time, from where they begin: times, and ways ``(K, 4)`` [s,
     # m]; None where they stay, or something carries them.
     moves: FloatArray | None = None
-    carrier: Carrier | None = None  # what carries them
+    carrier: Any = None  # what carries them, for `SimContext.poses`
     # Where in its frame they are [m]; None is where they are at 0 s.
     offset: tuple[float, float, float] | None = None
     # Of springs that draw them [N/m]; None where they are held.
     stiffness: float | None = None
     damping: float = 0.0  # likewise [N s/m]
 
-    def poses(self, poses_of: Callable[[Carrier], Poses]) -> Poses:
+    def poses(self, poses_of: Callable[[Any], Poses]) -> Poses:
         """Return the frame that they are in over time, as what carries them is."""
         if self.carrier is not None:
             return poses_of(self.carrier)

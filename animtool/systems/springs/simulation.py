@@ -35,7 +35,7 @@ from animtool.systems.springs.drawing import Faces, TornMesh
 from animtool.systems.springs.motion import Grid, warning
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
-from animtool.systems.springs.solvers import choose
+from animtool.systems.springs.solvers import ADVANCE, choose
 from animtool.systems.springs.system import SpringSystem
 
 # Times of a whole motion that are compared with those of one in half steps.
@@ -115,7 +115,7 @@ class SpringSimulation:
         self._take_note(self._run(start, begin), begin)
         self.measure(start)
         self.begun = self.stretch
-        self.clock = context.clock
+        self.clock = context.clock()
 
     def _fine_enough(
         self, options: SpringOptions, context: SimContext
@@ -184,8 +184,11 @@ class SpringSimulation:
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
         """Return a motion that goes on from a state at its time [s]."""
+        return SpringRun(self.system, self.options, self._grid(state, t), self.clock)
+
+    def _grid(self, state: SpringState, t: float) -> Grid:
         choice, begin = self._choice, self._begin
-        grid = Grid(
+        return Grid(
             choice.solver,
             begin,
             choice.cell,
@@ -198,7 +201,17 @@ class SpringSimulation:
             state.least,
             passages=state.passages,
         )
-        return SpringRun(self.system, self.options, grid, self.clock)
+
+    def misfit(self, state: SpringState, t: float) -> str:
+        """Return why kernels cannot go on from a state; empty where they can."""
+        grid = self._grid(state, t)
+        try:
+            ADVANCE[grid.solver](self.system, self.options, grid, 0)
+        except ValueError as error:
+            return str(error)
+        except (TypeError, OverflowError):
+            return "a whole number of it is out of bounds"
+        return ""
 
     def _take_note(self, run: SpringRun, reached: float) -> None:
         """Count what a motion took, and stop where it ended."""

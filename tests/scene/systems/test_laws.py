@@ -152,6 +152,15 @@ def test_chunks_and_parts_show_what_the_whole_shows(
             values(stage, code, values(whole, code, None))
 
 
+def test_what_is_resumed_goes_on_as_the_whole(kind: str, simulator: Simulator) -> None:
+    saved = entry(kind, save="half.npz", save_at=5)
+    whole, _ = simulator.baked(saved, BakeOptions())
+    late = BakeOptions(frame_range=span(5, 9))
+    rest, _ = simulator.baked(entry(kind, resume="half.npz"), late)
+    for code in range(5, 10):
+        values(rest, code, values(whole, code, None))
+
+
 def values(
     stage: Usd.Stage, code: float, expected: dict[str, Any] | None
 ) -> dict[str, Any]:

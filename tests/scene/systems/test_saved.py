@@ -208,3 +208,38 @@ def test_a_state_that_fits_no_particles_is_refused(tmp_path: Path, case: str) ->
     with pytest.raises(FormatError, match="SIM035") as error:
         opened(tmp_path, **keys, resume="half.npz")
     assert word in error.value.faults[0].message
+
+
+ROPE = {
+    "from": [0, 1, 0],
+    "to": [1, 1, 0],
+    "count": 5,
+    "mass": 1,
+    "springs": {"structural": {"stiffness": 100}},
+    "solver": "bdf2",
+}
+SPRINGS = {
+    "a state before of another shape": (
+        {"state/before": np.zeros((2, 3, 3))},
+        "before",
+    ),
+    "no step": ({"state/substeps": np.array(0)}, "substeps"),
+    "steps beyond bounds": ({"state/substeps": np.array(2**60)}, "out of bounds"),
+}
+
+
+@pytest.mark.parametrize("case", SPRINGS)
+def test_a_state_that_springs_cannot_go_on_from_is_refused(
+    tmp_path: Path, case: str
+) -> None:
+    (system,) = Simulator(tmp_path).scene([{"rope": ROPE}]).systems
+    (rope,) = open_systems([system], 0.5)
+    rope.at(0.25)
+    write_state(tmp_path / "half.npz", clocked(system, rope.run), rope.run.state)
+    changes, word = SPRINGS[case]
+    other(tmp_path / "half.npz", **changes)
+    resumed = [{"rope": {**ROPE, "resume": "half.npz"}}]
+    with pytest.raises(FormatError) as error:
+        open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
+    assert error.value.code == "SIM035"
+    assert word in error.value.faults[0].message
