@@ -1,4 +1,4 @@
-"""Gravity by pytreegrav, on one thread: seconds and errors by opening angle, as JSON."""
+"""Gravity by pytreegrav on one thread: seconds and errors by angle, as JSON."""
 
 import json
 import sys

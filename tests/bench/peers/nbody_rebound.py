@@ -1,4 +1,4 @@
-"""Gravity by rebound: seconds and errors by opening angle, as JSON; 0 is its direct sum.
+"""Gravity by rebound: seconds and errors by angle, as JSON; 0 is its direct sum.
 
 What is timed is a step of leapfrog, which has one sum, and updates the tree before.
 """
