@@ -118,10 +118,10 @@ class Molecules:
 
         size = self._placing.size
         x = start.motion[0] % size
-        distances, others = cKDTree(x % size, boxsize=size).query(x, [2])
-        i = int(np.argmin(distances[:, 0]))
-        one, other = sorted((i, int(others[i, 0])))
-        message = f"atoms {one} and {other} begin {distances[i, 0]:.3g} nm apart"
+        distances, others = cKDTree(x % size, boxsize=size).query(x, 2)
+        i = int(np.argmin(distances[:, 1]))
+        one, other = sorted(others[i].tolist())
+        message = f"atoms {one} and {other} begin {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or give a larger box"
         refuse(message, "species", hint)
 

@@ -122,7 +122,7 @@ class MoleculesModel(SystemSpec):
     damping: NotNegative = key(
         "Of charges: their force is that of the damped shifted force (Fennell and "
         "Gezelter), damped by erfc of this times the distance [1/nm].",
-        2,
+        3,
         default=2.0,
     )
     skin: NotNegative = key(

@@ -37,10 +37,11 @@ from animtool.systems.nbody.galaxies import (
 from animtool.systems.nbody.spec import BodiesModel, NbodyModel
 from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
 
-# Most of the phase of a close pair that a step goes through [rad]: 25 steps around.
-PHASE = 0.25
+# Most of the phase of a close pair that a step goes through [rad]: softened, whose pull
+# ends at a distance, and without, where energies at a meeting are a hundredfold.
+PHASE, BARE_PHASE = 0.15, 0.03
 # It is looked at before steps; within them it may become this many times as much.
-LATITUDE = 2.0
+LATITUDE = 1.5
 # Energy gained or lost, in what there was of either kind, from which on it blew up.
 GROWTH = 0.5
 # Bodies whose accelerations by the tree are compared with direct sums.
@@ -98,6 +99,7 @@ class Nbody:
             attractors,
         )
         self._begin = context.begin
+        self._phase = PHASE if spec.softening else BARE_PHASE
         start = self.initial()
         system = GravitySystem(self.gravity, start.motion, start.pulls, math.inf)
         check_fit(Equations(system), check_options(self._options))
@@ -134,7 +136,9 @@ class Nbody:
         while True:
             if parts > self._spec.substeps:
                 raise self._encounter(t, state.motion[0], state.pulls.rates, dt)
-            limit = (LATITUDE * PHASE * parts / dt) ** 2 if self._fixed else math.inf
+            limit = (
+                (LATITUDE * self._phase * parts / dt) ** 2 if self._fixed else math.inf
+            )
             system = GravitySystem(self.gravity, state.motion, state.pulls, limit)
             options = replace(self._options, step=dt / parts if self._fixed else dt)
             begin = Checkpoint(t, state.motion)
@@ -165,7 +169,7 @@ class Nbody:
         """Return how many parts of a step follow the closest pair, a power of two."""
         if not self._fixed or not len(rates):
             return 1
-        phase = dt * math.sqrt(float(rates.max())) / PHASE
+        phase = dt * math.sqrt(float(rates.max())) / self._phase
         return 2 ** max(math.ceil(math.log2(phase)), 0) if phase > 1 else 1
 
     def _encounter(
@@ -178,7 +182,7 @@ class Nbody:
         )
         message += f"for steps of {dt / most:.3g} s"
         masses = self.gravity.masses[i] + self.gravity.masses[j]
-        widest = (LATITUDE * PHASE * most / dt) ** 2
+        widest = (PHASE * most / dt) ** 2
         enough = (self.gravity.constant * masses / widest) ** (1 / 3)
         hint = f"give softening: {1.05 * enough:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
