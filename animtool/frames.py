@@ -41,7 +41,7 @@ class CurvesFrame:
 
 @dataclass(frozen=True, slots=True)
 class MeshFrame:
-    """A polygon mesh whose faces never change."""
+    """A polygon mesh whose faces never change, unless it tears."""
 
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
@@ -49,6 +49,7 @@ class MeshFrame:
     indices: IntArray  # corners, face by face
     closed: bool = False  # whether only its outside is visible
     primvars: Primvars = field(default_factory=dict)
+    tears: bool = False  # whether faces may be others in another frame
 
 
 @dataclass(frozen=True, slots=True)

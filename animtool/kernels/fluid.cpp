@@ -263,8 +263,9 @@ double pull(double q) {
 class Steps {
  public:
   Steps(const Rule& rule, std::vector<Collider> colliders, std::vector<std::int32_t> owners,
-        std::vector<Body> bodies, double step)
+        std::vector<Body> bodies, double step, double sound)
       : rule_(rule),
+        sound_(sound),
         colliders_(std::move(colliders)),
         owners_(std::move(owners)),
         bodies_(std::move(bodies)),
@@ -292,6 +293,9 @@ class Steps {
   // Takes the parts of the step one after the other.
   void run(std::size_t parts) {
     const double h = step_ / static_cast<double>(parts);
+    // As stiff in short parts as in long ones, up to what is stable.
+    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
+    relaxed_ = RELAXED * share * share;
     for (std::size_t k = 0; k < parts; ++k) {
       const double share = static_cast<double>(k + 1) / static_cast<double>(parts);
       predict(h);
@@ -488,7 +492,7 @@ class Steps {
       sum += over;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      place_[i].w = over > 0 ? -RELAXED * over / std::max(steepness, LEAST * inverse * inverse) : 0.0;
+      place_[i].w = over > 0 ? -relaxed_ * over / std::max(steepness, LEAST * inverse * inverse) : 0.0;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
@@ -635,6 +639,8 @@ class Steps {
   };
 
   const Rule rule_;
+  const double sound_;
+  double relaxed_ = 0;
   const std::vector<Collider> colliders_;
   const std::vector<std::int32_t> owners_;
   std::vector<Body> bodies_;
@@ -671,7 +677,8 @@ fluid::Rule rule_of(double spacing, double density, double viscosity, double coh
 FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
-                         double viscosity, double cohesion, double step, std::int64_t parts) {
+                         double viscosity, double cohesion, double sound, double step,
+                         std::int64_t parts) {
   const std::size_t count = state.shape(1), pushed = bodies.shape(0);
   std::vector<collide::Collider> made = read_colliders(colliders);
   check::shape("owners", owners, {made.size()});
@@ -681,6 +688,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   check::shape("state", state, {2, check::ANY, 3});
   check::shape("accelerations", accelerations, {count, 3});
   check::at_most("state", count, check::MOST_ROWS);
+  check::positive("sound", sound);
   check::positive("step", step);
   check::between("parts", parts, 1, 1 << 24);
   const fluid::Rule rule = rule_of(spacing, density, viscosity, cohesion);
@@ -696,7 +704,7 @@ FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
   {
     nb::gil_scoped_release release;
     fluid::Steps steps(rule, std::move(made), {owners.data(), owners.data() + owners.size()},
-                       std::move(moved), step);
+                       std::move(moved), step, sound);
     steps.begin(state.data(), accelerations.data(), count);
     steps.run(static_cast<std::size_t>(parts));
     steps.store_state(result.get(), pressures.get());
@@ -720,7 +728,7 @@ Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, d
   {
     nb::gil_scoped_release release;
     const std::vector<std::int32_t> owners(made.size(), -1);
-    fluid::Steps steps(rule, std::move(made), owners, {}, 1);
+    fluid::Steps steps(rule, std::move(made), owners, {}, 1, 1);
     std::vector<double> state(6 * count, 0.0), none(3 * count, 0.0);
     std::copy_n(points.data(), 3 * count, state.data());
     steps.begin(state.data(), none.data(), count);

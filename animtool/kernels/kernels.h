@@ -166,7 +166,8 @@ Out<double, 2> travel_distances(In<bool, 2> free, double cell, In<std::int64_t, 
 FluidStepped fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners,
                          In<double, 2> bodies, In<double, 3> state,
                          In<double, 2> accelerations, double spacing, double density,
-                         double viscosity, double cohesion, double step, std::int64_t parts);
+                         double viscosity, double cohesion, double sound, double step,
+                         std::int64_t parts);
 
 Out<double, 1> fluid_densities(ColliderArrays colliders, In<double, 2> points, double spacing);
 

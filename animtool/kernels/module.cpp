@@ -169,14 +169,15 @@ Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, nega
 ways out and velocities of the surfaces ``(C, N, 3)``.)");
 
   m.def("fluid_steps", &fluid_steps, "colliders"_a, "owners"_a, "bodies"_a, "state"_a,
-        "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "cohesion"_a, "step"_a,
-        "parts"_a,
+        "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "cohesion"_a, "sound"_a,
+        "step"_a, "parts"_a,
         R"(Where N particles of a fluid are a step [s] later, in some parts of it.
 
 ``state`` is positions and velocities ``(2, N, 3)``, ``accelerations`` ``(N, 3)`` [m/s²] last
 for the step, ``colliders`` move over it. ``owners`` names the body that each collider is
 of, -1 for none ``(C,)``. ``bodies`` ``(B, 13)``: the inverse mass [1/kg], the inverse inertia
-(xx, yy, zz, xy, xz, yz), and the centre of mass at both ends of the step [m].
+(xx, yy, zz, xy, xz, yz), and the centre of mass at both ends of the step [m]. ``sound`` is how fast
+pressure goes [m/s], up to a spacing in a part.
 
 Returns ``(state, pressures, impulses, compression)``: pressures are means over the step
 ``(N,)`` [Pa]; impulses on bodies ``(2, B, 6)`` [N s] with moments about the origin, and

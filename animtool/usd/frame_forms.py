@@ -19,7 +19,7 @@ from animtool.frames import (
     TransformsFrame,
 )
 from animtool.maths import so3
-from animtool.maths.faces import vertex_normals
+from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.layers import (
     attribute,
     author_order,
@@ -139,6 +139,10 @@ class _Mesh(FrameForm[MeshFrame]):
             "faceVertexIndices": frame.indices.astype(np.int32),
         }
 
+    def tears(self, frame: MeshFrame) -> bool:
+        """Return whether its faces may be others."""
+        return frame.tears
+
     def describe(self, writer: Writer, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
         """Write that it is no cage, and whether both sides are visible."""
         author_faces(spec, "none", closed=frame.closed)
@@ -150,8 +154,11 @@ class _Mesh(FrameForm[MeshFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return bounds and normals; the faces are those of the first frame."""
-        normals = vertex_normals(frame.points, writer.triangles)
+        """Return bounds and normals; what does not tear has the first frame's faces."""
+        faces = writer.triangles
+        if frame.tears:
+            faces = triangulated(frame.counts, frame.indices)
+        normals = vertex_normals(frame.points, faces)
         return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
 
 

@@ -129,6 +129,11 @@ IONS = OFFSET + so3.rotate(
     ),
 )
 
+# Eight drops, nearly on a lattice, that fall on a floor.
+DROPS = OFFSET + 0.1 * np.array(
+    [[x, y, z] for x in (0.0, 1.02) for y in (0.1, 0.97) for z in (-0.03, 1.0)]
+)
+
 DOOR = np.add(OFFSET, [0.3, 0.6, 0.2])
 
 
@@ -391,6 +396,55 @@ EXAMPLES = {
                 }
             ],
         },
+    ),
+    "fluid": Example(
+        {
+            "spacing": Length(0.1),
+            "fills": [{"points": Point(DROPS)}],
+            "emitters": [
+                {
+                    "at": Point(np.add(OFFSET, [0.6, 0.2, 0.1])),
+                    "rotate": TILTED,
+                    "moves": MOVES,
+                    "size": [Length(0.1), Length(0.1)],
+                    "speed": Length(1.6),
+                    "opens": Spans([[0.03125, 0.1875], [0.3125, 9.0]]),
+                }
+            ],
+            "drains": [
+                {
+                    "shape": {"box": {"size": [Length(3.0)] * 3}},
+                    "at": Point(OFFSET),
+                    "container": True,
+                }
+            ],
+            "viscosity": Length(0.01, 2),
+            "density": Length(1000.0, -3),
+            "tension": 2.0,
+            "forces": [
+                {"gravity": {"acceleration": GRAVITY}},
+                {"wind": {"velocity": Vector([1.0, 0.5, 2.0]), "drag": 0.2}},
+            ],
+            "colliders": [{**FLOOR, "at": Point(np.add(OFFSET, [0.0, -0.2, 0.0]))}],
+            "primvars": ["pressure"],
+            "step": 1 / 128,
+        },
+        few=(
+            ({"fills": [], "emitters": [{"radius": 0.1, "opens": [[9, 9]]}]}, 0),
+            (
+                {
+                    "fills": [{"points": Point(DROPS[:1])}],
+                    "emitters": [],
+                    "drains": [],
+                    "colliders": [],
+                },
+                1,
+            ),
+        ),
+        wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e9}}]},
+        initial=DROPS,
+        orders={},
+        more=(),
     ),
     "molecules": Example(
         {

@@ -178,10 +178,8 @@ class Nozzle:
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
-        self._spacing = spec.spacing
-        self._spans = [
-            (max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]
-        ]
+        self._period = spec.spacing / emitter.speed  # of layers [s]
+        self._spans = [(max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]]
         self._opening = self._places(spec, emitter)
 
     def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
@@ -199,7 +197,7 @@ class Nozzle:
     def _made(self, span: tuple[float, float], t: float) -> int:
         """Return how many layers a span has made before a time."""
         lasts = min(t, span[1]) - span[0]
-        return max(math.ceil(lasts * self._speed / self._spacing), 0)
+        return max(math.ceil(lasts / self._period), 0)
 
     def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
         """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""
@@ -213,7 +211,7 @@ class Nozzle:
             if kept <= 0:
                 continue
             layers = first + np.arange(kept)
-            times = span[0] + layers * self._spacing / self._speed
+            times = span[0] + layers * self._period
             states.append(self._layers(times, until, pull))
             births.append(np.repeat(times, size))
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)

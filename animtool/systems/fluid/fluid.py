@@ -51,7 +51,7 @@ class FluidState:
         made: How many came so far.
         missed: How many did not, for want of room among `max_particles`.
         blocked: How many did not, as there was fluid or a collider before the nozzle.
-        head: Pressure that steps are parted for, over the density [m²/s²].
+        sound: How fast pressure went [m/s].
         energy: Most that there may be of kinetic and potential energy [J].
         compression: How much denser than at rest it was, in the mean [1].
         densest: The most that it ever was [1].
@@ -65,7 +65,7 @@ class FluidState:
     made: int = 0
     missed: int = 0
     blocked: int = 0
-    head: float = 0.0
+    sound: float = 0.0
     energy: float = 0.0
     compression: float = 0.0
     densest: float = 0.0
@@ -114,8 +114,8 @@ class Fluid:
             made=count,
         )
         pull = self._pull(state, self._begin)
-        head = self._parting.first_head(self._start[0], pull)
-        return replace(state, head=head, energy=self._energy(state)[0])
+        sound = self._parting.first_sound(self._start[0], pull)
+        return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
         """Return the fluid a step [s] later, and what it pushed bodies by.
@@ -174,17 +174,17 @@ class Fluid:
         speeds = np.linalg.norm(state.motion[1], axis=1)
         most_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
-        wanted = self._parting.parts(dt, fastest, state.head, most_pull)
+        sound = self._parting.sound(state.sound, state.pressures, fastest, most_pull, dt)
+        wanted = self._parting.parts(dt, fastest, sound)
         if wanted > self._parting.most:
             self._stop_long(t + dt, dt, fastest, wanted)
         parts, allowed = int(wanted), self._spec.compression
-        found = self._kernel(state, t, dt, pull, parts)
+        found = self._kernel(state, t, dt, pull, sound, parts)
         while found.compression > allowed and 2 * parts <= self._parting.most:
-            again = self._kernel(state, t, dt, pull, 2 * parts)
-            helps = again.compression < HELPS * found.compression
-            found, parts = again, 2 * parts
-            if not helps:
+            again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
+            if again.compression > HELPS * found.compression:
                 break
+            found, sound, parts = again, 2 * sound, 2 * parts
         if not np.isfinite(found.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
         if found.compression > max(COLLAPSED, TIMES * allowed):
@@ -199,7 +199,7 @@ class Fluid:
             state,
             motion=found.motion,
             pressures=found.pressures,
-            head=self._parting.next_head(state.head, found.pressures, dt),
+            sound=sound,
             compression=found.compression,
             densest=max(state.densest, found.compression),
             parts=parts,
@@ -208,7 +208,13 @@ class Fluid:
         return after, found.wrenches
 
     def _kernel(
-        self, state: FluidState, t: float, dt: float, pull: FloatArray, parts: int
+        self,
+        state: FluidState,
+        t: float,
+        dt: float,
+        pull: FloatArray,
+        sound: float,
+        parts: int,
     ) -> Pressed:
         """Return the end of a step in some parts; sheets are met between pieces."""
         around, motion = self._colliders, state.motion
@@ -229,6 +235,7 @@ class Fluid:
                 self._spec.density,
                 self._spec.viscosity,
                 self._parting.cohesion,
+                sound,
                 each,
                 -(-parts // pieces),
             )
@@ -287,7 +294,7 @@ class Fluid:
         gain = total - state.energy
         # What has not fallen yet is in play as well.
         in_play = max(kinetic, state.energy - (total - kinetic))
-        in_play += self._mass * len(state.ids) * state.head
+        in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
         if gain > GROWTH * in_play:
             message = f"its energy is {total:.3g} J, and was {state.energy:.3g} J"
             self._stop("SIM102", t, message, f"step: {dt / 4:.3g}")

@@ -12,8 +12,8 @@ from animtool.systems.fluid.spec import FluidModel
 
 # One round of pressure in each part makes the fluid as stiff as sound that goes one
 # spacing in a part would. Density then rises by pressure over the square of that speed.
-# In the mean it rises by less than half of the most.
-MEAN = 0.5
+# Of the most of all particles the mean is less than half, which leaves room.
+MEAN = 1.0
 # Share of the spacing that anything may move in a part.
 TRAVEL = 0.25
 # Of squares of spacings over the viscosity that a part may last: its diffusion grows
@@ -21,8 +21,9 @@ TRAVEL = 0.25
 DIFFUSION = 0.1
 # Of the period of the shortest ripples.
 RIPPLE = 0.4
-# Times within which the pressure that parts are made for is forgotten [s].
-FORGET = 0.1
+# Within which it slows down where it need not be as fast any more, and within which it
+# gets faster [s]: where that is sudden, what is pressed then gains energy.
+FORGET, GAIN = 1.0, 0.05
 # Particles that may have more pressure than parts are made for.
 FEW = 0.005
 # Moves of sheets between looks, in spacings, and looks in a step.
@@ -47,33 +48,41 @@ class Parting:
         self._spec = spec
         self.cohesion = COHESION * spec.tension * spec.spacing
 
-    def first_head(self, points: FloatArray, pull: FloatArray) -> float:
-        """Return the pressure over the density of a fluid that begins [m²/s²]."""
+    def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
+        """Return how fast pressure goes in a fluid that begins [m/s]."""
         if not len(points):
             return 0.0
         along = points @ pull.mean(axis=0)
         head = float(along.max() - along.min())
-        return head if math.isfinite(head) else 0.0
+        return self._sound(head) if math.isfinite(head) else 0.0
 
-    def next_head(self, head: float, pressures: FloatArray, dt: float) -> float:
-        """Return it after a step, which forgets slowly."""
-        few = len(pressures) - 1 - int(FEW * len(pressures))
-        now = float(np.partition(pressures, few)[few]) / self._spec.density
-        return max(now, head * math.exp(-dt / FORGET))
+    def _sound(self, head: float) -> float:
+        """Return what bears a pressure over the density [m²/s²]."""
+        return math.sqrt(head * MEAN / self._spec.compression)
 
-    def parts(self, dt: float, fastest: float, head: float, pull: float) -> float:
-        """Return how many parts a step is to have; infinite beyond all numbers.
+    def sound(
+        self, before: float, pressures: FloatArray, fastest: float, pull: float, dt: float
+    ) -> float:
+        """Return how fast pressure is to go in a step [m/s].
 
         Args:
-            dt: The step [s].
-            fastest: Of anything in it [m/s].
-            head: Pressure over the density [m²/s²].
+            before: In the last step [m/s]: it slows down gradually.
+            pressures: Of particles then ``(N,)`` [Pa].
+            fastest: Of anything in the step [m/s].
             pull: Most acceleration [m/s²].
+            dt: The step [s].
         """
+        few = len(pressures) - 1 - int(FEW * len(pressures))
+        head = float(np.partition(pressures, few)[few]) / self._spec.density
+        head = max(head, LAYERS * self._spec.spacing * pull) + fastest**2 / 2
+        slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
+        needed = self._sound(head)
+        return max(slower, min(needed, faster) if before else needed)
+
+    def parts(self, dt: float, fastest: float, sound: float) -> float:
+        """Return how many parts a step is to have; infinite beyond all numbers."""
         spec = self._spec
-        head = max(head, LAYERS * spec.spacing * pull)
-        stiff = (head + fastest**2 / 2) * MEAN / spec.compression
-        rates = [math.sqrt(stiff) / spec.spacing, fastest / (TRAVEL * spec.spacing)]
+        rates = [sound / spec.spacing, fastest / (TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (DIFFUSION * spec.spacing**2))
         if spec.tension:
             ripple = 2 * math.pi * spec.tension / (spec.density * spec.spacing**3)

@@ -1,0 +1,122 @@
+"""The surface of a fluid as a mesh: marching cubes over how much of it is near."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+from animtool.frames import MeshFrame
+from animtool.systems.fluid.spec import FluidModel, FluidSurfaceModel
+
+# Of the field within: a particle alone still has a surface.
+LEVEL = 0.35
+# Cells of which the side is not given, in spacings.
+CELL = 0.75
+# Integral of H. Wendland's C2 function over a ball of radius 1.
+WHOLE = 2 * np.pi / 21
+
+
+def check_surface() -> None:
+    """Raise where there is nothing to make surfaces with.
+
+    Raises:
+        OptionError: scikit-image is missing (SIM065).
+    """
+    if find_spec("skimage") is None:
+        message = "a surface of a fluid is made by scikit-image, which is not installed"
+        hint = "pip install 'animtool[surface]'"
+        raise OptionError(Fault("SIM065", message, where="surface", hint=hint))
+
+
+def surface_of(
+    spec: FluidModel,
+    points: FloatArray,
+    velocities: FloatArray,
+    primvars: Mapping[str, Any],
+) -> MeshFrame:
+    """Return the surface about particles ``(N, 3)``; its faces change by frame.
+
+    Velocities and primvars are those of the nearest particle.
+
+    Raises:
+        OptionError: It takes more cells than are allowed (SIM064).
+    """
+    assert spec.surface is not None
+    if not len(points):
+        return _mesh(points, velocities, np.zeros((0, 3), np.int64), dict(primvars))
+    from scipy.spatial import cKDTree
+    from skimage.measure import marching_cubes
+
+    cell = spec.surface.cell or CELL * spec.spacing
+    radius = (1 + spec.surface.smoothing) * spec.spacing
+    low = points.min(axis=0) - radius - 2 * cell
+    sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
+    _check_cells(spec.surface, float(np.prod(sizes)), cell)
+    shape = tuple(int(size) for size in sizes)
+    values = field(points, low, shape, cell, radius, spec.spacing)
+    if not values.max() > LEVEL:
+        return surface_of_nothing(primvars)
+    places, faces, _, _ = marching_cubes(values, LEVEL)
+    # Wound so that the field falls outwards.
+    places = places.astype(np.float64) * cell + low
+    _, nearest = cKDTree(points).query(places)
+    own = {name: values[nearest] for name, values in primvars.items()}
+    return _mesh(places, velocities[nearest], faces.astype(np.int64), own)
+
+
+def surface_of_nothing(primvars: Mapping[str, Any]) -> MeshFrame:
+    """Return a mesh without faces."""
+    none = np.zeros((0, 3))
+    own = {name: values[:0] for name, values in primvars.items()}
+    return _mesh(none, none, np.zeros((0, 3), np.int64), own)
+
+
+def _mesh(
+    points: FloatArray, velocities: FloatArray, faces: Any, primvars: dict[str, Any]
+) -> MeshFrame:
+    counts = np.full(len(faces), 3, np.int64)
+    return MeshFrame(
+        points, velocities, counts, faces.reshape(-1), True, primvars, tears=True
+    )
+
+
+def _check_cells(surface: FluidSurfaceModel, count: float, cell: float) -> None:
+    if count > surface.max_cells:
+        message = f"its surface takes {count:,.0f} cells of {cell:g} m, and "
+        message += f"{surface.max_cells:,} are allowed: it is far spread"
+        hint = "drain what flew off, take larger cells, or raise max_cells"
+        raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
+
+
+def field(
+    points: FloatArray,
+    low: FloatArray,
+    shape: tuple[int, ...],
+    cell: float,
+    radius: float,
+    spacing: float,
+) -> FloatArray:
+    """Return the share of what is near the corners of cells that is fluid.
+
+    Sums of H. Wendland's C2 function over particles ``(N, 3)``; 1 within.
+    """
+    middle = np.floor((points - low) / cell).astype(np.int64)
+    reach = int(np.ceil(radius / cell))
+    values = np.zeros(int(np.prod(shape)))
+    steps = np.array([shape[1] * shape[2], shape[2], 1])
+    scale = (spacing / radius) ** 3 / WHOLE
+    for offset in product(range(-reach, reach + 2), repeat=3):
+        corner = middle + offset
+        q = np.linalg.norm(corner * cell + low - points, axis=1) / radius
+        near = q < 1
+        if near.any():
+            q = q[near]
+            weights = scale * (1 - q) ** 4 * (4 * q + 1)
+            values += np.bincount(corner[near] @ steps, weights, len(values))
+    return values.reshape(shape)
