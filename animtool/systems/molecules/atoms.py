@@ -128,7 +128,7 @@ def _read(
     check_rows(given, f"{model.name!r}, atom", "SIM071", "species")
     x = placing.inwards(points)
     slack = 1e-9 * placing.size
-    outside = ((x < -slack) | (x > placing.size + slack)).any(axis=1)
+    outside = ~((x >= -slack) & (x <= placing.size + slack)).all(axis=1)
     if outside.any():
         i = int(np.argmax(outside))
         where = ", ".join(f"{value:g}" for value in points[i])
