@@ -105,7 +105,7 @@ class Molecules:
 
     def _advised(self) -> float:
         """Return a step that is short enough [s]."""
-        return ADVISED / max(self._stiffest(), 1e-300) / self._spec.pace
+        return ADVISED / max(self._stiffest() * self._spec.pace, 1e-300)
 
     def _check_step(self) -> None:
         """Refuse steps that no bond would survive (SIM071)."""

@@ -72,7 +72,7 @@ class Profile:
         parts = [p for p in (galaxy.disc, galaxy.bulge, galaxy.halo) if p is not None]
         far = max((p.radius * p.cutoff for p in parts), default=1.0)
         near = min((p.radius for p in parts), default=1.0)
-        self.r = np.geomspace(1e-4 * near, 4 * far, RADII)
+        self.r = np.geomspace(max(1e-4 * near, 1e-250), 4 * far, RADII)
         within = np.full(RADII, galaxy.nucleus)
         for one in (galaxy.bulge, galaxy.halo):
             if one is not None:
