@@ -36,6 +36,24 @@ def normals(u: FloatArray) -> FloatArray:
     return np.asarray(ndtri(np.clip(u, 2.0**-53, 1 - 2.0**-53)))
 
 
+def directions(u: FloatArray) -> FloatArray:
+    """Return directions all around ``(N, 3)``, of numbers in [0, 1) ``(N, 2)``."""
+    up = 2 * u[:, 0] - 1
+    flat, angle = np.sqrt(np.maximum(1 - up**2, 0.0)), 2 * np.pi * u[:, 1]
+    return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
+
+
+def at_one_place(points: FloatArray) -> tuple[int, int] | None:
+    """Return two of points ``(N, 3)`` that are the same, None where none are."""
+    order = np.lexsort(points.T)
+    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
+    if not same.any():
+        return None
+    i = int(np.argmax(same))
+    one, other = sorted(order[[i, i + 1]].tolist())
+    return one, other
+
+
 def check_rows(
     arrays: Mapping[str, FloatArray | None], kind: str, code: str, where: str
 ) -> None:

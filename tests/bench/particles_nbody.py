@@ -115,6 +115,23 @@ def measure(options: argparse.Namespace, count: int, folder: Path) -> list[Row]:
     return rows
 
 
+def methods() -> list[Row]:
+    """Return seconds of a galaxy against its errors, by method and step."""
+    steps = [
+        f"{method}:{step}"
+        for method in ("symplectic_euler", "midpoint", "velocity_verlet", "rk4")
+        for step in (0.04, 0.02, 0.01)
+    ]
+    found = run_peer(sys.executable, "nbody_methods.py", 2, *steps, "rk4:0.0025")
+    rows = []
+    for one in found["found"][:-1]:
+        tool = one["setting"].replace(":", ", ")
+        rows += time_rows("methods", tool, [Taken(*pair) for pair in one["taken"]])
+        rows.append(Row("methods", tool, "drift of energy", [one["drift"]]))
+        rows.append(Row("methods", tool, "rms of errors [m]", [one["error"]]))
+    return rows
+
+
 def growth(rows: list[Row], counts: list[int]) -> list[Row]:
     """Return the exponent that times grow with, from the least to the most bodies."""
     tool = f"{OWN}, {ACCURACIES[2]}"
@@ -146,6 +163,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for count in options.counts:
             rows += measure(options, count, Path(folder))
+    rows += methods()
     if len(options.counts) > 1:
         rows += growth(rows, options.counts)
     session.finish(options.csv, rows)

@@ -13,6 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted, excerpt
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
+from animtool.systems.matter import at_one_place
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
@@ -94,12 +95,10 @@ class Members:
 
     def check_apart(self) -> None:
         """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
-        order = np.lexsort(self.points.T)
-        same = (np.diff(self.points[order], axis=0) == 0).all(axis=1)
-        if same.any():
-            i = int(np.argmax(same))
-            one, other = sorted(order[[i, i + 1]].tolist())
-            message = f"{self.named(one)} and {self.named(other)} begin at one place"
+        pair = at_one_place(self.points)
+        if pair is not None:
+            one, other = (self.named(i) for i in pair)
+            message = f"{one} and {other} begin at one place"
             hint = "place: {sphere: {radius: 2}}, or another place that has a size"
             refuse(message, hint, "species")
 

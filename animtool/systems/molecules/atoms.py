@@ -22,6 +22,8 @@ BOLTZMANN = 0.00831446261815324
 COULOMB = 138.935457644
 # Charges that add up to less are neutral [e].
 NEUTRAL = 1e-9
+# Sites of a lattice over the atoms that they are for, at most.
+SPARSE = 64
 # Seed of velocities over that of lattices.
 _SPEEDS = 1000
 _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
@@ -128,7 +130,7 @@ def _read(
     check_rows(given, f"{model.name!r}, atom", "SIM071", "species")
     x = placing.inwards(points)
     slack = 1e-9 * placing.size
-    outside = ((x < -slack) | (x > placing.size + slack)).any(axis=1)
+    outside = ~((x >= -slack) & (x <= placing.size + slack)).all(axis=1)
     if outside.any():
         i = int(np.argmax(outside))
         where = ", ".join(f"{value:g}" for value in points[i])
@@ -145,7 +147,11 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     size = np.array(spec.block or spec.box)
     basis = _FCC if spec.lattice == "fcc" else np.full((1, 3), 0.5)
     side = (len(basis) * size.prod() / total) ** (1 / 3)
-    cells = np.maximum(np.round(size / side), 1).astype(np.int64)
+    shape = np.maximum(np.round(size / side), 1)
+    if not len(basis) * shape.prod() <= SPARSE * total + SPARSE:
+        message = f"{total} atoms fill no lattice in a box of {size.tolist()} nm"
+        refuse(message, "box", "give sides that are more alike")
+    cells = shape.astype(np.int64)
     while len(basis) * cells.prod() < total:
         cells[np.argmax(size / cells)] += 1
     corners = np.stack(

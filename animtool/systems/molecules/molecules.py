@@ -68,6 +68,7 @@ class Molecules:
 
     checked = True
 
+    @np.errstate(all="ignore")
     def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
         self._spec, self._begin = spec, context.begin
         self._options = IntegrateOptions(spec.method, spec.step * spec.pace)
@@ -85,6 +86,12 @@ class Molecules:
         self._freedom = max(3 * len(self.atoms.masses) - 3, 1)
         self._check_step()
         start = self.initial()
+        motion = self._placing.velocities_out(start.motion[1])
+        placed = [self._placing.outwards(start.motion[0]), motion]
+        if not np.isfinite(placed).all():
+            refuse(
+                "atoms are so far or fast in the scene that numbers overflow", "scale"
+            )
         self._check_apart(start)
         check_fit(Equations(self._system(start)), integrator)
         self._colouring: Colouring | None = None
@@ -98,7 +105,7 @@ class Molecules:
 
     def _advised(self) -> float:
         """Return a step that is short enough [s]."""
-        return ADVISED / max(self._stiffest(), 1e-300) / self._spec.pace
+        return ADVISED / max(self._stiffest() * self._spec.pace, 1e-300)
 
     def _check_step(self) -> None:
         """Refuse steps that no bond would survive (SIM071)."""
@@ -146,6 +153,7 @@ class Molecules:
             state.reference,
         )
 
+    @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
         """Return where atoms are a step [s] later, or a part of one.
 
@@ -218,6 +226,7 @@ class Molecules:
     def _begun(self) -> Energy:
         return self._energy(self._first, self._begin)
 
+    @np.errstate(all="ignore")
     def frame(self, state: MoleculeState, t: float) -> PointsFrame:  # noqa: ARG002
         """Return atoms within the box."""
         x, v = state.motion
@@ -246,6 +255,7 @@ class Molecules:
             "species": lambda: self.atoms.kinds,
         }
 
+    @np.errstate(all="ignore")
     def diagnostics(self, state: MoleculeState, t: float) -> Diagnostics:
         """Return temperature, pressure and energies, and how well energy was kept."""
         return Diagnostics(
@@ -273,4 +283,4 @@ class Molecules:
             usual = max(abs(begin.total), begin.kinetic, 1e-300)
             gained = now.total - state.heat - begin.total
             values["energy_drift"] = gained / usual
-        return values
+        return {key: one for key, one in values.items() if math.isfinite(one)}

@@ -36,7 +36,7 @@ class AtomsModel(FileModel):
         default=None,
     )
     mass: Positive = key("Of each [u].", 22.99, default=39.948)
-    sigma: Positive = key(
+    sigma: Annotated[Real, Ge(1e-3), Le(1e3)] = key(
         "Distance at which two neither attract nor repel each other [nm].",
         0.2,
         default=0.3405,

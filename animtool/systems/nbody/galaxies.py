@@ -19,7 +19,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.systems.matter import normals, unit_quaternion
+from animtool.systems.matter import directions, normals, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,
@@ -72,7 +72,7 @@ class Profile:
         parts = [p for p in (galaxy.disc, galaxy.bulge, galaxy.halo) if p is not None]
         far = max((p.radius * p.cutoff for p in parts), default=1.0)
         near = min((p.radius for p in parts), default=1.0)
-        self.r = np.geomspace(1e-4 * near, 4 * far, RADII)
+        self.r = np.geomspace(max(1e-4 * near, 1e-250), 4 * far, RADII)
         within = np.full(RADII, galaxy.nucleus)
         for one in (galaxy.bulge, galaxy.halo):
             if one is not None:
@@ -172,7 +172,7 @@ def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(part.count, part.mass / part.count)
-    return Bodies(r[:, None] * _directions(u[:, 1:3]), velocities, masses)
+    return Bodies(r[:, None] * directions(u[:, 1:3]), velocities, masses)
 
 
 def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
@@ -239,10 +239,3 @@ def on_orbit(
         (np.array(orbit.at) + share * place, share * velocity) for share in shares
     )
     return one, other
-
-
-def _directions(u: FloatArray) -> FloatArray:
-    """Return directions all around ``(N, 3)``, of numbers in [0, 1) ``(N, 2)``."""
-    up = 2 * u[:, 0] - 1
-    flat, angle = np.sqrt(np.maximum(1 - up**2, 0.0)), 2 * np.pi * u[:, 1]
-    return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)

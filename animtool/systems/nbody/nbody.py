@@ -21,7 +21,7 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.colours import Colouring, Quantities, log_density
-from animtool.systems.matter import check_rows, unit_quaternion
+from animtool.systems.matter import at_one_place, check_rows, unit_quaternion
 from animtool.systems.nbody.attraction import (
     Attractor,
     Gravity,
@@ -75,6 +75,7 @@ class Nbody:
 
     checked = True
 
+    @np.errstate(all="ignore")
     def __init__(self, spec: NbodyModel, context: SimContext) -> None:
         self._spec = spec
         self._options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
@@ -98,6 +99,8 @@ class Nbody:
             spec.accuracy,
             attractors,
         )
+        if not np.isfinite([self._bodies.points, self._bodies.velocities]).all():
+            refuse("galaxies are so small, large or heavy that numbers overflow")
         self._begin = context.begin
         self._phase = PHASE if spec.softening else BARE_PHASE
         start = self.initial()
@@ -123,6 +126,7 @@ class Nbody:
         motion = np.stack([points, self._bodies.velocities])
         return NbodyState(motion, self.gravity.pulls(points), 0, 1)
 
+    @np.errstate(all="ignore")
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
         """Return where bodies are a step [s] later.
 
@@ -170,6 +174,8 @@ class Nbody:
         if not self._fixed or not len(rates):
             return 1
         phase = dt * math.sqrt(float(rates.max())) / self._phase
+        if not phase < self._spec.substeps:
+            return 2 * self._spec.substeps
         return 2 ** max(math.ceil(math.log2(phase)), 0) if phase > 1 else 1
 
     def _encounter(
@@ -231,6 +237,7 @@ class Nbody:
         """Return the energy and the momenta of the beginning."""
         return self._energy(self._first, self._begin), self._momenta(self._first)
 
+    @np.errstate(all="ignore")
     def frame(self, state: NbodyState, t: float) -> PointsFrame:
         """Return the bodies that are shown."""
         shown = self._shown
@@ -258,6 +265,7 @@ class Nbody:
             "species": lambda: self._species,
         }
 
+    @np.errstate(all="ignore")
     def diagnostics(self, state: NbodyState, t: float) -> Diagnostics:
         """Return how well what stays was kept, and how close bodies came."""
         energy, (momentum, spin) = self._energy(state, t), self._momenta(state)
@@ -270,17 +278,24 @@ class Nbody:
             float(state.divided),
         )
         if not self.gravity.attractors:
-            usual = max(abs(begin.total), begin.kinetic, 1e-300)
-            values["energy_drift"] = (energy.total - begin.total) / usual
-            values |= {
-                "momentum_drift": _share(momentum - momentum0, sizes.sum()),
-                "angular_momentum_drift": _share(
-                    spin - spin0, (sizes * np.linalg.norm(x, axis=1)).sum()
-                ),
-            }
+            usual = np.array(
+                [
+                    max(abs(begin.total), begin.kinetic),
+                    sizes.sum(),
+                    sizes @ np.linalg.norm(x, axis=1),
+                ]
+            )
+            gained = [
+                energy.total - begin.total,
+                *np.linalg.norm([momentum - momentum0, spin - spin0], axis=1),
+            ]
+            drifts = (np.array(gained) / np.maximum(usual, 1e-300)).tolist()
+            names = ("energy_drift", "momentum_drift", "angular_momentum_drift")
+            values |= dict(zip(names, drifts, strict=True))
         if self.gravity.tree:
             values["force_error"] = self._force_error(state)
-        return Diagnostics(None if self._moving else energy, values)
+        finite = {key: one for key, one in values.items() if math.isfinite(one)}
+        return Diagnostics(None if self._moving else energy, finite)
 
     def _force_error(self, state: NbodyState) -> float:
         """Return the error of the tree, measured on some bodies [1]."""
@@ -290,10 +305,6 @@ class Nbody:
         off = np.linalg.norm(state.pulls.accelerations[rows] - exact, axis=1)
         sizes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
         return float(np.sqrt(((off / sizes) ** 2).mean()))
-
-
-def _share(vector: FloatArray, whole: float) -> float:
-    return float(np.linalg.norm(vector)) / max(float(whole), 1e-300)
 
 
 def _parts(
@@ -331,17 +342,13 @@ def _read(model: BodiesModel, parts: Mapping[str, Any]) -> Bodies:
 
 def _check_apart(points: FloatArray, softening: float) -> None:
     """Refuse two bodies at one place (SIM070)."""
-    order = np.lexsort(points.T)
-    same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if same.any():
-        i = int(np.argmax(same))
-        one, other = sorted(order[[i, i + 1]].tolist())
+    pair = at_one_place(points)
+    if pair is not None:
         why = (
             "nothing tells them apart" if softening else "their attraction is infinite"
         )
-        refuse(
-            f"bodies {one} and {other} begin at one place: {why}", "move one of them"
-        )
+        message = f"bodies {pair[0]} and {pair[1]} begin at one place: {why}"
+        refuse(message, "move one of them")
 
 
 def refuse(message: str, hint: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Scenes of springs, particles and flocks, with extreme numbers."""
+"""Scenes of springs, particles, flocks, bodies and atoms, with extreme numbers."""
 
 from __future__ import annotations
 
@@ -125,9 +125,62 @@ _SYSTEMS: dict[str, dict[str, Any]] = {
         "preroll": 0.02,
         "step": 0.01,
     },
+    "nbody": {
+        "name": "stars",
+        "galaxies": [
+            {
+                "name": "a",
+                "disc": {"count": 9, "mass": 1.0, "radius": 1.0, "stability": 1.5},
+                "bulge": {"count": 5, "mass": 0.3, "radius": 0.2, "cutoff": 9.0},
+                "halo": {"count": 7, "mass": 3.0, "radius": 2.0},
+                "nucleus": 0.1,
+                "velocity": [0.1, 0.0, 0.0],
+                "rotate": [1.0, 0.1, 0.2, 0.3],
+                "seed": 3,
+            },
+            {"name": "b", "nucleus": 0.5},
+        ],
+        "encounter": {"separation": 4.0, "pericentre": 1.0, "eccentricity": 1.0},
+        "attractors": [{"mass": 2.0, "at": [0.0, 3.0, 0.0], "softening": 0.1}],
+        "gravity_constant": 1.0,
+        "softening": 0.05,
+        "accuracy": 0.001,
+        "substeps": 16,
+        "colour": {"by": "energy", "range": [0.0, 3.0]},
+        "step": 0.01,
+    },
+    "molecules": {
+        "name": "salt",
+        "species": [
+            {
+                "name": name,
+                "count": 8,
+                "charge": charge,
+                "mass": 23.0,
+                "sigma": 0.25,
+                "epsilon": 0.4,
+                "radius": 0.1,
+            }
+            for name, charge in (("sodium", 1.0), ("chlorine", -1.0))
+        ],
+        "box": [1.4, 1.5, 1.6],
+        "block": [1.3, 1.3, 1.3],
+        "cutoff": 0.6,
+        "switch": 0.5,
+        "damping": 2.0,
+        "skin": 0.1,
+        "scale": 1.0,
+        "pace": 1.0,
+        "temperature": 300.0,
+        "thermostat": {"temperatures": [[0.0, 300.0], [1.0, 500.0]], "relaxation": 0.2},
+        "traps": [{"at": [0.0, 0.1, 0.0], "stiffness": 50.0, "radius": 0.5}],
+        "seed": 3,
+        "colour": {"by": "temperature", "range": [0.0, 900.0]},
+        "step": 0.005,
+    },
 }
 # Kinds that have keys of their own alone.
-_APART = {"particles", "flocks"}
+_APART = {"particles", "flocks", "nbody", "molecules"}
 _COMMON: dict[str, Any] = {
     "gravity": [0.0, -9.81, 0.0],
     "drag": 0.5,
@@ -179,7 +232,7 @@ def _entry(rng: np.random.Generator, kind: str) -> dict[str, Any]:
         for name, values in _RARE.items():
             if rng.random() < 0.2:
                 entry[name] = values[rng.integers(len(values))]
-    if rng.random() < 0.4:
+    if rng.random() < 0.4 and kind not in ("nbody", "molecules"):
         entry["colliders"] = [_MET[rng.integers(len(_MET))]]
     return entry
 
