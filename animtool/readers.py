@@ -80,19 +80,23 @@ DOCUMENT = Reader(
     ("rig", "clamp"),
 )
 
-_OF_MARKERS = ("unit", "up", "fps")
+_OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
+_SOLVE = "animtool.mocap.solve.source:open_markers_source"
 C3D = Reader(
     "C3D markers",
+    source=_SOLVE,
     options=_OF_MARKERS,
     markers="animtool.formats.c3d.read:read_c3d",
 )
 TRC = Reader(
     "TRC markers",
+    source=_SOLVE,
     options=_OF_MARKERS,
     markers="animtool.formats.trc:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",
+    source=_SOLVE,
     options=_OF_MARKERS,
     markers="animtool.formats.marker_arrays:read_markers",
 )

@@ -98,7 +98,7 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
         help="A stage in three files: X.rig.usda, X.anim.usdc, X.",
     ),
     *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
-    source_option("rig", "clamp"),
+    source_option("rig", "template", "clamp"),
     set_option,
     source_options,
     source_option("prim_path", "take"),
@@ -118,7 +118,9 @@ bake_options = stacked(
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(given, "prim_path", "rig", "clamp", "take")
+    source = source_options_record(
+        given, "prim_path", "rig", "template", "clamp", "take"
+    )
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
     values["form"] = "split" if given["split"] else values["form"]

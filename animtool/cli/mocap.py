@@ -11,6 +11,10 @@ COMMANDS = {
         "animtool.cli.mocap_clean:clean",
         "Remove spikes and noise from a take.",
     ),
+    "solve": (
+        "animtool.cli.mocap_solve:solve",
+        "Solve the motion of a rig from markers.",
+    ),
 }
 
 
@@ -19,7 +23,8 @@ COMMANDS = {
     table=COMMANDS,
     epilog="""\b
 Examples:
-  animtool mocap clean take.bvh -o clean.usdc""",
+  animtool mocap clean take.bvh -o clean.usdc
+  animtool mocap solve take.c3d --template ann.markers.yaml -o take.usdc""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import unwound

@@ -392,6 +392,9 @@ class _SceneReader:
             rig,
             model.clamp,
             model.take,
+            None
+            if model.template is None
+            else self.read_file((*at, "template"), model.template),
         )
         tracks = None
         if model.tracks is not None:

@@ -45,6 +45,7 @@ class SourceOptions:
         force_fit: Take motion that does not fit the rig all the same.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
         take: Which take of a clip library; None is the one that it selects.
+        template: Marker template of a file of markers.
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
@@ -96,6 +97,14 @@ class SourceOptions:
         reason="is for clip libraries in USD, and this is no USD file",
         help="The take to read of a clip library in USD.  [default: the one selected]",
         metavar="NAME",
+    )
+    template: Path | None = option(
+        None,
+        "file",
+        "--template",
+        reason="is for files of markers, and this is none",
+        help="Of a file of markers: the template that says where they are "
+        "(.markers.yaml); it is solved on the rig.",
     )
     force_fit: bool = False
     shot: Shot | None = None

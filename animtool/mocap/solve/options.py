@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from animtool.options import Range, option
+from animtool.options import option
 
 
 @dataclass(frozen=True, slots=True)

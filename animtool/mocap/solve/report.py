@@ -137,4 +137,3 @@ class SolveScore:
             if label not in (e, -1)
             for first, end in intervals(self._taken[:, e] == label)
         ]
-

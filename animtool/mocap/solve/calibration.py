@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
 from animtool.markers import Markers
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
-    MarkerModel,
     marker_model,
     seen_markers,
 )
@@ -44,10 +43,10 @@ from animtool.rig.skeleton import Pose, Rig
 MOTION_FRAMES, STATIC_FRAMES = 200, 10
 # What is likely: how far bones are from the overall scale, that from 1, left bones from
 # right ones [1], markers from where the template has them, by an axis [m].
-BONES, OVERALL, SIDES, OFFSETS = 0.08, 0.25, 0.004, 0.01
+BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
 # How near the rest pose a subject stands in a static take, and joints are elsewhere, where
 # no marker says otherwise [rad].
-STANDING, MOVING = 0.15, 1.5
+STANDING, MOVING = 0.08, 1.5
 # Steps, and the change of the parameters that ends them: bones [1], offsets [m].
 ROUNDS, STILL = 25, 2e-4
 # How far markers of a template for everyone may be off at first [m].
@@ -235,8 +234,10 @@ class _Calibrating:
         # What poses take of parameters and residuals alike.
         taken = np.linalg.solve(normal, felt @ columns)
         pull = held * self._from_rest(poses)
-        own = np.linalg.solve(normal, (felt @ residuals[:, :, None])[:, :, 0][:, :, None]
-                              - pull[:, :, None])[:, :, 0]
+        own = np.linalg.solve(
+            normal,
+            (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
+        )[:, :, 0]
         matrix = np.einsum("fmp,fmq->pq", columns, columns)
         matrix -= np.einsum("fdp,fdq->pq", felt @ columns, taken)
         right = np.einsum("fmp,fm->p", columns, residuals)
@@ -350,7 +351,9 @@ class _Calibrating:
             own = found.get(marker.name)
             if own is not None:
                 shifts[m] = np.linalg.norm(np.subtract(own.offset, marker.offset))
-            markers.append(marker if own is None else replace(marker, offset=own.offset))
+            markers.append(
+                marker if own is None else replace(marker, offset=own.offset)
+            )
         notices = []
         if not converged:
             message = f"the calibration did not come to an end in {ROUNDS} steps"
@@ -362,7 +365,9 @@ class _Calibrating:
             if self.surety[b] < UNSURE
         ]
         if unseen:
-            message = "no marker says how long these bones are; they follow the others: "
+            message = (
+                "no marker says how long these bones are; they follow the others: "
+            )
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
@@ -407,9 +412,7 @@ def with_bones(rig: Rig, scales: FloatArray) -> Rig:
     joints, bind = [], dict(rig.bind)
     for joint, scale in zip(rig.joints, scales.tolist(), strict=True):
         x, y, z = (scale * value for value in joint.translation)
-        tips = tuple(
-            (scale * a, scale * b, scale * c) for a, b, c in joint.tips
-        )
+        tips = tuple((scale * a, scale * b, scale * c) for a, b, c in joint.tips)
         joints.append(replace(joint, translation=(x, y, z), tips=tips))
         if rig.meshes and joint.name not in bind and scale != 1.0:
             bind[joint.name] = Pose(joint.translation, joint.rotation)
