@@ -23,7 +23,7 @@ from animtool.mocap.cameras.options import TriangulateOptions
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
-    from animtool.mocap.cameras.triangulate import CameraReport, Triangulation
+    from animtool.mocap.cameras.report import CameraReport, Triangulation
 
 
 @click.command(
@@ -83,8 +83,8 @@ def triangulate(
     from animtool.errors import refuse_warnings
     from animtool.formats.marker_files import marker_writer
     from animtool.mocap.cameras.file import load_all_cameras
-    from animtool.mocap.cameras.openpose import read_keypoints
     from animtool.mocap.cameras.observations import read_observations
+    from animtool.mocap.cameras.openpose import read_keypoints
     from animtool.mocap.cameras.triangulate import triangulate as solve
     from animtool.output import check_outputs
 

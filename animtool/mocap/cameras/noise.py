@@ -66,8 +66,8 @@ def measured_noise(
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
     for turn in range(_ROUNDS + views):
-        _, _, residuals, states = _kernels.triangulate_points(
-            pixels, trust, numbers, active, noise, *settings
+        *_, residuals, states = _kernels.triangulate_points(
+            pixels, trust, numbers, active, noise, *settings, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
@@ -81,7 +81,9 @@ def measured_noise(
         alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
         scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MOST, _MOST))
         noise = np.maximum(pooled * scaled, LEAST_NOISE)
-        left_out = _stale_camera(cameras, pixels, trust, noise, active, ratios, settings)
+        left_out = _stale_camera(
+            cameras, pixels, trust, noise, active, ratios, settings
+        )
         if left_out is not None:
             worst, stale[worst] = left_out[0], left_out[1]
             active[:, worst] = False
@@ -115,8 +117,14 @@ def _stale_camera(
             continue
         others = active.copy()
         others[:, camera] = False
-        points, sizes, _, _ = _kernels.triangulate_points(
-            pixels, trust, camera_numbers(cameras), others, noise, *settings
+        points, sizes, *_ = _kernels.triangulate_points(
+            pixels,
+            trust,
+            camera_numbers(cameras),
+            others,
+            noise,
+            *settings,
+            detailed=False,
         )
         change = pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
