@@ -336,6 +336,22 @@ def smooth_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), or
     taken, and half the sum before and after them.
     """
 
+def fit_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], path: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], anchor: float, speed: float, acceleration: float, robust: float, rest_weight: float, homing: float, first: int, end: int, iterations: int, rounds: int, tracked: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], int, float, float]:
+    """
+    Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
+
+    Frames from ``first`` to ``end`` move. If ``tracked``, each is first looked for from where
+    those before it lead to, which draws it with ``rest_weight``; joints without a goal go the
+    share ``homing`` of the way to their rest. Where too little fits, it is looked for from
+    ``starts`` ``(F, Q)``; goals whose positions were mixed up exchange them. Then, in at most ``rounds`` steps of all at once, the sum over the frames of
+    ``r^2 / (1 + r^2 / robust^2)`` of each goal's weighted miss r and of
+    ``anchor |q - tracked|^2 + speed |v|^2 + acceleration |a|^2`` is brought down.
+
+    Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F, Q)``;
+    ``(F, E, K)``; which frames begin at a start of their own ``(F,)``; whose target each goal has
+    ``(F, E)``, -1 for none; steps taken, and half the sum before and after them.
+    """
+
 def cheapest_ik_path(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], paths: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], costs: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], drifts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], easy: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], open: bool, closed: bool) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
     """
     Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.

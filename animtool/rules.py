@@ -37,6 +37,7 @@ class Kind(StrEnum):
     TARGETS = "targets"
     MAP = "map"
     CAMERAS = "cameras"
+    MARKERS = "markers"
     BVH = "bvh"
     USD = "usd"
 

@@ -33,6 +33,7 @@ MODELS = {
     "cameras": "animtool.mocap.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
     "map": "animtool.mocap.retarget.file:MapModel",
+    "markers": "animtool.mocap.template.file:MarkersModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",
     "targets": "animtool.ik.schema:TargetsModel",

@@ -20,6 +20,7 @@ STEPS: dict[str, dict[int, Step]] = {
     "rig": {},
     "clip": {},
     "map": {},
+    "markers": {},
     "scene": {},
     "targets": {},
 }
@@ -32,13 +33,14 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     },
 }
 # What the first line of a file may name: a batch names a scene too, others their rig.
-KINDS = ("batch", "clip", "map", "scene", "targets", "cameras", "rig")
+KINDS = ("batch", "clip", "map", "markers", "scene", "targets", "cameras", "rig")
 
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {
     "rig": ": what moves is a clip for it; animtool validate checks it, animtool "
     "convert writes it as USD",
     "targets": ": animtool ik makes a clip of it",
+    "markers": ": animtool mocap solve makes a take of a capture with it",
 }
 
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")

@@ -6,6 +6,7 @@
 #include "checks.h"
 #include "ik_ccd.h"
 #include "ik_fabrik.h"
+#include "ik_fit.h"
 #include "ik_levels.h"
 #include "ik_path.h"
 #include "ik_slopes.h"
@@ -21,6 +22,8 @@ using namespace ik;
 
 // A matrix of the rows is gone through with int.
 constexpr std::size_t MOST_GOALS = 46340 / MOST_GOAL_ROWS;
+// Of the first step of a fit to goals that are never reached.
+constexpr double FIT_DAMPING = 1e-3;
 // Of a goal: two parts of its offset and its aim axis, and its weights.
 constexpr std::size_t GOAL_NUMBERS = 9 + PARTS;
 
@@ -334,6 +337,54 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
   const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
   return {smoothed.release(by_coordinate), misses.release(by_goal), outcome.rounds,
           outcome.before, outcome.after};
+}
+
+IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+                In<double, 2> goal_numbers, In<double, 2> path, In<double, 3> targets,
+                In<double, 2> starts, double anchor, double speed, double acceleration,
+                double robust, double rest_weight, double homing, std::size_t first,
+                std::size_t end, int iterations, int rounds, bool tracked) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+  const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
+  check_poses("path", task, frames, path);
+  check_poses("starts", task, frames, starts);
+  check::at_most("path", frames, check::MOST_ROWS);
+  check_targets("targets", task, frames, targets);
+  check::positive("anchor", anchor);
+  check::not_negative("speed", speed);
+  check::not_negative("acceleration", acceleration);
+  check::between("homing", homing, 0, 1);
+  if (!(robust > 0)) check::refuse("robust", check::text(robust) + " is not above 0");
+  check::between("end", end, 0, frames);
+  check::between("first", first, 0, end);
+  check::between("iterations", iterations, 0, std::numeric_limits<int>::max());
+  check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
+  const Settings settings{0, 0, FIT_DAMPING, iterations, 0, 0, 0, false};
+  const FitSettings over{{anchor, speed, acceleration},   robust, homing, static_cast<int>(first),
+                         static_cast<int>(end), rounds, tracked};
+  Buffer<double> fitted(frames * width), misses(frames * e * PARTS);
+  Buffer<std::int64_t> searched(frames), taken(frames * e);
+  FitOutcome outcome;
+  {
+    nb::gil_scoped_release release;
+    std::copy(path.data(), path.data() + frames * width, fitted.get());
+    std::fill(searched.get(), searched.get() + frames, 0);
+    PathFit fit(task, settings, over, static_cast<int>(frames), targets.data(), starts.data());
+    for (std::size_t i = 0; i < frames * e; ++i) taken.get()[i] = static_cast<std::int64_t>(i % e);
+    outcome = fit.run(fitted.get(), searched.get(), taken.get());
+    State state(task);
+    for (std::size_t t = 0; t < frames; ++t) {
+      std::copy(fitted.get() + t * width, fitted.get() + (t + 1) * width, state.q.begin());
+      forward(task.chain, state.q.data(), state.frames);
+      measure(task, fit.targets(static_cast<int>(t)), state);
+      std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+    }
+  }
+  const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
+  const std::size_t by_frame[1] = {frames}, by_target[2] = {frames, e};
+  return {fitted.release(by_coordinate), misses.release(by_goal), searched.release(by_frame),
+          taken.release(by_target),
+          outcome.rounds, outcome.before, outcome.after};
 }
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,

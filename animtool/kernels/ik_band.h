@@ -44,6 +44,9 @@ class TimeBand {
     }
   }
 
+  // Of the matrix: row t, and the column that is so many frames off, at most two.
+  double entry(int t, int off) const { return rows_[5 * t + 2 + off]; }
+
   // out = P x for frames of `width` numbers, all of them.
   void multiply(const std::vector<double>& x, int width, std::vector<double>& out) const {
     const int frames = static_cast<int>(x.size()) / std::max(width, 1);

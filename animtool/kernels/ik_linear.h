@@ -40,17 +40,24 @@ inline void solve_factored(const double* a, double* b, int m) {
   }
 }
 
-// The cost around a pose: columns of the Jacobian, their Gram matrix, the gradient.
+// The cost around a pose: columns of the Jacobian, the smaller of the two matrices made of
+// them, the gradient.
 struct Linearized {
+  // More residuals than degrees of freedom: systems are as large as the chain.
+  const bool primal;
   std::vector<double> columns;   // (D, M)
-  std::vector<double> gram;      // (M, M), lower triangle: J J^T
+  std::vector<double> gram;      // (M, M), lower triangle: J J^T; unless primal
+  std::vector<double> normal;    // (D, D), lower triangle: J^T J; if primal
   std::vector<double> downhill;  // (D,): minus the gradient, rest preference included
   std::vector<double> pull;      // (D,): the part of the rest preference
   std::vector<int> first, last;  // (D,): rows that a degree of freedom moves
 
   explicit Linearized(const Task& task)
-      : columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
-        gram(static_cast<std::size_t>(task.rows) * task.rows), downhill(task.chain.dofs),
+      : primal(task.rows > task.chain.dofs),
+        columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
+        gram(primal ? 0 : static_cast<std::size_t>(task.rows) * task.rows),
+        normal(primal ? static_cast<std::size_t>(task.chain.dofs) * task.chain.dofs : 0),
+        downhill(task.chain.dofs),
         pull(task.chain.dofs), first(task.chain.dofs, task.rows), last(task.chain.dofs, 0) {
     for (const Goal& goal : task.goals)
       for (const int n : goal.path) {
@@ -89,6 +96,26 @@ inline double rest_pull(const Task& task, const double* q, const double* rest, d
   return cost;
 }
 
+// The lower triangle of J^T J (D, D).
+inline void multiply_columns(const Task& task, const Linearized& linear, double* normal) {
+  const int dofs = task.chain.dofs;
+  for (int d = 0; d < dofs; ++d) {
+    const double* own = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
+    for (int k = 0; k <= d; ++k) {
+      const double* other = linear.columns.data() + static_cast<std::size_t>(k) * task.rows;
+      const int first = std::max(linear.first[d], linear.first[k]);
+      const int last = std::min(linear.last[d], linear.last[k]);
+      // In four sums, that the processor adds side by side.
+      double sums[4] = {0, 0, 0, 0};
+      int i = first;
+      for (; i + 4 <= last; i += 4)
+        for (int n = 0; n < 4; ++n) sums[n] += own[i + n] * other[i + n];
+      for (; i < last; ++i) sums[0] += own[i] * other[i];
+      normal[static_cast<std::size_t>(d) * dofs + k] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    }
+  }
+}
+
 inline void linearize(const Task& task, const double* targets, const double* rest,
                       const State& state, Linearized& out) {
   const int m = task.rows;
@@ -101,12 +128,13 @@ inline void linearize(const Task& task, const double* targets, const double* res
     for (int i = out.first[d]; i < out.last[d]; ++i) {
       const double at = column[i];
       sum += at * state.residuals[i];
-      if (at == 0) continue;
+      if (at == 0 || out.primal) continue;
       double* row = &out.gram[static_cast<std::size_t>(i) * m];
       for (int j = out.first[d]; j <= i; ++j) row[j] += at * column[j];
     }
     out.downhill[d] = sum;
   }
+  if (out.primal) multiply_columns(task, out, out.normal.data());
 }
 
 }  // namespace animtool::ik

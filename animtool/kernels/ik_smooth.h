@@ -9,11 +9,10 @@
 // programming problems arising in optimization, 2001, algorithm 2.1).
 #pragma once
 
-#include "ik_band.h"
+#include "ik_path_cost.h"
 #include "ik_search.h"
 #include "ik_space.h"
 #include "ik_stretch.h"
-#include "ik_tangent.h"
 
 namespace animtool::ik {
 
@@ -38,9 +37,9 @@ class PathSmoother {
         tight_(tightened(settings)), path_(path), frames_(frames), width_(task.chain.dofs),
         coordinates_(task.chain.coordinates), first_(path.first), end_(path.end),
         targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
-        stretches_(stretches), drifts_(drifts),
+        stretches_(stretches), cost_(task_.chain, frames, path.weights, drifts),
         band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
-        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), held_(frames, 0) {}
+        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), held_(frames, 0), away_(width_) {}
 
   // Improves a path (F, Q) in place.
   PathOutcome run(double* path) {
@@ -168,7 +167,7 @@ class PathSmoother {
     evaluate(now_);
     int sharpest = -1;
     for (int t = path_.first; t < path_.end; ++t)
-      if (!looked[t] && (sharpest < 0 || bends_[t] > bends_[sharpest])) sharpest = t;
+      if (!looked[t] && (sharpest < 0 || cost_.bends[t] > cost_.bends[sharpest])) sharpest = t;
     if (sharpest < 0) return false;
     const double time = std::sqrt(std::sqrt(path_.weights.acceleration));
     const int reach = static_cast<int>(std::clamp(2 * time, 8.0, 60.0));
@@ -199,8 +198,8 @@ class PathSmoother {
   // Whether a corner stands out.
   bool sharp() {
     evaluate(now_);
-    const auto worst = std::max_element(bends_.begin() + first_, bends_.begin() + end_);
-    std::vector<double> others(bends_.begin() + first_, bends_.begin() + end_);
+    const auto worst = std::max_element(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
+    std::vector<double> others(cost_.bends.begin() + first_, cost_.bends.begin() + end_);
     std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
     return *worst > SHARP * others[others.size() / 2];
   }
@@ -229,62 +228,12 @@ class PathSmoother {
 
   double local_cost() const {
     double cost = 0;
-    for (int t = first_; t < end_; ++t) cost += bends_[t];
+    for (int t = first_; t < end_; ++t) cost += cost_.bends[t];
     return cost;
   }
 
-  // The cost of a path, and its gradient where one is asked for.
-  double evaluate(std::vector<double>& q, std::vector<double>* slope = nullptr) {
-    const std::size_t size = static_cast<std::size_t>(frames_) * width_;
-    speeds_.resize(size), forces_.resize(size), away_.resize(width_);
-    if (slope) slope->assign(size, 0.0);
-    const PathWeights& w = path_.weights;
-    double cost = 0;
-    for (int t = 0; t < frames_; ++t) {
-      difference(task_.chain, pose(anchors_, t), pose(q, t), away_.data());
-      for (int d = 0; d < width_; ++d) {
-        cost += w.anchor * away_[d] * away_[d] / 2;
-        if (slope) frame(*slope, t)[d] += w.anchor * away_[d];
-      }
-    }
-    std::fill(forces_.begin(), forces_.end(), 0.0);
-    bends_.assign(frames_, 0.0);
-    for (int t = 0; t + 1 < frames_; ++t) {
-      double *speed = frame(speeds_, t), *force = frame(forces_, t);
-      difference(task_.chain, pose(q, t), pose(q, t + 1), speed);
-      const double* drift = drifts_ + static_cast<std::size_t>(t) * width_;
-      for (int d = 0; d < width_; ++d) {
-        const double u = speed[d] - drift[d];
-        cost += w.speed * u * u / 2;
-        force[d] += w.speed * u;
-        if (t == 0) continue;
-        const double a = u - (speed[d - width_] - drift[d - width_]);
-        bends_[t] += w.acceleration * a * a / 2;
-        force[d] += w.acceleration * a;
-        force[d - width_] -= w.acceleration * a;
-      }
-    }
-    for (const double bend : bends_) cost += bend;
-    if (slope)
-      for (int t = 0; t + 1 < frames_; ++t) spread(t, *slope);
-    return cost;
-  }
-
-  // What pulls at the motion from one frame to the next pulls at both poses.
-  void spread(int t, std::vector<double>& slope) {
-    const double *speed = frame(speeds_, t), *force = frame(forces_, t);
-    double *now = frame(slope, t), *next = frame(slope, t + 1);
-    for (const Node& node : task_.chain.nodes) {
-      if (node.follows) continue;
-      const int d = node.dof;
-      double back[3] = {-force[d]}, on[3] = {force[d]};
-      if (node.kind == Kind::BALL) {
-        pull_back(speed + d, force + d, 1, on);
-        pull_back(speed + d, force + d, -1, back);
-        for (double& x : back) x = -x;
-      }
-      for (int k = 0; k < node.width(); ++k) now[d + k] += back[k], next[d + k] += on[k];
-    }
+  double evaluate(const std::vector<double>& q, std::vector<double>* slope = nullptr) {
+    return cost_.evaluate(anchors_.data(), q.data(), slope);
   }
 
   // One round; the cost after it. A step that is too long is taken with more damping:
@@ -438,7 +387,8 @@ class PathSmoother {
   const int frames_, width_, coordinates_;
   int first_, end_;  // frames that move at present
   std::vector<double> targets_;
-  const double *stretches_, *drifts_;
+  const double* stretches_;
+  PathCost cost_;
   TimeBand band_;
   Search search_;
   Stepper stepper_;
@@ -447,7 +397,7 @@ class PathSmoother {
   std::vector<GoalSpace> spaces_;
   GoalSpace::Work work_;
   std::vector<char> held_;
-  std::vector<double> now_, next_, bends_, anchors_, speeds_, forces_, away_, slope_, step_, image_;
+  std::vector<double> now_, next_, anchors_, away_, slope_, step_, image_;
   std::vector<double> rest_, along_, conditioned_, moved_;
   double damping_ = 0;
 };

@@ -17,8 +17,9 @@ constexpr double LONGEST_TURN = 1.0;
 class Stepper {
  public:
   explicit Stepper(const Task& task)
-      : task_(task), curvature_(task), matrix_(static_cast<std::size_t>(task.rows) * task.rows),
-        right_(task.rows), image_(task.rows), free_(task.chain.dofs),
+      : task_(task), curvature_(task), side_(std::min(task.rows, task.chain.dofs)),
+        matrix_(static_cast<std::size_t>(side_) * side_), right_(side_),
+        image_(std::max(task.rows, side_)), felt_(task.chain.dofs), free_(task.chain.dofs),
         search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
     fixed_.reserve(2 * task.chain.nodes.size() + 8);
     pinned_.resize(task.chain.nodes.size());
@@ -52,7 +53,8 @@ class Stepper {
     shut(state);
     for (int pass = 0; pass < MOST_PASSES; ++pass) {
       if (!(curved ? solve_curved(state, linear, damping, longest, out)
-                   : solve_dual(state, linear, damping, out)))
+                   : linear.primal ? solve_primal(linear, damping, out)
+                                   : solve_dual(state, linear, damping, out)))
         return false;
       shorten(state, curved, longest, out);
       if (!fix_violations(state, out)) return true;
@@ -272,6 +274,62 @@ class Stepper {
     for (const Fixed& fixed : fixed_) add(fixed, -along(fixed, v), v);
   }
 
+  // (J^T J + D) d = J^T r + c: as large as the chain, not as the residual.
+  bool solve_primal(const Linearized& linear, double damping, double* out) {
+    const int dofs = task_.chain.dofs;
+    prepare_normal(linear, damping + task_.rest_weight);
+    std::fill(out, out + dofs, 0.0);
+    for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
+    std::copy(linear.downhill.begin(), linear.downhill.end(), right_.begin());
+    if (!fixed_.empty()) {
+      times_matrix(out, felt_.data());
+      for (int d = 0; d < dofs; ++d) right_[d] -= felt_[d];
+      project(right_.data());
+      for (const Fixed& fixed : fixed_) shut(fixed);
+    }
+    if (!factor_cholesky(matrix_.data(), image_.data(), dofs)) return false;
+    solve_factored(matrix_.data(), right_.data(), dofs);
+    for (int d = 0; d < dofs; ++d) out[d] += right_[d];
+    return true;
+  }
+
+  void prepare_normal(const Linearized& linear, double diagonal) {
+    std::copy(linear.normal.begin(), linear.normal.end(), matrix_.begin());
+    for (int d = 0; d < side_; ++d) matrix_[static_cast<std::size_t>(d) * side_ + d] += diagonal;
+  }
+
+  double& entry(int i, int j) {
+    return matrix_[static_cast<std::size_t>(std::max(i, j)) * side_ + std::min(i, j)];
+  }
+
+  // out = A v of the symmetric matrix.
+  void times_matrix(const double* v, double* out) {
+    for (int i = 0; i < side_; ++i) {
+      out[i] = 0;
+      for (int j = 0; j < side_; ++j) out[i] += entry(i, j) * v[j];
+    }
+  }
+
+  // A <- P A P + c c^T, P = 1 - c c^T: nothing moves along c, and nothing feels it.
+  void shut(const Fixed& fixed) {
+    const double* c = fixed.direction;
+    double own = 0;
+    for (int i = 0; i < side_; ++i) {
+      felt_[i] = 0;
+      for (int k = 0; k < fixed.width; ++k) felt_[i] += entry(i, fixed.dof + k) * c[k];
+    }
+    for (int k = 0; k < fixed.width; ++k) own += c[k] * felt_[fixed.dof + k];
+    for (int k = 0; k < fixed.width; ++k) {
+      const int at = fixed.dof + k;
+      for (int i = 0; i < side_; ++i)
+        if (i < fixed.dof || i >= fixed.dof + fixed.width) entry(i, at) -= felt_[i] * c[k];
+      for (int n = 0; n <= k; ++n) {
+        const int other = fixed.dof + n;
+        entry(at, other) += (own + 1) * c[k] * c[n] - felt_[at] * c[n] - c[k] * felt_[other];
+      }
+    }
+  }
+
   // (J J^T + D) z = r - J c / D, d = J^T z + c / D: as large as the residual, not as
   // the chain.
   bool solve_dual(const State& state, const Linearized& linear, double damping, double* out) {
@@ -381,9 +439,14 @@ class Stepper {
     return std::max(sum, LEAST_FLOOR);
   }
 
-  // The factor of J J^T + floor, what is fixed taken out.
+  // The factor of J J^T + floor or J^T J + floor, what is fixed taken out.
   bool prepare_measure(const Linearized& linear, double floor) {
     const int m = task_.rows;
+    if (linear.primal) {
+      prepare_normal(linear, floor);
+      for (const Fixed& fixed : fixed_) shut(fixed);
+      return factor_cholesky(matrix_.data(), image_.data(), side_);
+    }
     std::copy(linear.gram.begin(), linear.gram.end(), matrix_.begin());
     for (int i = 0; i < m; ++i) matrix_[i * m + i] += floor;
     for (const Fixed& fixed : fixed_) take_out(fixed, linear);
@@ -393,6 +456,12 @@ class Stepper {
   // free_ = (J^T J + floor)^-1 rest_
   void measure_rest(const Linearized& linear, double floor) {
     const int m = task_.rows;
+    if (linear.primal) {
+      free_ = rest_;
+      solve_factored(matrix_.data(), free_.data(), side_);
+      project(free_.data());
+      return;
+    }
     map(linear, rest_.data());
     solve_factored(matrix_.data(), image_.data(), m);
     for (int d = 0; d < task_.chain.dofs; ++d) {
@@ -406,7 +475,8 @@ class Stepper {
 
   const Task& task_;
   Curvature curvature_;
-  std::vector<double> matrix_, right_, image_, free_, search_, rest_, product_, turned_;
+  const int side_;  // of the matrix
+  std::vector<double> matrix_, right_, image_, felt_, free_, search_, rest_, product_, turned_;
   double turn_ = 0;
   std::vector<Fixed> fixed_;
   std::vector<Pinned> pinned_;

@@ -35,6 +35,10 @@ using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, 
 // coordinates, misses, rounds, cost before and after
 using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
 
+// coordinates, misses, searched, taken, rounds, cost before and after
+using IkFitted = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 1>,
+                            Out<std::int64_t, 2>, int, double, double>;
+
 // triangles, corner_normals, edge_normals, bounds, nodes
 using MeshTree = std::tuple<Out<std::int32_t, 2>, Out<double, 2>, Out<double, 3>,
                             Out<double, 2>, Out<std::int32_t, 2>>;
@@ -121,6 +125,12 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                      In<double, 2> drifts, double anchor, double speed, double acceleration,
                      std::size_t first, std::size_t end, double length_tolerance,
                      double angle_tolerance, double damping, int rounds);
+
+IkFitted fit_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+                In<double, 2> goal_numbers, In<double, 2> path, In<double, 3> targets,
+                In<double, 2> starts, double anchor, double speed, double acceleration,
+                double robust, double rest_weight, double homing, std::size_t first,
+                std::size_t end, int iterations, int rounds, bool tracked);
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,

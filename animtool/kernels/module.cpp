@@ -307,6 +307,22 @@ Goals that are reached stay so; where one is missed, all stay where the frame ha
 Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, K)``, steps
 taken, and half the sum before and after them.)");
 
+  m.def("fit_ik", &fit_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "path"_a,
+        "targets"_a, "starts"_a, "anchor"_a, "speed"_a, "acceleration"_a, "robust"_a, "rest_weight"_a,
+        "homing"_a, "first"_a, "end"_a, "iterations"_a, "rounds"_a, "tracked"_a,
+        R"(Fit a path ``(F, Q)`` of one chain to goals by weight, arrays as for `solve_ik`.
+
+Frames from ``first`` to ``end`` move. If ``tracked``, each is first looked for from where
+those before it lead to, which draws it with ``rest_weight``; joints without a goal go the
+share ``homing`` of the way to their rest. Where too little fits, it is looked for from
+``starts`` ``(F, Q)``; goals whose positions were mixed up exchange them. Then, in at most ``rounds`` steps of all at once, the sum over the frames of
+``r^2 / (1 + r^2 / robust^2)`` of each goal's weighted miss r and of
+``anchor |q - tracked|^2 + speed |v|^2 + acceleration |a|^2`` is brought down.
+
+Returns ``(coordinates, misses, searched, taken, rounds, before, after)``: ``(F, Q)``;
+``(F, E, K)``; which frames begin at a start of their own ``(F,)``; whose target each goal has
+``(F, E)``, -1 for none; steps taken, and half the sum before and after them.)");
+
   m.def("cheapest_ik_path", &cheapest_ik_path, "nodes"_a, "numbers"_a, "paths"_a, "costs"_a,
         "drifts"_a, "easy"_a, "open"_a, "closed"_a,
         R"(Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.

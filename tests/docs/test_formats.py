@@ -25,6 +25,7 @@ from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.roles import DIGITS, ROLES, base_role
+from animtool.mocap.template import load_template
 from animtool.rig.expressions import FUNCTIONS
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind
@@ -206,6 +207,14 @@ def test_maps_load(project: Path, text: str) -> None:
     assert [target.names[pair.target] for pair in stated] == [
         *("hips", "spine", "elbow_l"),
     ]
+
+
+@pytest.mark.parametrize("text", WHOLE["markers"])
+def test_marker_templates_load(project: Path, text: str) -> None:
+    (project / "one.markers.yaml").write_text(text, "utf-8")
+    template = load_template(project / "one.markers.yaml")
+    joints = template.joints(Rig.load(project / "hero.rig.yaml"))
+    assert len(joints) == len(template.markers) > 2
 
 
 def test_the_roles_of_maps_are_listed() -> None:

@@ -18,6 +18,7 @@ from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.retarget import TwistShare
 from animtool.mocap.retarget.file import load_map, resolved_map
+from animtool.mocap.template import TemplateMarker, load_template
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
@@ -101,6 +102,19 @@ def test_map_1() -> None:
     assert found.twists == (TwistShare(5, 4, 0.25),)
     assert found.ignored == ({4}, {6})
     assert not found.only
+
+
+def test_markers_1() -> None:
+    template = load_template(FROZEN / "markers-1.markers.yaml")
+    assert template.rig == (FROZEN / "rig-1.rig.yaml").resolve()
+    assert template.markers == (
+        TemplateMarker("CHES", "chest", (0, 0.05, 0.1), 1, False, ("STRN", "Sternum")),
+        TemplateMarker("LELB", "elbow_l", (0, 0.03, 0), 0.5, True),
+        TemplateMarker("HIPS", "hips"),
+    )
+    joints = template.joints(load_rig(template.rig)).tolist()
+    names = load_rig(template.rig).names
+    assert [names[j] for j in joints] == ["chest", "elbow_l", "hips"]
 
 
 def test_scene_1(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray
@@ -158,7 +159,7 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
     return float(np.sqrt(np.median(sums / middle)))
 
 
-def _own(lengths: FloatArray, states: FloatArray) -> FloatArray:
+def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera by its median residual [px] ``(C,)``."""
     used = states == _USED
     others = used.sum(axis=1)[:, None] - used

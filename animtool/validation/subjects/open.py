@@ -13,6 +13,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import unreadable
 from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import Opened
 
@@ -36,6 +37,20 @@ def open_cameras(document: Document) -> Opened:
     return Opened(Kind.CAMERAS, [], cameras_of_document(document))
 
 
+def open_markers(document: Document) -> Opened:
+    """Return a marker template, checked against the rig that it names."""
+    from animtool.mocap.template.file import template_of_document
+
+    template = template_of_document(document)
+    faults = list(document.notices)
+    if template.rig is not None:
+        try:
+            template.joints(Rig.load(template.rig))
+        except AnimtoolError as error:
+            faults += error.faults
+    return Opened(Kind.MARKERS, faults, template)
+
+
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
 DOCUMENT_SUFFIXES = tuple(
@@ -56,6 +71,7 @@ _OPENERS = {
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
+    Kind.MARKERS: "animtool.validation.subjects.open:open_markers",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }

@@ -20,6 +20,7 @@ from animtool.errors import AnimtoolError, Fault
 from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.retarget.file import load_map
+from animtool.mocap.template import load_template
 from animtool.quantities import json_printed
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
@@ -29,7 +30,7 @@ from fuzz.mutations import spoil
 ABOUT = "rig, clip, scene, targets and batch files, spoiled as bytes or as values"
 
 ROOT = Path(__file__).parents[3]
-KINDS = ("rig", "clip", "map", "scene", "targets", "batch", "cameras")
+KINDS = (*("rig", "clip", "map", "markers", "scene", "targets", "batch", "cameras"),)
 # Longer ones take more than some milliseconds, and say no more.
 LONGEST = 3000
 # What no line of a message may hold.
@@ -119,6 +120,8 @@ def _load(path: Path, seed: Seed, rigs: dict[Path, Rig]) -> None:
         load_map(path)
     elif seed.kind == "cameras":
         load_cameras(path)
+    elif seed.kind == "markers":
+        load_template(path)
     else:
         clip = open_clip(path)
         if seed.path not in rigs:

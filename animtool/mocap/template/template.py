@@ -1,0 +1,132 @@
+"""A marker template: markers on the joints of a rig, and its text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.document import Document, spelled
+from animtool.documents.names import flow, nearest, number, text
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import Rig
+
+# Decimals of an offset in a file that is written [m]: a hundredth of a millimetre is
+# below what cameras tell apart.
+OFFSET_DECIMALS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateMarker:
+    """One marker.
+
+    Attributes:
+        name: As a capture calls it, without the name of the subject.
+        joint: Name of the joint that carries it.
+        offset: Where it is in the joint's frame [m].
+        weight: How much it counts in a solve; 0 is not at all.
+        fixed: Whether calibration keeps its offset.
+        aliases: Other names that captures give it.
+    """
+
+    name: str
+    joint: str
+    offset: Vector = (0.0, 0.0, 0.0)
+    weight: float = 1.0
+    fixed: bool = False
+    aliases: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerTemplate:
+    """Which markers are on the joints of a rig.
+
+    Attributes:
+        markers: M of them, unique by name and alias.
+        rig: The rig file that it names, resolved; None where it names none.
+        document: The file it was read from; None where it is from none.
+    """
+
+    markers: tuple[TemplateMarker, ...]
+    rig: Path | None = None
+    document: Document | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the markers, in order."""
+        return [marker.name for marker in self.markers]
+
+    @property
+    def offsets(self) -> FloatArray:
+        """Offsets of the markers ``(M, 3)`` [m], in the frames of their joints."""
+        return np.array([m.offset for m in self.markers], np.float64).reshape(-1, 3)
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights of the markers ``(M,)`` [1]."""
+        return np.array([m.weight for m in self.markers], np.float64)
+
+    def joints(self, rig: Rig) -> IntArray:
+        """Return the index of each marker's joint ``(M,)``.
+
+        Raises:
+            FormatError: The rig lacks a joint (MKT001), with every such marker of the
+                file; OptionError where the template is from none.
+
+        >>> from animtool.rig.skeleton import Joint
+        >>> rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
+        >>> MarkerTemplate((TemplateMarker("WRA", "b"),)).joints(rig).tolist()
+        [1]
+        """
+        index = {name: j for j, name in enumerate(rig.names)}
+        faults = []
+        for i, marker in enumerate(self.markers):
+            if marker.joint in index:
+                continue
+            message = (
+                f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} lacks"
+            )
+            place = ("marker_set", i, "joint")
+            hint = nearest(marker.joint, index)
+            faults.append(
+                Fault("MKT001", message, hint=hint, where=spelled(place))
+                if self.document is None
+                else self.document.fault("MKT001", place, message, hint)
+            )
+        if faults:
+            raise OptionError(faults) if self.document is None else FormatError(faults)
+        return np.array([index[m.joint] for m in self.markers], np.int64)
+
+
+def template_text(template: MarkerTemplate, title: str, rig: str | None = None) -> str:
+    """Return a template as the text of a template file.
+
+    Args:
+        template: The markers.
+        title: Of the comment on the first line.
+        rig: Path of the rig file as the file is to name it; None names none.
+    """
+    return "\n".join(_lines(template, title, rig)) + "\n"
+
+
+def _lines(template: MarkerTemplate, title: str, rig: str | None) -> Iterator[str]:
+    yield f"# {title}"
+    yield "markers: animtool/1"
+    if rig is not None:
+        yield f"rig: {text(rig)}"
+    yield "marker_set:"
+    for marker in template.markers:
+        offset = flow([number(round(x, OFFSET_DECIMALS)) for x in marker.offset])
+        entry = f"name: {text(marker.name)}, joint: {text(marker.joint)}"
+        entry += f", offset: {offset}"
+        if marker.weight != 1.0:
+            entry += f", weight: {number(marker.weight)}"
+        if marker.fixed:
+            entry += ", fixed: true"
+        if marker.aliases:
+            entry += f", aliases: {flow([text(name) for name in marker.aliases])}"
+        yield f"- {{{entry}}}"
