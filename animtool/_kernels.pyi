@@ -247,6 +247,33 @@ def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(No
     there were to look at; where these are more than ``most``, nothing is done.
     """
 
+def triangulate_points(pixels: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], confidences: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, cameras: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], active: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gate: float, condition: float, detailed: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float32], dict(shape=(None, None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None), order='C')]]:
+    """
+    Find points from the pixels ``(F, C, M, 2)`` at which C cameras see them.
+
+    A pixel of NaN is not seen; ``confidences`` ``(F, C, M)`` weight pixels, and 0 is not seen.
+    ``cameras`` ``(C, 27)``: fx fy cx cy skew [px], k1 k2 p1 p2 k3 k4 k5 k6, the rotation by rows and
+    the translation [m] that take the world to the camera, width and height [px] or 0. ``active`` ``(F, C)``: cameras that
+    count. ``noise`` ``(C,)``: standard deviation of a pixel's axis [px]. Observations farther off
+    than ``gate`` standard deviations are rejected; points whose normal matrix has a larger product
+    of its trace and its inverse's than ``condition`` are left out.
+
+    Returns ``(points, numbers, tallies, residuals, states)``: ``(F, M, 3)`` [m], NaN where fewer
+    than two cameras agree; ``(F, M, 5)``: root mean square of the used residuals [px] and [m], the
+    standard error [m], cameras used and cameras that see it; ``(F, C, 8)``: observations, those used,
+    judged, rejected and outside of the lens's domain, sums of squared residuals [px^2] and [m^2],
+    observations outside of the image. ``detailed``, else empty: residuals ``(F, C, M, 2)`` [px], and
+    ``(F, C, M)``: 0 not seen, 1 used, 2 rejected, 3 not active, 4 outside of the domain, 5 the point
+    is not found.
+    """
+
+def least_median_residuals(pixels: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], cameras: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Return the least median of residuals over all pairs of cameras ``(F, M)`` [px].
+
+    NaN where fewer than three see a point. Arguments are those of `triangulate_points`.
+    """
+
 def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.

@@ -36,6 +36,7 @@ class Kind(StrEnum):
     SCENE = "scene"
     TARGETS = "targets"
     MAP = "map"
+    CAMERAS = "cameras"
     MARKERS = "markers"
     BVH = "bvh"
     USD = "usd"

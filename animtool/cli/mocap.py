@@ -14,6 +14,9 @@ COMMANDS = {
     "solve": (
         "animtool.cli.mocap_solve:solve",
         "Solve the motion of a rig from markers.",
+    "triangulate": (
+        "animtool.cli.mocap_triangulate:triangulate",
+        "Find markers in space from what cameras see.",
     ),
 }
 
@@ -25,6 +28,7 @@ COMMANDS = {
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
   animtool mocap solve take.c3d --template ann.markers.yaml -o take.usdc""",
+  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

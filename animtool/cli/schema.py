@@ -30,6 +30,7 @@ def completion(console: Console, shell: str) -> None:
 
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
+    "cameras": "animtool.mocap.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
     "map": "animtool.mocap.retarget.file:MapModel",
     "markers": "animtool.mocap.template.file:MarkersModel",

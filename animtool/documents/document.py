@@ -16,7 +16,9 @@ Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
 # What a file says that it is, in its name too.
-_KINDS = frozenset({"batch", "clip", "map", "markers", "rig", "scene", "targets"})
+_KINDS = frozenset(
+    {"batch", "cameras", "clip", "map", "markers", "rig", "scene", "targets"}
+)
 
 
 @dataclass(slots=True)

@@ -16,6 +16,7 @@ Steps = Mapping[int, Step]
 # By kind and the version that a step leads on from.
 STEPS: dict[str, dict[int, Step]] = {
     "batch": {},
+    "cameras": {},
     "rig": {},
     "clip": {},
     "map": {},
@@ -32,7 +33,7 @@ RENAMED: dict[str, dict[tuple[str | None, ...], str]] = {
     },
 }
 # What the first line of a file may name: a batch names a scene too, others their rig.
-KINDS = ("batch", "clip", "map", "markers", "scene", "targets", "rig")
+KINDS = ("batch", "clip", "map", "markers", "scene", "targets", "cameras", "rig")
 
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {

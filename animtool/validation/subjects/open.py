@@ -30,6 +30,13 @@ def open_map(document: Document) -> Opened:
     return Opened(Kind.MAP, [], map_of_document(document))
 
 
+def open_cameras(document: Document) -> Opened:
+    """Return a camera file."""
+    from animtool.mocap.cameras.file import cameras_of_document
+
+    return Opened(Kind.CAMERAS, [], cameras_of_document(document))
+
+
 def open_markers(document: Document) -> Opened:
     """Return a marker template, checked against the rig that it names."""
     from animtool.mocap.template.file import template_of_document
@@ -63,6 +70,7 @@ _OPENERS = {
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
+    Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.MARKERS: "animtool.validation.subjects.open:open_markers",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
