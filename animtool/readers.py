@@ -97,7 +97,7 @@ TRC = Reader(
 ARRAYS = Reader(
     "arrays of markers",
     source=_SOLVE,
-    options=_OF_MARKERS,
+    options=(*_OF_MARKERS, "cameras"),
     markers="animtool.formats.marker_arrays:read_markers",
 )
 

@@ -98,13 +98,15 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
         help="A stage in three files: X.rig.usda, X.anim.usdc, X.",
     ),
     *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
-    source_option("rig", "template", "clamp"),
+    source_option("rig", "template", "cameras", "clamp"),
     set_option,
     source_options,
     source_option("prim_path", "take"),
     *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
 )
+# Of a source, beyond what `source_options` are.
+_OF_SOURCE = ("prim_path", "rig", "template", "cameras", "clamp", "take")
 # Commands have them with a help of their own; a take that is written has no flag.
 _ELSEWHERE = {"strict", "overwrite", "take"}
 
@@ -118,9 +120,7 @@ bake_options = stacked(
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(
-        given, "prim_path", "rig", "template", "clamp", "take"
-    )
+    source = source_options_record(given, *_OF_SOURCE)
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
     values["form"] = "split" if given["split"] else values["form"]

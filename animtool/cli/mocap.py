@@ -14,6 +14,7 @@ COMMANDS = {
     "solve": (
         "animtool.cli.mocap_solve:solve",
         "Solve the motion of a rig from markers.",
+    ),
     "triangulate": (
         "animtool.cli.mocap_triangulate:triangulate",
         "Find markers in space from what cameras see.",
@@ -27,7 +28,7 @@ COMMANDS = {
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
-  animtool mocap solve take.c3d --template ann.markers.yaml -o take.usdc""",
+  animtool mocap solve take.c3d --template ann.markers.yaml -o take.usdc
   animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz""",
 )
 def mocap() -> None:

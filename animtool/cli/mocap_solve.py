@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,10 +37,11 @@ MAX_NAMED = 8
 @click.command(
     epilog="""\b
 Examples:
-  animtool mocap solve walk.c3d --rig ann.rig.yaml --template ann.markers.yaml -o walk.usdc
+  animtool mocap solve walk.c3d --template ann.markers.yaml -o walk.usdc
   animtool mocap solve range.c3d --template biped.markers.yaml --calibrate
       --static tpose.c3d --write-rig ann.rig.yaml --write-template ann.markers.yaml
-  animtool mocap solve walk.trc --template ann.markers.yaml --rig-layer ann.usda -o walk.usda"""
+  animtool mocap solve walk.trc --template ann.markers.yaml --rig-layer ann.usda
+      -o walk_layer.usda"""
 )
 @click.argument("source", metavar="MARKERS", type=INPUT)
 @click.option(
@@ -255,4 +257,4 @@ def solve_json(report: MocapSolveResult) -> dict[str, object]:
 
 def _plain(values: Any) -> list[float | None]:
     """Return numbers, None in place of NaN."""
-    return [None if value != value else float(value) for value in values]
+    return [None if math.isnan(value) else float(value) for value in values]

@@ -71,6 +71,12 @@ class SourceModel(FileModel):
         "ann.markers.yaml",
         default=None,
     )
+    cameras: Name | None = key(
+        "Of an npz of pixels, what cameras see of markers: their calibrations. The "
+        "markers are triangulated, then solved.",
+        "stage.cameras.yaml",
+        default=None,
+    )
     tracks: TracksModel | None = key(
         "Of several sources, but the first: what it brings. Not given: what it moves.",
         {"shapes": ["*"]},

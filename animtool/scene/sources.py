@@ -46,6 +46,7 @@ class SourceOptions:
         clamp: Bring a clip's controls into their ranges, and joints into limits.
         take: Which take of a clip library; None is the one that it selects.
         template: Marker template of a file of markers.
+        cameras: Calibrations of the cameras, of an npz of what they see.
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
@@ -105,6 +106,14 @@ class SourceOptions:
         reason="is for files of markers, and this is none",
         help="Of a file of markers: the template that says where they are "
         "(.markers.yaml); it is solved on the rig.",
+    )
+    cameras: Path | None = option(
+        None,
+        "file",
+        "--cameras",
+        reason="is for what cameras see, an npz of pixels, and this is none",
+        help="Of an npz of pixels: the calibrations of the cameras, which triangulate "
+        "the markers.",
     )
     force_fit: bool = False
     shot: Shot | None = None

@@ -2,8 +2,8 @@
 
 Scales s of the bones and offsets o of the markers are found together with the poses of
 some frames: reweighted Gauss-Newton, the poses' part of each step taken out (the Schur
-complement of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern synthesis,
-2000, section 6.1), with what is likely of a body as priors.
+complement of bundle adjustment: B. Triggs et al., Bundle adjustment, a modern
+synthesis, 2000, section 6.1), with what is likely of a body as priors.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
 from animtool.markers import Markers
@@ -44,8 +45,8 @@ MOTION_FRAMES, STATIC_FRAMES = 200, 10
 # What is likely: how far bones are from the overall scale, that from 1, left bones from
 # right ones [1], markers from where the template has them, by an axis [m].
 BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
-# How near the rest pose a subject stands in a static take, and joints are elsewhere, where
-# no marker says otherwise [rad].
+# How near the rest pose a subject stands in a static take, and joints are elsewhere,
+# where no marker says otherwise [rad].
 STANDING, MOVING = 0.08, 1.5
 # Steps, and the change of the parameters that ends them: bones [1], offsets [m].
 ROUNDS, STILL = 25, 2e-4
@@ -64,7 +65,7 @@ class Calibration:
     Attributes:
         rig: The rig with the subject's bones.
         template: The template with the subject's offsets.
-        scales: Of each joint's bone from its parent, against the rig given ``(J,)`` [1].
+        scales: Of each joint's bone from its parent, against the rig given ``(J,)``.
         shifts: How far each marker went from its offset ``(M,)`` [m]; NaN where the
             capture lacks it.
         noise: How far markers are off, as a standard deviation of an axis ``(E,)`` [m].
@@ -251,19 +252,15 @@ class _Calibrating:
     def _from_rest(self, poses: FloatArray) -> FloatArray:
         """Return how far poses are from rest ``(F, D)``, but for where the root is."""
         chain = self.model.problem.chain
-        rest = np.zeros((1, self.model.problem.coordinates))
         start = chain.from_rig(self.model.starts(self.positions))
         own = chain.from_rig(poses)
-        del rest
-        from animtool.ik.chain import difference
-
         away = difference(chain, start, own)
         # The root goes where it goes.
         away[:, : min(6, away.shape[1])] = 0.0
         return away
 
     def _columns(self, poses: FloatArray) -> FloatArray:
-        """Return how the weighted markers follow the parameters ``(F, 3 E, B + 3 E)``."""
+        """Return how weighted markers follow the parameters ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local(poses)
         world = forward(rig, local.translations, local.rotations)
@@ -314,7 +311,7 @@ class _Calibrating:
         return matrix, drawn
 
     def _carriers(self) -> FloatArray:
-        """Return the share of each bone in the size of what carries a marker ``(E, B)``.
+        """Return the share of each bone in the size of a marker's joint ``(E, B)``.
 
         A joint is as large as the bones that begin there; one at an end as all of them.
         """

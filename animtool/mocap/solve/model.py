@@ -64,7 +64,7 @@ class MarkerModel:
         return Targets(np.where(seen[:, :, None], positions, 0.0), weights=weights)
 
     def starts(self, positions: FloatArray) -> FloatArray:
-        """Return the rest pose, moved as a whole onto markers ``(F, E, 3)``: ``(F, Q)``.
+        """Return the rest pose moved onto markers ``(F, E, 3)`` as a whole ``(F, Q)``.
 
         Markers near the root count most.
         """

@@ -37,15 +37,15 @@ from animtool.take import Take
 from animtool.units import up_from_up
 
 Progress = Callable[[float], None] | None
-# Frames that are solved at once, and how far the solve looks ahead of them: beyond that,
-# what a joint does next says nothing of a frame. Fixed, so that results are the same
-# however long a take is.
+# Frames that are solved at once, and how far the solve looks ahead of them: beyond
+# that, what a joint does next says nothing of a frame. Fixed, so that results are the
+# same however a take is read.
 WINDOW, AHEAD = 600, 120
 # Frames before a window, whose poses stay and whose speed goes on.
 BEHIND = 2
 # Frames by themselves that say how far markers are off.
 SAMPLES = 24
-# A capture whose markers are this many times as far apart as the rig's is in other units.
+# Markers that are this many times as far apart as the rig's are in other units.
 OTHER_UNITS = 30.0
 # Where the noise is looked for from, and when it is found.
 FAR, ROUNDS, SETTLED = 0.02, 4, 0.7

@@ -1,4 +1,4 @@
-"""Some frames of a capture by themselves: how far markers are off, at poses that fit."""
+"""Frames of a capture by themselves: poses that fit, and what markers miss there."""
 
 from __future__ import annotations
 

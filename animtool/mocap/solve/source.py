@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, OptionError, counted
+from animtool.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
@@ -22,7 +22,7 @@ from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis, unit_name
 
-# What a good solve leaves of a marker, skin moving [m], and of labels that do not fit [1].
+# What a good solve leaves of a marker, skin moving [m], and of wrong labels [1].
 USUAL_MISS, USUAL_OUTLIERS = 0.005, 0.01
 
 
@@ -31,12 +31,23 @@ def open_markers_source(
     *,
     rig: Path | None = None,
     template: Path | None = None,
+    cameras: Path | None = None,
     unit: LengthUnit | None = None,
     up: UpAxis | None = None,
     fps: Any = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
     """Open a file of markers as the motion of a rig.
+
+    Args:
+        path: Markers; with ``cameras`` what these see of them, an npz of pixels.
+        rig: Whose motion it is; None is the rig that the template names.
+        template: Where the markers are.
+        cameras: Calibrations of the cameras, which triangulate the markers.
+        unit: Of the markers, or of the calibrations.
+        up: Which axis points up there.
+        fps: The frame rate, where the file has a wrong one or none.
+        progress: Told the share done.
 
     Raises:
         FormatError: A file is malformed.
@@ -50,7 +61,10 @@ def open_markers_source(
     read = load_template(template)
     named = named_rig(read, rig, template)
     loaded = Rig.load(named)
-    markers = read_marker_file(path, unit=unit, up=up, fps=fps)
+    if cameras is None:
+        markers = read_marker_file(path, unit=unit, up=up, fps=fps)
+    else:
+        markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     solve = at_file(path, lambda: solve_markers(markers, loaded, read, SolveOptions()))
     stream = solve_stream(solve, path, progress)
     stream.notices = [*loaded.notices, *stream.notices]
@@ -88,6 +102,33 @@ def read_marker_file(
     found = opener(path, **{k: v for k, v in given.items() if v is not None})
     assert isinstance(found, Markers)
     return found
+
+
+def triangulated(
+    path: Path,
+    cameras: Path,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: Any = None,
+) -> Markers:
+    """Return the markers that cameras see, with what is said of the cameras.
+
+    Raises:
+        FormatError: A file cannot be read.
+        OptionError: Cameras and observations do not fit each other (CAM011 to CAM015).
+    """
+    from animtool.mocap.cameras.file import load_all_cameras
+    from animtool.mocap.cameras.observations import read_observations
+    from animtool.mocap.cameras.triangulate import triangulate
+
+    found = triangulate(
+        read_observations(path, fps=fps), load_all_cameras([cameras], unit=unit, up=up)
+    )
+    error = f"reprojection {found.error_px:.3g} px ({found.error_mm:.3g} mm)"
+    message = f"{counted(len(found.cameras), 'camera')}: {error}"
+    note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
+    return replace(found.markers, notices=(*found.notices, note))
 
 
 def at_file(path: Path, made: Callable[[], Any]) -> Any:
