@@ -149,7 +149,9 @@ class _Calibrating:
         self.base = self.model.rig.rest_translations
         self.offsets0 = self.model.offsets
         self.scales = np.full(len(self.bones), self._overall())
-        self.offsets = self.scales[0] * self.offsets0
+        self.held = np.array([m.fixed for m in self.model.template.markers], np.bool_)
+        size = np.where(self.held, 1.0, self.scales[0])
+        self.offsets = size[:, None] * self.offsets0
         self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
         self.surety = np.zeros(len(self.bones))
 
@@ -306,6 +308,10 @@ class _Calibrating:
         of_bones = self._carriers()[:, None, :] * self.offsets0[:, :, None]
         left_over[:, :bones] = -of_bones.reshape(-1, bones)
         away = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
+        # Those on landmarks stay, whatever the bones do.
+        held = np.repeat(self.held, 3)
+        left_over[held, :bones] = 0.0
+        away[held] = 0.0
         matrix += left_over.T @ left_over / OFFSETS**2
         drawn -= left_over.T @ away / OFFSETS**2
         return matrix, drawn
