@@ -41,7 +41,7 @@ from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Pose, Rig
 
 # Frames of the motion and of the static take that are looked at.
-MOTION_FRAMES, STATIC_FRAMES = 200, 10
+MOTION_FRAMES, STATIC_FRAMES = 120, 10
 # What is likely: how far bones are from the overall scale, that from 1, left bones from
 # right ones [1], markers from where the template has them, by an axis [m].
 BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
@@ -241,10 +241,10 @@ class _Calibrating:
             normal,
             (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
         )[:, :, 0]
-        matrix = np.einsum("fmp,fmq->pq", columns, columns)
-        matrix -= np.einsum("fdp,fdq->pq", felt @ columns, taken)
-        right = np.einsum("fmp,fm->p", columns, residuals)
-        right -= np.einsum("fdp,fd->p", felt @ columns, own)
+        rows = columns.reshape(-1, columns.shape[2])
+        mixed = (felt @ columns).reshape(-1, columns.shape[2])
+        matrix = rows.T @ rows - mixed.T @ taken.reshape(mixed.shape)
+        right = rows.T @ residuals.ravel() - mixed.T @ own.ravel()
         prior, drawn = self._prior()
         self.surety = np.diag(matrix)[: len(self.bones)] / (
             np.diag(matrix)[: len(self.bones)] + BONES**-2.0

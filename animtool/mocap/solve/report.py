@@ -80,7 +80,7 @@ class SolveScore:
     _misses: FloatArray = field(init=False, repr=False)
     _taken: IntArray = field(init=False, repr=False)
     _seen: BoolArray = field(init=False, repr=False)
-    _anew: BoolArray = field(init=False, repr=False)
+    _begun: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Make room for the frames."""
@@ -88,7 +88,7 @@ class SolveScore:
         self._misses = np.zeros(shape)
         self._taken = np.broadcast_to(np.arange(shape[1]), shape).copy()
         self._seen = np.zeros(shape, np.bool_)
-        self._anew = np.zeros(shape[0], np.bool_)
+        self._begun = np.zeros(shape[0], np.bool_)
 
     def add(
         self,
@@ -101,7 +101,7 @@ class SolveScore:
         """Note what was found of some frames ``(N, E)``, from one on."""
         rows = slice(first, first + len(misses))
         self._misses[rows], self._taken[rows] = misses, taken
-        self._anew[rows], self._seen[rows] = searched, seen
+        self._begun[rows], self._seen[rows] = searched, seen
 
     def finish(self) -> None:
         """Sum up."""
@@ -120,7 +120,7 @@ class SolveScore:
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
         lost = fits.sum(axis=1) < MOST * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & lost)
-        self.searched = np.flatnonzero(self._anew)
+        self.searched = np.flatnonzero(self._begun)
         self.markers = [
             MarkerScore(
                 name,

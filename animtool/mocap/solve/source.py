@@ -54,6 +54,10 @@ def open_markers_source(
         OptionError: No template is given (SOL007), no rig is (SOL008), or the markers
             do not fit them, as of `animtool.mocap.solve.solve_markers`.
     """
+    if cameras is None:
+        markers = read_marker_file(path, unit=unit, up=up, fps=fps)
+    else:
+        markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, and no template says where they are"
         hint = "--template says it, or template: of the source in a scene"
@@ -61,10 +65,6 @@ def open_markers_source(
     read = load_template(template)
     named = named_rig(read, rig, template)
     loaded = Rig.load(named)
-    if cameras is None:
-        markers = read_marker_file(path, unit=unit, up=up, fps=fps)
-    else:
-        markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     solve = at_file(path, lambda: solve_markers(markers, loaded, read, SolveOptions()))
     stream = solve_stream(solve, path, progress)
     stream.notices = [*loaded.notices, *stream.notices]

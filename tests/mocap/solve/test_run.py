@@ -90,7 +90,7 @@ def test_a_start_of_a_take_is_that_of_the_whole() -> None:
     assert first.rotations.values.tobytes() == same.rotations.values.tobytes()
 
 
-def test_a_limb_without_markers_is_carried_over() -> None:
+def test_a_limb_without_markers_keeps_moving() -> None:
     truth = captured(moving(200, FPS, 5, 0.5), FPS)
     points = truth.markers.positions.copy()
     arm = [column(name) for name in ("LUPA", "LELB", "LWRA", "LWRB")]
