@@ -235,10 +235,8 @@ class _Calibrating:
         # What poses take of parameters and residuals alike.
         taken = np.linalg.solve(normal, felt @ columns)
         pull = held * self._from_rest(poses)
-        own = np.linalg.solve(
-            normal,
-            (felt @ residuals[:, :, None])[:, :, 0][:, :, None] - pull[:, :, None],
-        )[:, :, 0]
+        own = np.linalg.solve(normal, (felt @ residuals[:, :, None])[:, :, 0][:, :, None]
+                              - pull[:, :, None])[:, :, 0]
         matrix = np.einsum("fmp,fmq->pq", columns, columns)
         matrix -= np.einsum("fdp,fdq->pq", felt @ columns, taken)
         right = np.einsum("fmp,fm->p", columns, residuals)
@@ -352,9 +350,7 @@ class _Calibrating:
             own = found.get(marker.name)
             if own is not None:
                 shifts[m] = np.linalg.norm(np.subtract(own.offset, marker.offset))
-            markers.append(
-                marker if own is None else replace(marker, offset=own.offset)
-            )
+            markers.append(marker if own is None else replace(marker, offset=own.offset))
         notices = []
         if not converged:
             message = f"the calibration did not come to an end in {ROUNDS} steps"
@@ -366,9 +362,7 @@ class _Calibrating:
             if self.surety[b] < UNSURE
         ]
         if unseen:
-            message = (
-                "no marker says how long these bones are; they follow the others: "
-            )
+            message = "no marker says how long these bones are; they follow the others: "
             message += listed(unseen, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
@@ -413,7 +407,9 @@ def with_bones(rig: Rig, scales: FloatArray) -> Rig:
     joints, bind = [], dict(rig.bind)
     for joint, scale in zip(rig.joints, scales.tolist(), strict=True):
         x, y, z = (scale * value for value in joint.translation)
-        tips = tuple((scale * a, scale * b, scale * c) for a, b, c in joint.tips)
+        tips = tuple(
+            (scale * a, scale * b, scale * c) for a, b, c in joint.tips
+        )
         joints.append(replace(joint, translation=(x, y, z), tips=tips))
         if rig.meshes and joint.name not in bind and scale != 1.0:
             bind[joint.name] = Pose(joint.translation, joint.rotation)

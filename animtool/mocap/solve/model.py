@@ -13,11 +13,7 @@ from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_types
 from animtool.maths import so3
 from animtool.mocap.template.template import MarkerTemplate
-from animtool.rig.joints import (
-    LocalTransforms,
-    coordinate_slices,
-    local_from_coordinates,
-)
+from animtool.rig.joints import LocalTransforms, coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType, Rig
 
@@ -124,7 +120,9 @@ class MarkerModel:
         return _built(rig, replace(self.template, markers=markers), self.columns)
 
 
-def marker_model(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerModel:
+def marker_model(
+    rig: Rig, template: MarkerTemplate, columns: IntArray
+) -> MarkerModel:
     """Return the model of the markers that a capture has.
 
     Args:
@@ -139,9 +137,7 @@ def marker_model(rig: Rig, template: MarkerTemplate, columns: IntArray) -> Marke
     """
     rig = with_types(rig)
     joints = template.joints(rig)
-    used = [
-        m for m in range(len(columns)) if columns[m] >= 0 and template.weights[m] > 0
-    ]
+    used = [m for m in range(len(columns)) if columns[m] >= 0 and template.weights[m] > 0]
     if len(used) < MIN_MARKERS:
         names = ", ".join(template.markers[m].name for m in used)
         message = f"has {len(used)} of the template's {len(columns)} markers: {names}"

@@ -137,3 +137,4 @@ class SolveScore:
             if label not in (e, -1)
             for first, end in intervals(self._taken[:, e] == label)
         ]
+

@@ -249,3 +249,4 @@ def check_units(model: MarkerModel, sample: FloatArray) -> None:
     message = f"the markers are {times:.3g} times {what} than those on the rig"
     hint = "--units says what the capture is in: m, cm, mm or in"
     raise OptionError(Fault("SOL005", message, hint=hint))
+

@@ -28,9 +28,7 @@ def sampled_frames(positions: FloatArray, count: int) -> IntArray:
     return np.array([f for f in best if seen[f] >= MIN_MARKERS], np.int64)
 
 
-def sampled_poses(
-    model: MarkerModel, positions: FloatArray, noise: FloatArray
-) -> FloatArray:
+def sampled_poses(model: MarkerModel, positions: FloatArray, noise: FloatArray) -> FloatArray:
     """Return poses ``(F, Q)`` of frames that are each looked for by themselves."""
     starts = model.starts(positions)
     targets = model.targets(positions, noise)
