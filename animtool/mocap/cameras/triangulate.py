@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool import _kernels
-from animtool.errors import Fault, OptionError, counted
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import measured_noise
@@ -32,6 +32,8 @@ BLOCK = 500_000
 # Noise above this share of an image's width means that cameras and observations do not
 # belong together [1].
 MAX_NOISE = 0.03
+# Noise above this share of the width is more than detectors of keypoints have [1].
+ODD_NOISE = 0.01
 # Frames that the motion of a camera is measured on.
 _CHANGE_FRAMES = 50
 
@@ -95,6 +97,7 @@ class _Run:
         self.positions = np.full((self.frames, self.markers, 3), np.nan)
         self.known = np.full((self.frames, self.markers, 5), np.nan)
         self.tallies = Tallies(np.zeros((self.frames, self.views, 8)))
+        self.notices = [*cameras.notices, *observations.notices]
         self.moved: list[list[Moved]] = [[] for _ in range(self.views)]
 
     def result(self) -> Triangulation:
@@ -121,9 +124,14 @@ class _Run:
         widths = [
             c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
         ]
-        if middle > MAX_NOISE * max(1.0, float(np.median(widths))):
+        width = max(1.0, float(np.median(widths)))
+        if middle > MAX_NOISE * width:
             message = f"cameras do not agree: rays miss each other by {middle:.0f} px"
             self._disagree(message)
+        if not measured.agree or middle > ODD_NOISE * width:
+            message = f"rays of the cameras miss each other by {middle:.1f} px"
+            hint = "one of them may have moved; calibrate them again"
+            self._warn("CAM108", message, hint)
         return measured.stale
 
     @property
@@ -198,6 +206,10 @@ class _Run:
             raise OptionError(Fault("CAM013", message, path))
         self._disagree(f"no two cameras agree on any of {counted(self._seen, 'point')}")
 
+    def _warn(self, code: str, message: str, hint: str) -> None:
+        path = self.cameras.path or None
+        self.notices.append(Fault(code, message, path, (), hint, Severity.WARNING))
+
     def _disagree(self, message: str) -> None:
         hint = "is this the calibration of these cameras, in this order, for images of "
         hint += "this size?"
@@ -216,7 +228,7 @@ class _Run:
             for c, moved in enumerate(self.moved)
         )
         kept = self.options.keep_moved
-        notices = [*self.cameras.notices, *observations.notices]
+        notices = self.notices
         for report, camera in zip(reports, cameras, strict=True):
             notices += camera_notices(
                 report, camera, self.frames, observations.path, kept=kept
