@@ -87,20 +87,24 @@ LIVELINK = Reader(
     ("rig", "fps", "remap", "dropped"),
 )
 
-_OF_MARKERS = ("unit", "up", "fps")
+_OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
+_SOLVE = "animtool.mocap.solve.source:open_markers_source"
 C3D = Reader(
     "C3D markers",
+    source=_SOLVE,
     options=_OF_MARKERS,
     markers="animtool.formats.c3d.read:read_c3d",
 )
 TRC = Reader(
     "TRC markers",
+    source=_SOLVE,
     options=_OF_MARKERS,
     markers="animtool.formats.trc:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",
-    options=_OF_MARKERS,
+    source=_SOLVE,
+    options=(*_OF_MARKERS, "cameras"),
     markers="animtool.formats.marker_arrays:read_markers",
 )
 

@@ -98,13 +98,15 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
         help="A stage in three files: X.rig.usda, X.anim.usdc, X.",
     ),
     *("rig_layer", "prim_path", "force_fit", "bones", "strip_namespace", "rest_frame"),
-    source_option("rig", "clamp"),
+    source_option("rig", "template", "cameras", "clamp"),
     set_option,
     source_options,
     source_option("prim_path", "take"),
     *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
 )
+# Of a source, beyond what `source_options` are.
+_OF_SOURCE = ("prim_path", "rig", "template", "cameras", "clamp", "take")
 # Commands have them with a help of their own; a take that is written has no flag.
 _ELSEWHERE = {"strict", "overwrite", "take"}
 
@@ -118,7 +120,7 @@ bake_options = stacked(
 
 def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(params, "prim_path", "rig", "clamp", "take")
+    source = source_options_record(params, *_OF_SOURCE)
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in params.items() if n != "take"})
     values["form"] = "split" if params["split"] else values["form"]

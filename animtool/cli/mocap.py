@@ -11,6 +11,10 @@ COMMANDS = {
         "animtool.cli.mocap_clean:clean",
         "Remove spikes and noise from a take.",
     ),
+    "solve": (
+        "animtool.cli.mocap_solve:solve",
+        "Solve the motion of a rig from markers.",
+    ),
     "triangulate": (
         "animtool.cli.mocap_triangulate:triangulate",
         "Find markers in space from what cameras see.",
@@ -29,7 +33,8 @@ COMMANDS = {
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
   animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz
-  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc""",
+  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc
+  animtool mocap solve take.c3d --template ann.markers.yaml -o take.usdc""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

@@ -23,7 +23,7 @@ from animtool.mocap.cameras.options import TriangulateOptions
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
-    from animtool.mocap.cameras.triangulate import CameraReport, Triangulation
+    from animtool.mocap.cameras.report import CameraReport, Triangulation
 
 
 @click.command(

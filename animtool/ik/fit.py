@@ -79,11 +79,11 @@ def fit(
 ) -> Fit:
     """Return poses of F frames that fit targets which no pose reaches exactly.
 
-    The sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's weighted miss r,
-    and of the squared accelerations of the joints over what is usual, is least: by
-    reweighted Gauss-Newton over all frames at once, within the limits. Before, frame after
-    frame is looked for from where those before it lead, and from ``starts`` where most of
-    it does not fit.
+    The sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's weighted miss
+    r, and of the squared accelerations of the joints over what is usual, is least: by
+    reweighted Gauss-Newton over all frames at once, within the limits. Before, frame
+    after frame is looked for from where those before it lead, and from ``starts`` where
+    most of it does not fit. Goals whose targets were mixed up exchange them.
 
     Args:
         problem: E goals over a rig of Q coordinates.

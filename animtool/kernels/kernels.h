@@ -55,9 +55,9 @@ using ColliderSamples = std::tuple<Out<double, 2>, Out<double, 3>, Out<double, 3
 
 // state, pressures, impulses on bodies, mean compression
 using FluidStepped = std::tuple<Out<double, 3>, Out<double, 1>, Out<double, 3>, double>;
-// points, numbers, residuals, states
+// points, numbers, tallies, residuals, states
 using Triangulated =
-    std::tuple<Out<double, 3>, Out<double, 3>, Out<float, 4>, Out<std::uint8_t, 3>>;
+    std::tuple<Out<double, 3>, Out<double, 3>, Out<double, 3>, Out<float, 4>, Out<std::uint8_t, 3>>;
 
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
@@ -202,7 +202,7 @@ RoundedPoints round_points(In<double, 3> points, double unit);
 
 Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
                                 In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
-                                double gate, double condition);
+                                double gate, double condition, bool detailed);
 Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras);
 
 }  // namespace animtool

@@ -18,8 +18,11 @@ namespace animtool {
 namespace {
 
 constexpr double NOT = std::numeric_limits<double>::quiet_NaN();
-// Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation.
-constexpr std::size_t CAMERA_NUMBERS = 25;
+// Numbers of a camera: fx fy cx cy skew, k1 k2 p1 p2 k3 k4 k5 k6, rotation, translation, width
+// and height of the image, 0 where not known.
+constexpr std::size_t CAMERA_NUMBERS = 27;
+// What is counted of a camera in a frame, and what is known of a point.
+constexpr std::size_t TALLIES = 8, POINT_NUMBERS = 5;
 // Cameras of a point that are compared in pairs; of more, the first ones. 24 are 276 pairs.
 constexpr std::size_t MOST_PAIRED = 24;
 constexpr int MOST_STEPS = 12, MOST_ROUNDS = 8, UNDISTORT_STEPS = 20;
@@ -99,6 +102,7 @@ struct Camera {
   std::array<double, 8> k;
   std::array<double, 9> r;
   std::array<double, 3> t;
+  double width, height;
   double information;  // 1 / noise^2
   bool plain;          // without distortion
 
@@ -107,6 +111,7 @@ struct Camera {
     std::copy(n + 5, n + 13, k.begin());
     std::copy(n + 13, n + 22, r.begin());
     std::copy(n + 22, n + 25, t.begin());
+    width = n[25], height = n[26];
     information = 1 / (noise * noise);
     plain = std::all_of(k.begin(), k.end(), [](double v) { return v == 0; });
   }
@@ -123,6 +128,11 @@ struct Camera {
             x * y * g_s + 2 * p1 * x + 2 * p2 * y,
             x * y * g_s + 2 * p1 * x + 2 * p2 * y,
             g + y * y * g_s + 6 * p1 * y + 2 * p2 * x};
+  }
+
+  // The centre of the first pixel is 0, so that half a pixel around belongs to the image.
+  bool outside(double u, double v) const {
+    return width > 0 && (u < -0.5 || v < -0.5 || u > width + 0.5 || v > height + 0.5);
   }
 
   // The direction (x, y, 1) of a pixel; false where no direction near it has that pixel.
@@ -208,8 +218,7 @@ class Point {
  public:
   std::array<Seen, 256> seen;
   std::size_t count = 0;
-  double gate = 0;       // squared, of weighted residuals
-  double condition = 0;  // the most that a point may be spread along its rays
+  double gate = 0;  // squared, of weighted residuals
 
   std::size_t used() const {
     std::size_t n = 0;
@@ -428,7 +437,7 @@ void check_views(const In<double, 4>& pixels, const In<double, 2>& cameras) {
 
 Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
                                 In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
-                                double gate, double condition) {
+                                double gate, double condition, bool detailed) {
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   if (confidences) check::shape("confidences", *confidences, {F, C, M});
@@ -439,88 +448,101 @@ Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3
   check::positive("condition", condition);
   const double* trust = confidences ? confidences->data() : nullptr;
 
-  Buffer<double> points(F * M * 3), numbers(F * M * 3);
-  Buffer<float> residuals(F * C * M * 2);
-  Buffer<std::uint8_t> states(F * C * M);
+  const std::size_t each = detailed ? F * C * M : 0;
+  Buffer<double> points(F * M * 3), numbers(F * M * POINT_NUMBERS), tallies(F * C * TALLIES);
+  Buffer<float> residuals(each * 2);
+  Buffer<std::uint8_t> states(each);
   {
     nb::gil_scoped_release free;
     const std::vector<Camera> views = read_cameras(cameras, noise.data());
-    std::fill_n(residuals.get(), F * C * M * 2, std::numeric_limits<float>::quiet_NaN());
+    std::fill_n(residuals.get(), each * 2, std::numeric_limits<float>::quiet_NaN());
+    std::fill_n(tallies.get(), F * C * TALLIES, 0.0);
     Point point;
-    point.gate = gate * gate, point.condition = condition;
+    point.gate = gate * gate;
+    std::array<std::uint8_t, 256> state;
     for (std::size_t f = 0; f < F; ++f)
       for (std::size_t m = 0; m < M; ++m) {
-        std::array<std::uint8_t, 256> state;
-        std::array<bool, 256> idle;
+        double* const sums = tallies.get() + f * C * TALLIES;
+        const auto pixel = [&](std::size_t c) {
+          return pixels.data() + 2 * ((f * C + c) * M + m);
+        };
         point.count = 0;
-        std::size_t idles = 0;
+        std::size_t seen = 0;
         for (std::size_t c = 0; c < C; ++c) {
-          const std::size_t at = (f * C + c) * M + m;
-          const double u = pixels.data()[2 * at], v = pixels.data()[2 * at + 1];
-          const double confidence = trust ? trust[at] : 1;
-          state[c] = UNSEEN, idle[c] = false;
+          const double u = pixel(c)[0], v = pixel(c)[1];
+          const double confidence = trust ? trust[(f * C + c) * M + m] : 1;
+          state[c] = UNSEEN;
           if (!(std::isfinite(u) && std::isfinite(v) && confidence > 0 &&
                 std::isfinite(confidence)))
             continue;
           Seen& s = point.seen[point.count];
+          sums[c * TALLIES] += 1, sums[c * TALLIES + 7] += views[c].outside(u, v);
           if (!views[c].ray(u, v, s.x, s.y)) {
-            state[c] = NO_RAY;
+            state[c] = NO_RAY, sums[c * TALLIES + 4] += 1;
             continue;
           }
+          ++seen;
           if (!active.data()[f * C + c]) {
-            state[c] = INACTIVE, idle[c] = true, ++idles;
+            state[c] = INACTIVE;
             continue;
           }
+          state[c] = UNRESOLVED;
           s.camera = &views[c], s.number = c, s.u = u, s.v = v, s.used = true;
           s.weight = views[c].information * confidence;
           ++point.count;
         }
         Found found = point.count < 2 ? Found{} : point.robust();
         const std::size_t used = found.good ? point.used() : 0;
-        double deviation = NOT, pixel = 0, metre = 0;
-        if (found.good) {
-          const double trace = found.factor.trace();
-          deviation = std::sqrt(trace);
-          if (!(trace * found.trace <= condition) || used < 2) found.good = false;
-        }
+        const double trace = found.good ? found.factor.trace() : 0;
+        // Rays too flat have no depth.
+        if (used < 2 || !(trace * found.trace <= condition)) found = Found{};
+
         double* to = points.get() + (f * M + m) * 3;
-        double* more = numbers.get() + (f * M + m) * 3;
-        if (!found.good) {
-          to[0] = to[1] = to[2] = more[0] = more[1] = more[2] = NOT;
-          for (std::size_t i = 0; i < point.count; ++i) state[point.seen[i].number] = UNRESOLVED;
-        } else {
-          to[0] = found.point.x, to[1] = found.point.y, to[2] = found.point.z;
+        double* more = numbers.get() + (f * M + m) * POINT_NUMBERS;
+        to[0] = found.point.x, to[1] = found.point.y, to[2] = found.point.z;
+        more[0] = more[1] = more[2] = NOT;
+        more[3] = found.good ? static_cast<double>(used) : 0, more[4] = static_cast<double>(seen);
+        if (found.good) {
+          double pixel_squares = 0, squares = 0;
+          const auto judge = [&](Seen& s, bool known, std::uint8_t as) {
+            double* const sum = sums + s.number * TALLIES;
+            state[s.number] = as, sum[2] += 1;
+            if (detailed && known) {
+              float* at = residuals.get() + 2 * ((f * C + s.number) * M + m);
+              at[0] = static_cast<float>(s.ru), at[1] = static_cast<float>(s.rv);
+            }
+            if (as != USED) {
+              sum[3] += as == REJECTED || !known || s.squared() > point.gate;
+              return;
+            }
+            const double scale = 2 * s.depth / (s.camera->fx + s.camera->fy);
+            const double square = s.ru * s.ru + s.rv * s.rv, metric = square * scale * scale;
+            sum[1] += 1, sum[5] += square, sum[6] += metric;
+            pixel_squares += square, squares += metric;
+          };
           for (std::size_t i = 0; i < point.count; ++i) {
             Seen& s = point.seen[i];
-            state[s.number] = s.used ? USED : REJECTED;
-            if (!s.used && !s.look(found.point)) continue;
-            const std::size_t at = ((f * C + s.number) * M + m) * 2;
-            residuals.get()[at] = static_cast<float>(s.ru);
-            residuals.get()[at + 1] = static_cast<float>(s.rv);
-            if (!s.used) continue;
-            const double squared = s.ru * s.ru + s.rv * s.rv;
-            const double scale = s.depth * 2 / (s.camera->fx + s.camera->fy);
-            pixel += squared, metre += squared * scale * scale;
+            const bool known = s.used || s.look(found.point);
+            judge(s, known, s.used ? USED : REJECTED);
           }
-          const double n = static_cast<double>(used);
-          more[0] = std::sqrt(pixel / n), more[1] = std::sqrt(metre / n), more[2] = deviation;
-          if (idles) {
-            Seen s;
-            for (std::size_t c = 0; c < C; ++c) {
-              if (!idle[c]) continue;
-              const std::size_t at = (f * C + c) * M + m;
-              s.camera = &views[c], s.u = pixels.data()[2 * at], s.v = pixels.data()[2 * at + 1];
-              if (!s.look(found.point)) continue;
-              residuals.get()[2 * at] = static_cast<float>(s.ru);
-              residuals.get()[2 * at + 1] = static_cast<float>(s.rv);
-            }
+          for (std::size_t c = 0; seen > point.count && c < C; ++c) {
+            if (state[c] != INACTIVE) continue;
+            Seen s{};
+            s.camera = &views[c], s.number = c, s.u = pixel(c)[0], s.v = pixel(c)[1];
+            s.weight = views[c].information;
+            judge(s, s.look(found.point), INACTIVE);
           }
+          more[0] = std::sqrt(pixel_squares / more[3]), more[1] = std::sqrt(squares / more[3]);
+          more[2] = std::sqrt(trace);
         }
-        for (std::size_t c = 0; c < C; ++c) states.get()[(f * C + c) * M + m] = state[c];
+        for (std::size_t c = 0; detailed && c < C; ++c)
+          states.get()[(f * C + c) * M + m] = state[c];
       }
   }
-  return {points.release<3>({F, M, 3}), numbers.release<3>({F, M, 3}),
-          residuals.release<4>({F, C, M, 2}), states.release<3>({F, C, M})};
+  const std::size_t kept = detailed ? F : 0;
+  return {points.release<3>({F, M, 3}), numbers.release<3>({F, M, POINT_NUMBERS}),
+          tallies.release<3>({F, C, TALLIES}), residuals.release<4>({kept, C, M, 2}),
+          states.release<3>({kept, C, M})};
 }
 
 Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras) {

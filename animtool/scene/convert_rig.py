@@ -81,25 +81,44 @@ def _report(
 def _to_file(
     source: Path, output: Path, prim_path: str | None, overwrite: bool, strict: bool
 ) -> RigReport:
+    with recorded_inputs() as inputs:
+        rig, notices = open_rig(source, prim_path)
+    file = rig_file(rig, output, source)
+    check_outputs(file.outputs, [source, *inputs.opened], overwrite=overwrite)
+    refuse_warnings(notices, strict=strict)
+    file.write()
+    return _report(file.rig, file.outputs, notices)
+
+
+@dataclass(frozen=True, slots=True)
+class RigFile:
+    """A rig as a rig file has it, to be written."""
+
+    rig: Rig
+    arrays: StoredArrays  # beside the file
+    outputs: list[Path]  # the files, that of the rig last
+
+    def write(self) -> None:
+        """Write the rig and its arrays, each whole or not at all."""
+        output = self.outputs[-1]
+        if self.arrays:
+            write_arrays(self.outputs[0], self.arrays)
+        with replacing(output) as temporary:
+            try:
+                temporary.write_text(rig_text(self.rig), "utf-8")
+            except OSError as error:
+                raise output_error(output, error) from error
+
+
+def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
+    """Return the rig file of a rig that was read from another file."""
     stem = output.name
     for suffix in file_suffixes("rig"):
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
-    with recorded_inputs() as inputs:
-        rig, notices = open_rig(source, prim_path)
     moved = source.resolve().parent != output.resolve().parent
     rig, arrays = with_file(rig, arrays_path, moved=moved)
-    outputs = [arrays_path, output] if arrays else [output]
-    check_outputs(outputs, [source, *inputs.opened], overwrite=overwrite)
-    refuse_warnings(notices, strict=strict)
-    if arrays:
-        write_arrays(arrays_path, arrays)
-    with replacing(output) as temporary:
-        try:
-            temporary.write_text(rig_text(rig), "utf-8")
-        except OSError as error:
-            raise output_error(output, error) from error
-    return _report(rig, outputs, notices)
+    return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 
 def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:

@@ -392,6 +392,13 @@ class _SceneReader:
             rig,
             model.clamp,
             model.take,
+            *(
+                None if name is None else self.read_file((*at, key), name)
+                for key, name in (
+                    ("template", model.template),
+                    ("cameras", model.cameras),
+                )
+            ),
         )
         tracks = None
         if model.tracks is not None:

@@ -35,9 +35,9 @@ class TracksModel(FileModel):
 
 
 class SourceModel(FileModel):
-    """A clip, BVH or USD file, and what it leaves open."""
+    """A clip, BVH, USD or marker file, and what it leaves open."""
 
-    file: Name = key("The clip, BVH or USD file.", "walk.bvh")
+    file: Name = key("The clip, BVH, USD or marker file.", "walk.bvh")
     units: Literal["m", "cm", "mm", "in"] | None = key(
         "Of a BVH: the unit of its lengths. Not given: cm.", "cm", default=None
     )
@@ -64,6 +64,18 @@ class SourceModel(FileModel):
         "Of a clip: bring controls into their ranges and joints into their limits.",
         True,
         default=False,
+    )
+    template: Name | None = key(
+        "Of a file of markers: the marker template that says where they are. They are "
+        "solved on the rig of the scene, or on the one that the template names.",
+        "ann.markers.yaml",
+        default=None,
+    )
+    cameras: Name | None = key(
+        "Of an npz of pixels, what cameras see of markers: their calibrations. The "
+        "markers are triangulated, then solved.",
+        "stage.cameras.yaml",
+        default=None,
     )
     tracks: TracksModel | None = key(
         "Of several sources, but the first: what it brings. Not given: what it moves.",

@@ -48,6 +48,8 @@ class SourceOptions:
         dropped: What becomes of frames that a face recording has no row of:
             ``interpolate``, ``hold`` or ``close``; None is the first.
         take: Which take of a clip library; None is the one that it selects.
+        template: Marker template of a file of markers.
+        cameras: Calibrations of the cameras, of an npz of what they see.
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
@@ -116,6 +118,22 @@ class SourceOptions:
         choices=("interpolate", "hold", "close"),
         help="Frames that a face recording lacks: values in between, those of the "
         "frame before, or none, so that later frames move up.  [default: interpolate]",
+    )
+    template: Path | None = option(
+        None,
+        "file",
+        "--template",
+        reason="is for files of markers, and this is none",
+        help="Of a file of markers: the template that says where they are "
+        "(.markers.yaml); it is solved on the rig.",
+    )
+    cameras: Path | None = option(
+        None,
+        "file",
+        "--cameras",
+        reason="is for what cameras see, an npz of pixels, and this is none",
+        help="Of an npz of pixels: the calibrations of the cameras, which triangulate "
+        "the markers.",
     )
     force_fit: bool = False
     shot: Shot | None = None

@@ -55,7 +55,7 @@ def made(folder: Path, name: str, word: str) -> Path:
         "controls": [{"name": "c", "drives": [{"shape": word, "expr": word}]}],
     }
     (folder / f"{name}.rig.json").write_text(json.dumps(rig), "utf-8")
-    for kind in ("clip", "map", "targets", "scene", "batch"):
+    for kind in ("clip", "map", "targets", "cameras", "scene", "batch"):
         (folder / f"{name}.{kind}.yaml").write_text(
             f"{kind}: animtool/1\nrig: {quoted}\nscene: {quoted}\ninputs: [{quoted}]\n"
             f"{quoted}: {quoted}\nchannels: [{{target: {quoted}, keys: []}}]\n"

@@ -15,6 +15,7 @@ from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
+from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.retarget import TwistShare
 from animtool.mocap.retarget.file import load_map, resolved_map
 from animtool.mocap.template import TemplateMarker, load_template
@@ -70,6 +71,20 @@ def test_clip_1() -> None:
     clip = load_clip(file, load_rig(file.rig))
     assert [len(c.times) for c in clip.channels] == [2, 2, 5, 2, 3, 2, 1, 1, 1]
     assert (clip.first, float(clip.last)) == (-1, 12.5)
+
+
+def test_cameras_1() -> None:
+    found = load_cameras(FROZEN / "cameras-1.cameras.yaml")
+    assert (found.names, str(found.up)) == (("front", "side"), "Z")
+    front, side = found.cameras
+    assert (front.focal, front.centre) == ((1334.5, 1333.25), (949.5, 539.25))
+    assert (front.size, front.skew, side.size) == ((1920, 1080), 0.5, None)
+    assert front.distortion == (-0.073, 0.006, 0.001, -0.002, 0.0003, 0.01, 0.02, 0.03)
+    assert side.distortion == (-0.1, 0.01, 0, 0, 0, 0, 0, 0)
+    assert front.rotation.tolist() == [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    assert front.translation.tolist() == [0, 0.9, 4]
+    turned = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    np.testing.assert_allclose(side.rotation, turned, atol=1e-15)
 
 
 def test_map_1() -> None:

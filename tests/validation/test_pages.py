@@ -77,7 +77,7 @@ def codes(text: str, stage: Path, props: Set[str] = frozenset()) -> set[str]:
 
     Targets are then asked of a rig, and of a clip, until something is found.
     """
-    kind = re.match("(batch|rig|clip|map|scene|targets): animtool", text)
+    kind = re.match("(batch|cameras|rig|clip|map|scene|targets): animtool", text)
     path = stage / f"page.{kind[1] if kind else 'rig'}.yaml"
     head = "" if kind else "rig: animtool/1\n"
     if not kind and not re.search("^name:", text, re.M):

@@ -21,7 +21,12 @@ from animtool._types import FloatArray
 from animtool.documents.document import Document, Location, document_of, read_text
 from animtool.errors import Fault, FormatError, listed
 from animtool.maths.so3 import exp, to_matrix
-from animtool.mocap.cameras.camera import Camera, Cameras, nearest_rotation
+from animtool.mocap.cameras.camera import (
+    UNNAMED,
+    Camera,
+    Cameras,
+    nearest_rotation,
+)
 from animtool.units import LengthUnit, UpAxis
 
 # What programs call a value, the first that a camera has.
@@ -69,8 +74,8 @@ def _toml(text: str, path: Path) -> Document:
     try:
         value = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        line = re.search(r"at line (\d+)", str(error))
-        lines = (int(line[1]),) if line else ()
+        found = re.search(r"at line (\d+)", str(error))
+        lines = (int(found[1]),) if found else ()
         message = f"invalid TOML: {str(error).split(' (at ')[0]}"
         raise FormatError(Fault("CAM003", message, str(path), lines)) from error
     starts: dict[str, int] = {}
@@ -135,7 +140,7 @@ def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, A
             if isinstance(entry, dict):
                 yield ("cameras", i), f"cam{i:02d}", entry
     elif _is_camera(value):
-        yield (), "cam00", value
+        yield (), UNNAMED, value
     else:
         tables = listed_ if isinstance(listed_, dict) else value
         around: Location = ("cameras",) if isinstance(listed_, dict) else ()
@@ -222,15 +227,14 @@ class _Entry:
 
     def _opencv(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or its numbers where the shape is off."""
-        rows, columns, data = value.get("rows"), value.get("cols"), value["data"]
-        if (
-            isinstance(rows, int)
-            and isinstance(columns, int)
-            and isinstance(data, list)
+        rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
+        if not (
+            isinstance(rows, int) and isinstance(columns, int) and rows > 0 < columns
         ):
-            if rows > 0 and columns > 0 and rows * columns == len(data):
-                return [data[i * columns : (i + 1) * columns] for i in range(rows)]
-        return None
+            return None
+        if not isinstance(data, list) or rows * columns != len(data):
+            return None
+        return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 
     def _is_matrix(self, matrix: FloatArray) -> bool:
         below = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]

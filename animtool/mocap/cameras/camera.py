@@ -18,6 +18,8 @@ from animtool.units import UpAxis
 
 # Coefficients of a lens, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# What a camera is called whose file has it alone and without a name.
+UNNAMED = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
 _STEPS = 20
@@ -56,9 +58,11 @@ class Camera:
 
     @property
     def numbers(self) -> FloatArray:
-        """As kernels take it: focal, centre, skew, distortion, R, t ``(25,)``."""
+        """As kernels take it: focal, centre, skew, lens, R, t, size ``(27,)``."""
         lens = (*self.focal, *self.centre, self.skew, *self.distortion)
-        return np.concatenate([lens, self.rotation.ravel(), self.translation])
+        size = self.size or (0, 0)
+        pose = (self.rotation.ravel(), self.translation)
+        return np.concatenate([lens, *pose, size])
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +107,8 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
 
 
 def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
-    """Return cameras as kernels take them ``(C, 25)``."""
-    return np.array([camera.numbers for camera in cameras]).reshape(-1, 25)
+    """Return cameras as kernels take them ``(C, 27)``."""
+    return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
 
 
 def distorted(camera: Camera, places: FloatArray) -> FloatArray:
@@ -147,8 +151,8 @@ def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
         # The slopes of the lens by differences: exact enough, since each step is
         # measured by the lens itself.
         step, here = 1e-6, distorted(camera, found)
-        by_x = (distorted(camera, found + [step, 0]) - here) / step
-        by_y = (distorted(camera, found + [0, step]) - here) / step
+        by_x = (distorted(camera, found + np.array([step, 0])) - here) / step
+        by_y = (distorted(camera, found + np.array([0, step])) - here) / step
         off = here - wanted
         det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
         det = np.where(det > 0, det, np.nan)

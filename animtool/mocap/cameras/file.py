@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,8 +22,14 @@ from animtool.documents.fields import (
     Vector,
     key,
 )
+from animtool.errors import Fault, FormatError
 from animtool.maths.so3 import to_matrix
-from animtool.mocap.cameras.camera import Camera, Cameras, nearest_rotation
+from animtool.mocap.cameras.camera import (
+    UNNAMED,
+    Camera,
+    Cameras,
+    nearest_rotation,
+)
 from animtool.units import LengthUnit, UpAxis
 
 # What the side of an image may be [px].
@@ -175,3 +183,29 @@ def load_cameras(
     if isinstance(document.value.get("cameras"), str):
         return cameras_of_document(document)
     return calibration_of(document, unit, up)
+
+
+def load_all_cameras(
+    paths: Sequence[Path], *, unit: LengthUnit | None = None, up: UpAxis | None = None
+) -> Cameras:
+    """Return the cameras of several files, such as one of each camera.
+
+    A camera without a name of its own in its file is called as the file is.
+
+    Raises:
+        FormatError: One cannot be read, or a name stands in two (CAM002).
+    """
+    read = [load_cameras(path, unit=unit, up=up) for path in paths]
+    if len(read) == 1:
+        return read[0]
+    found: dict[str, Camera] = {}
+    for path, each in zip(paths, read, strict=True):
+        for camera in each.cameras:
+            alone = len(each) == 1 and camera.name == UNNAMED
+            name = path.name.partition(".")[0] if alone else camera.name
+            if name in found:
+                message = f"a second camera is called {name!r}"
+                raise FormatError(Fault("CAM002", message, str(path)))
+            found[name] = replace(camera, name=name)
+    notices = tuple(note for each in read for note in each.notices)
+    return Cameras(tuple(found.values()), read[0].up, str(paths[0]), notices)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray
@@ -20,6 +21,8 @@ from animtool.mocap.cameras.stale import PoseChange, pose_change
 
 # Points that noise is measured on: it is known to some percent then.
 SAMPLE = 1500
+# Of them, where all pairs of cameras are compared.
+FIRST_SAMPLE = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
 MEDIAN = 1.1774100225154747
 # Least median of residuals over pairs of rays, against the noise: by cameras of a
@@ -34,7 +37,10 @@ _MOST = 3.0
 # A camera whose noise is this many times that of all is looked at: it may be stale.
 _SUSPECT = 1.1
 _SUSPECTS = 4
+# Share of points that must be found, if cameras are to agree [1].
+LEAST_FOUND = 0.5
 _ROUNDS = 2
+_ANY = 1e6  # a gate that everything passes
 # What the kernel says of an observation.
 _USED, _REJECTED, _INACTIVE = 1, 2, 3
 
@@ -46,10 +52,12 @@ class Noise:
     Attributes:
         pixels: Standard deviation of an axis [px] ``(C,)``.
         stale: Cameras that another pose fits much better in all frames, by index.
+        agree: Whether cameras agree on most of the points.
     """
 
     pixels: FloatArray
     stale: dict[int, PoseChange]
+    agree: bool = True
 
 
 def measured_noise(
@@ -66,8 +74,8 @@ def measured_noise(
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
     for turn in range(_ROUNDS + views):
-        _, _, residuals, states = _kernels.triangulate_points(
-            pixels, trust, numbers, active, noise, *settings
+        *_, residuals, states = _kernels.triangulate_points(
+            pixels, trust, numbers, active, noise, *settings, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
@@ -91,6 +99,21 @@ def measured_noise(
             noise[:] = first_noise(pixels[:, rest], numbers[rest])
         elif turn >= _ROUNDS - 1:
             break
+    points, *_ = _kernels.triangulate_points(
+        pixels, trust, numbers, active, noise, *settings, detailed=False
+    )
+    seen = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
+    found = int(np.isfinite(points[..., 0]).sum())
+    if found < LEAST_FOUND * seen.sum():
+        # No two agree, or any two do: all are used, as far as they are apart.
+        stale, active = {}, np.ones_like(active)
+        *_, residuals, states = _kernels.triangulate_points(
+            pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
+        )
+        lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
+        apart = _pooled(lengths, states == _USED)
+        noise[:] = noise if apart is None else max(apart, LEAST_NOISE)
+        return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return Noise(noise, stale)
 
@@ -117,8 +140,14 @@ def _stale_camera(
             continue
         others = active.copy()
         others[:, camera] = False
-        points, sizes, _, _ = _kernels.triangulate_points(
-            pixels, trust, camera_numbers(cameras), others, noise, *settings
+        points, sizes, *_ = _kernels.triangulate_points(
+            pixels,
+            trust,
+            camera_numbers(cameras),
+            others,
+            noise,
+            *settings,
+            detailed=False,
         )
         change = pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
@@ -131,6 +160,7 @@ def _stale_camera(
 
 def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     """Return the noise that least medians of squared residuals show [px]."""
+    pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // FIRST_SAMPLE)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     least = _kernels.least_median_residuals(np.ascontiguousarray(pixels), numbers)
     known = np.isfinite(least) & (counts > 1)
@@ -152,7 +182,7 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
     return float(np.sqrt(np.median(sums / middle)))
 
 
-def _own(lengths: FloatArray, states: FloatArray) -> FloatArray:
+def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera by its median residual [px] ``(C,)``."""
     used = states == _USED
     others = used.sum(axis=1)[:, None] - used

@@ -57,7 +57,7 @@ class Observations:
     def pixels(self, first: int, end: int, step: int = 1) -> FloatArray:
         """Return the pixels of frames ``(F, C, M, 2)``, NaN where not seen."""
         stored = self.stored[first:end:step]
-        pixels = np.multiply(stored, self.unit, dtype=np.float64)
+        pixels: FloatArray = np.multiply(stored, self.unit, dtype=np.float64)
         if self.missing is not None:
             pixels[(stored == self.missing).any(axis=-1)] = np.nan
         return pixels
@@ -124,13 +124,14 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
         for name in ("marker_names", "camera_names")
     }
     names = texts["marker_names"] or tuple(f"*{i}" for i in range(count))
-    for name, given, wanted in (
-        ("marker_names", names, count),
-        ("camera_names", texts["camera_names"] or (None,) * views, views),
-    ):
-        if len(given) != wanted:
-            message = f"{name!r} are {len(given)}, and {key!r} is of {wanted}"
-            raise ValueError(message)
+    cameras = texts["camera_names"]
+    lengths = (
+        ("marker_names", len(names), count),
+        ("camera_names", len(cameras), views),
+    )
+    for what, given, wanted in lengths:
+        if given not in {wanted, 0}:
+            raise ValueError(f"{what!r} are {given}, and {key!r} is of {wanted}")
     rate = _rate(archives, path, known, fps)
     confidences = None
     if "confidence" in known:
@@ -139,7 +140,6 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
             message = f"'confidence' has shape {confidences.shape}"
             raise ValueError(f"{message}, not {(frames, views, count)}")
     clock = Clock(rate, Fraction(1), Fraction(1), frames)
-    cameras = texts["camera_names"]
     return Observations(
         names, clock, stored, cameras, unit, missing, confidences, str(path)
     )
@@ -175,7 +175,9 @@ def matched(observations: Observations, cameras: Cameras) -> Cameras:
         if missing:
             near = similar(missing[0], list(by_name))
             message = f"there is no calibration of camera {missing[0]!r}"
-            hint = f"did you mean {near!r}?" if near else f"it has {listed(by_name)}"
+            hint = (
+                f"did you mean {near!r}?" if near else f"it has {listed(list(by_name))}"
+            )
             raise OptionError(Fault("CAM011", message, path, (), hint))
         chosen = tuple(by_name[name] for name in observations.cameras)
     else:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 from animtool.mocap.cameras.camera import Camera, project
 
@@ -57,7 +57,7 @@ class Moved:
 
 
 def moved_ranges(
-    judged: IntArray, rejected: IntArray, active: BoolArray, rate: float
+    judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
 ) -> tuple[int, list[Moved]] | None:
     """Return the camera that fits worst, and where; None where all fit.
 
@@ -87,11 +87,13 @@ def moved_ranges(
     return best
 
 
-def _share(judged: IntArray, rejected: IntArray, camera: int, a: int, b: int) -> float:
+def _share(
+    judged: FloatArray, rejected: FloatArray, camera: int, a: int, b: int
+) -> float:
     return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
 
 
-def _around(values: IntArray, window: int) -> IntArray:
+def _around(values: FloatArray, window: int) -> FloatArray:
     """Return sums over a window around each frame ``(F,)``, cut at the ends."""
     total = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))

@@ -65,6 +65,7 @@ def match_markers(
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(Fault("SOL001", message, hint=nearest(subject, found)))
         fitting = {subject: found[subject]}
+        labelled = [name for name in labelled if _split(name)[0] == subject]
     if len(fitting) > 1:
         count = counted(len(fitting), "subject")
         message = f"holds markers of {count}: {listed(sorted(fitting))}"
@@ -95,22 +96,24 @@ def _split(name: str) -> tuple[str, str]:
 
 def _columns(template: MarkerTemplate, names: Sequence[str], subject: str) -> IntArray:
     """Return the index of each marker among the names of a subject; -1 without one."""
-    own = [_split(name) for name in names]
-    index: dict[str, int] = {}
-    for fold in (False, True):
-        for i, (prefix, bare) in enumerate(own):
-            if prefix == subject and not names[i].startswith("*"):
-                index.setdefault(bare.casefold() if fold else bare, i)
+    own = {
+        i: bare
+        for i, (prefix, bare) in enumerate(map(_split, names))
+        if prefix == subject and not names[i].startswith("*")
+    }
     columns = np.full(len(template.markers), -1, np.int64)
     taken: set[int] = set()
-    for m, marker in enumerate(template.markers):
-        spellings = (marker.name, *marker.aliases)
-        for name in (*spellings, *(each.casefold() for each in spellings)):
-            i = index.get(name, -1)
-            if i >= 0 and i not in taken:
-                columns[m] = i
-                taken.add(i)
-                break
+    # As it is written first, whatever its case then.
+    for spelled in (str, str.casefold):
+        index: dict[str, int] = {}
+        for i, bare in own.items():
+            index.setdefault(spelled(bare), i)
+        for m, marker in enumerate(template.markers):
+            for name in (marker.name, *marker.aliases):
+                i = index.get(spelled(name), -1)
+                if columns[m] < 0 <= i and i not in taken:
+                    columns[m] = i
+                    taken.add(i)
     return columns
 
 

@@ -18,6 +18,7 @@ from animtool.batch.file import load_batch
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import AnimtoolError, Fault
 from animtool.ik.file import load_targets
+from animtool.mocap.cameras.file import load_cameras
 from animtool.mocap.retarget.file import load_map
 from animtool.mocap.template import load_template
 from animtool.quantities import json_printed
@@ -29,7 +30,7 @@ from fuzz.mutations import spoil
 ABOUT = "rig, clip, scene, targets and batch files, spoiled as bytes or as values"
 
 ROOT = Path(__file__).parents[3]
-KINDS = ("rig", "clip", "map", "markers", "scene", "targets", "batch")
+KINDS = (*("rig", "clip", "map", "markers", "scene", "targets", "batch", "cameras"),)
 # Longer ones take more than some milliseconds, and say no more.
 LONGEST = 3000
 # What no line of a message may hold.
@@ -117,6 +118,8 @@ def _load(path: Path, seed: Seed, rigs: dict[Path, Rig]) -> None:
         load_targets(path)
     elif seed.kind == "map":
         load_map(path)
+    elif seed.kind == "cameras":
+        load_cameras(path)
     elif seed.kind == "markers":
         load_template(path)
     else:

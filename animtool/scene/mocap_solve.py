@@ -1,0 +1,249 @@
+"""Solving markers from files to files: a capture, a rig, a template."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.documents.names import is_named
+from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.files import seen_from
+from animtool.mocap.solve.calibration import Calibration, calibrate
+from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.solve.run import MarkerSolve, solve_markers
+from animtool.mocap.solve.source import (
+    at_file,
+    named_rig,
+    read_marker_file,
+    solve_stream,
+)
+from animtool.mocap.template.file import load_template
+from animtool.mocap.template.template import template_text
+from animtool.motion import Motion
+from animtool.output import check_outputs, replacing, sparing_inputs, together
+from animtool.placing import output_error
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert_rig import RigFile, rig_file
+from animtool.scene.onto_rig import open_rig
+from animtool.scene.options import BakeOptions
+from animtool.scene.progress import Progress
+from animtool.scene.sources import SourceOptions, is_usd
+from animtool.take import TakeStream
+
+if TYPE_CHECKING:
+    from animtool.scene.prims import BakeReport
+
+
+@dataclass(frozen=True, slots=True)
+class MocapSolveJob:
+    """What `animtool mocap solve` is told."""
+
+    source: Path  # file of markers
+    template: Path  # where they are
+    rig: Path | None = None  # None is the one that the template names
+    static: Path | None = None  # take of the subject standing at rest
+    calibrate: bool = False  # fit bones and offsets first
+    # What the source is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    options: SolveOptions = field(default_factory=SolveOptions)
+    # USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+    output: Path | None = None
+    to_stdout: bool = False  # write usda to stdout
+    write_rig: Path | None = None  # rig file of the subject to write
+    write_template: Path | None = None  # and its template
+    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class MocapSolveResult:
+    """What a job did."""
+
+    source: Path
+    rig: Path
+    solve: MarkerSolve
+    calibration: Calibration | None
+    notices: list[Fault]
+    seconds: dict[str, float]  # wall time by stage
+    outputs: list[Path] = field(default_factory=list)
+    written: BakeReport | ConvertReport | None = None
+
+
+def solve_outputs(job: MocapSolveJob) -> list[Path]:
+    """Return the files that a job writes, but for arrays beside a rig."""
+    made = [path for path in (job.write_rig, job.write_template) if path is not None]
+    if job.output is None:
+        return made
+    if is_usd(job.output):
+        from animtool.scene.reading import bake_outputs
+
+        return [*made, *bake_outputs([job.source], job.output, job.bake)]
+    return [*made, *convert_outputs(job.output, _named_rig(job))]
+
+
+def _named_rig(job: MocapSolveJob) -> Path | None:
+    """Return the rig file that a clip names: the one that is written, if any."""
+    rig = job.write_rig or job.rig
+    return rig if rig is not None and is_named(rig, "rig") else None
+
+
+def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
+    """Solve a capture on a rig, and write the motion.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: The markers do not fit the template or the rig (SOL001 to SOL006),
+            a calibration is to be written that was not asked for (SOL009), an output
+            exists, or its name is of no format.
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    _check(job)
+    outputs = solve_outputs(job)
+    template = load_template(job.template)
+    rig_path = named_rig(template, job.rig, job.template)
+    named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
+    inputs = [Path(str(path).partition("#")[0]) for path in named if path is not None]
+    if outputs:
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
+    made: list[MocapSolveResult] = []
+
+    def solved(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        stream, result = _solved(job, template, rig_path, outputs, progress)
+        made.append(result)
+        return stream
+
+    with together():
+        if job.output is None and not job.to_stdout:
+            stream = solved(job.source, progress=progress)
+            deque(stream.blocks, maxlen=0)
+            result = made[0]
+            result.notices += [n for n in stream.notices if n not in result.notices]
+            refuse_warnings(result.notices, strict=job.bake.strict)
+        else:
+            written = _written(job, solved, progress)
+            result = made[0]
+            result.written = written
+            result.notices += [n for n in written.notices if n not in result.notices]
+        result.outputs = [*_write_subject(job, result), *outputs]
+        result.outputs = list(dict.fromkeys(result.outputs))
+    return result
+
+
+def _check(job: MocapSolveJob) -> None:
+    for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
+        if path is None:
+            continue
+        if not is_named(path, kind):
+            message = f"is no name of a {kind} file"
+            hint = f"allowed: .{kind}.yaml, .{kind}.yml"
+            raise OptionError(Fault("OUT004", message, str(path), (), hint))
+        if not job.calibrate:
+            message = "without a calibration there is nothing new to write"
+            hint = "--calibrate fits bones and offsets to the subject"
+            raise OptionError(Fault("SOL009", message, str(path), (), hint))
+
+
+def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
+    """Write the rig and the template of a calibration; the files."""
+    found = result.calibration
+    if found is None:
+        return []
+    made: list[Path] = []
+    if job.write_rig is not None:
+        file: RigFile = rig_file(found.rig, job.write_rig, result.rig)
+        check_outputs(file.outputs, [result.rig], overwrite=job.bake.overwrite)
+        file.write()
+        made += file.outputs
+    if job.write_template is not None:
+        rig = job.write_rig or result.rig
+        name = seen_from(rig.resolve(), job.write_template.resolve().parent)
+        title = f"markers of {job.source.name}, calibrated"
+        text = template_text(found.template, title, str(name))
+        with replacing(job.write_template) as temporary:
+            try:
+                temporary.write_text(text, "utf-8", newline="\n")
+            except OSError as error:
+                raise output_error(job.write_template, error) from error
+        made.append(job.write_template)
+    return made
+
+
+def _written(
+    job: MocapSolveJob, opener: Any, progress: Progress
+) -> BakeReport | ConvertReport:
+    if job.to_stdout or (job.output is not None and is_usd(job.output)):
+        from animtool.scene.bake import bake
+
+        return bake(job.source, job.output, job.bake, progress=progress, opener=opener)
+    assert job.output is not None
+    return convert(
+        job.source,
+        job.output,
+        overwrite=job.bake.overwrite,
+        strict=job.bake.strict,
+        reduce=job.bake.reduce,
+        rig_file=_named_rig(job),
+        progress=progress,
+        opener=opener,
+    )
+
+
+def _solved(
+    job: MocapSolveJob,
+    template: Any,
+    rig_path: Path,
+    outputs: list[Path],
+    progress: Progress,
+) -> tuple[TakeStream, MocapSolveResult]:
+    seconds = {"read": 0.0, "calibrate": 0.0, "solve": 0.0}
+    began = time.perf_counter()
+    reading = {name: getattr(job.reading, name) for name in ("unit", "up", "fps")}
+    found: Calibration | None = None
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(rig_path)
+        markers = read_marker_file(job.source, **reading)
+        seconds["read"] = time.perf_counter() - began
+        if job.calibrate:
+            static = job.static
+            still = None if static is None else read_marker_file(static, **reading)
+            found = at_file(
+                job.source,
+                lambda: calibrate(
+                    markers, rig, template, static=still, options=job.options
+                ),
+            )
+            assert found is not None
+            rig, template = found.rig, found.template
+            notices = [*notices, *found.notices]
+            seconds["calibrate"] = time.perf_counter() - began - seconds["read"]
+        solve = at_file(
+            job.source, lambda: solve_markers(markers, rig, template, job.options)
+        )
+    stream = solve_stream(solve, job.source, progress)
+    stream.notices = [*notices, *stream.notices]
+    stream.blocks = _timed(stream.blocks, seconds)
+    result = MocapSolveResult(
+        job.source, rig_path, solve, found, list(stream.notices), seconds
+    )
+    return stream, result
+
+
+def _timed(blocks: Iterator[Motion], seconds: dict[str, float]) -> Iterator[Motion]:
+    """Yield blocks, and count the time that they take."""
+    while True:
+        began = time.perf_counter()
+        block = next(blocks, None)
+        seconds["solve"] += time.perf_counter() - began
+        if block is None:
+            return
+        yield block

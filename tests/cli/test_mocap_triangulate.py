@@ -1,0 +1,85 @@
+"""``animtool mocap triangulate``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import Done, animtool
+from support.stage import cameras_text, observed, ring, walkers, write_observations
+
+STAGE = ring(4)
+POINTS = walkers(30, 5)
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """Return a folder with observations and the cameras that made them."""
+    write_observations(tmp_path / "take.npz", observed(STAGE, POINTS))
+    (tmp_path / "stage.cameras.yaml").write_text(cameras_text(STAGE), "utf-8")
+    return tmp_path
+
+
+def run(folder: Path, *more: object, output: str = "out.npz") -> Done:
+    return animtool("mocap", "triangulate", "take.npz", "--cameras",
+                    "stage.cameras.yaml", "-o", output, *more, cwd=folder)  # fmt: skip
+
+
+def test_files_are_written_and_reported(capture: Path) -> None:
+    done = run(capture, "--format", "json")
+    assert done.code == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["points"] == {"seen": 150, "found": 150}
+    assert 0 < report["reprojection"]["px"] < 1
+    assert [c["name"] for c in report["cameras"]] == list(STAGE.names)
+    with np.load(capture / "out.npz") as made:
+        off = np.linalg.norm(made["markers_m"] - POINTS, axis=-1)
+        assert made["cameras"].max() == 4
+    assert off.max() < 0.01
+    first = (capture / "out.npz").read_bytes()
+    again = run(capture)
+    assert again.code == 2
+    assert "OUT001" in again.stderr
+    done = run(capture, "--overwrite")
+    assert (capture / "out.npz").read_bytes() == first
+    assert "reprojection" in done.stderr
+    assert " mm)" in done.stderr
+    done = run(capture, output="out.trc")
+    assert done.code == 0, done.stderr
+    assert (capture / "out.trc").is_file()
+
+
+@pytest.mark.parametrize(
+    ("more", "output", "code", "fault"),
+    [
+        (("--gate", "0"), "out.npz", 2, "CAM015"),
+        ((), "out.bvh", 2, "IO002"),
+        (("--cameras", "none.toml"), "out.npz", 3, "IO001"),
+        (("--cameras", "stage.cameras.yaml"), "out.npz", 3, "CAM002"),
+        (("--strict", "--noise", "0.01"), "out.npz", 1, "CAM1"),
+    ],
+)
+def test_faults_write_nothing(
+    capture: Path, more: tuple[str, ...], output: str, code: int, fault: str
+) -> None:
+    done = run(capture, *more, output=output)
+    assert (done.code, fault in done.stderr) == (code, True), done.stderr
+    assert not (capture / output).exists()
+    assert "Traceback" not in done.stderr
+
+
+def test_keypoints_want_a_rate(capture: Path) -> None:
+    (capture / "pose/cam0").mkdir(parents=True)
+    (capture / "pose/cam0/take_0_keypoints.json").write_text('{"people": []}', "utf-8")
+    done = animtool("mocap", "triangulate", "pose", "--cameras", "stage.cameras.yaml",
+                    "-o", "out.npz", cwd=capture)  # fmt: skip
+    assert done.code == 2
+    assert "--source-fps" in done.stderr
+
+
+def test_validate_and_schema(capture: Path) -> None:
+    assert animtool("validate", "stage.cameras.yaml", cwd=capture).code == 0
+    schema = json.loads(animtool("schema", "cameras").stdout)
+    assert set(schema["required"]) == {"cameras", "views"}
