@@ -36,6 +36,9 @@ class Kind(StrEnum):
     SCENE = "scene"
     TARGETS = "targets"
     MAP = "map"
+    LANDMARKS = "landmarks"
+    REMAP = "remap"
+    LIVELINK = "livelink"
     BVH = "bvh"
     USD = "usd"
 

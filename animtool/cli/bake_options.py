@@ -101,7 +101,7 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
     source_option("rig", "clamp"),
     set_option,
     source_options,
-    source_option("prim_path", "take"),
+    source_option("prim_path", "take", "remap", "dropped"),
     *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
 )
@@ -118,7 +118,9 @@ bake_options = stacked(
 
 def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
     """Return the record of `bake_options`, and of what is strict and overwritten."""
-    source = source_options_record(given, "prim_path", "rig", "clamp", "take")
+    source = source_options_record(
+        given, "prim_path", "rig", "clamp", "take", "remap", "dropped"
+    )
     # --take names one of the source, not the one that is written.
     values = read_values(BakeOptions, {n: v for n, v in given.items() if n != "take"})
     values["form"] = "split" if given["split"] else values["form"]

@@ -178,9 +178,7 @@ def face_json(result: FaceResult) -> dict[str, object]:
                 "name": name,
                 "rms": float(rms[i]),
                 "seen": int(np.isfinite(fit.residuals[:, i]).sum()),
-                "outliers": int(
-                    (np.isfinite(fit.residuals[:, i]) & ~used[:, i]).sum()
-                ),
+                "outliers": int((np.isfinite(fit.residuals[:, i]) & ~used[:, i]).sum()),
             }
             for i, name in enumerate(fit.model.names)
         ],

@@ -184,4 +184,3 @@ def _index(names: Sequence[str]) -> Mapping[str, int]:
         if known is not None:
             index.setdefault(known, i)
     return index
-

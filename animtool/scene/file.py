@@ -392,6 +392,10 @@ class _SceneReader:
             rig,
             model.clamp,
             model.take,
+            None
+            if model.remap is None
+            else self.read_file((*at, "remap"), model.remap),
+            model.dropped,
         )
         tracks = None
         if model.tracks is not None:

@@ -110,7 +110,9 @@ def read_livelink_rig(path: Path) -> Rig:
 
 def own_rig(recording: Recording) -> Rig:
     """Return the rig of a recording: its shapes without meshes, a head, and eyes."""
-    parts = [part for part in PARTS if part == "Head" or part in _turned_parts(recording)]
+    parts = [
+        part for part in PARTS if part == "Head" or part in _turned_parts(recording)
+    ]
     joints = tuple(
         Joint(_OWN[_JOINTS[part]], -1 if part == "Head" else 0, JointType.BALL,
               _PLACES[_JOINTS[part]])
@@ -123,9 +125,7 @@ def own_rig(recording: Recording) -> Rig:
 def _turned_parts(recording: Recording) -> list[str]:
     """Return the parts whose three angles are there."""
     return [
-        part
-        for part in PARTS
-        if all(part + axis in recording.angles for axis in AXES)
+        part for part in PARTS if all(part + axis in recording.angles for axis in AXES)
     ]
 
 
@@ -177,9 +177,7 @@ def _filled(values: FloatArray, times: IntArray) -> FloatArray:
         there = np.isfinite(column)
         if not there.all():
             found = there.any()
-            column[:] = (
-                np.interp(times, times[there], column[there]) if found else 0.0
-            )
+            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
     return made
 
 
@@ -207,9 +205,7 @@ def _turns_between(
     return made
 
 
-def _notices(
-    recording: Recording, frames: RowFrames, dropped: Dropped
-) -> list[Fault]:
+def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[Fault]:
     """Return warnings of what is missing or odd in the numbers."""
     path = str(recording.path)
     made = []
@@ -288,4 +284,3 @@ def _unmatched(
         message = f"{listed(sorted(lone))} without the two others: left out"
         made.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     return made
-

@@ -101,7 +101,9 @@ def row_frames(
     ahead = np.diff(times)
     if len(ahead) and (worst := ahead.max()) > MAX_GAP_SECONDS * rate:
         at = int(ahead.argmax())
-        message = f"{worst / float(rate):.6g} s without a row before {labels[order[at + 1]]}"
+        message = (
+            f"{worst / float(rate):.6g} s without a row before {labels[order[at + 1]]}"
+        )
         hint = "split the recording there, or mend the time code"
         line = (int(lines[order[at + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
@@ -130,9 +132,7 @@ def _fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray:
     return np.array([[int(m[i]) for i in (1, 2, 3, 5)] for m in found if m], np.int64)
 
 
-def _clock(
-    fields: IntArray, drop: bool, path: str, notices: list[Fault]
-) -> Fraction:
+def _clock(fields: IntArray, drop: bool, path: str, notices: list[Fault]) -> Fraction:
     """Return labels a second: the clock in whose seconds the labels fit best."""
     most = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]

@@ -141,4 +141,3 @@ def timecode(frame: int, rate: Fraction) -> str:
     sign = ";" if left_out else ":"
     wide = max(2, len(str(labels - 1)))
     return f"{hours % 24:02d}:{minutes:02d}:{seconds:02d}{sign}{frames:0{wide}d}.000"
-

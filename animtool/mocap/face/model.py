@@ -53,7 +53,9 @@ class FaceModel:
                 message = f"{name} must have shape {shape}, not {values.shape}"
                 faults.append(Fault("FAC003", message))
             elif not np.isfinite(values).all():
-                faults.append(Fault("FAC003", f"{name} holds a value that is not finite"))
+                faults.append(
+                    Fault("FAC003", f"{name} holds a value that is not finite")
+                )
         for what, names in (("landmarks", self.names), ("shapes", self.shapes)):
             if len(set(names)) < len(names):
                 twice = next(n for n in names if names.count(n) > 1)

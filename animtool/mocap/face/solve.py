@@ -146,14 +146,18 @@ def fit_face(
         hint = "are the landmarks on the mesh that the shapes are of?"
         raise OptionError(Fault("FAC007", message, hint=hint))
     face = model.select(moving)
-    fit = _Fit(face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera)
+    fit = _Fit(
+        face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
+    )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
     whole = np.zeros((len(observed), len(model.shapes)))
     whole[:, moving] = weights
     rotations, translations = _bridged(poses, usable)
     poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
     poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
-    status = np.where(usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap")
+    status = np.where(
+        usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
+    )
     notices = [*model.notices(), *_notices(model, seen, usable, poor, shares)]
     return FaceFit(
         model,
@@ -367,7 +371,9 @@ def _notices(
             made.append(Fault(code, message, severity=Severity.WARNING))
     used = seen & usable[:, None]
     counts = used.sum(axis=0)
-    off = (used & (shares < POOR_SHARE)).sum(axis=0) > POOR_SHARE * np.maximum(counts, 1)
+    off = (used & (shares < POOR_SHARE)).sum(axis=0) > POOR_SHARE * np.maximum(
+        counts, 1
+    )
     for names, what in (
         ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
          "are never seen: "),

@@ -12,7 +12,7 @@ from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import unreadable
 from animtool.plugins import load_object
-from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.readers import BVH, DOCUMENT, LIVELINK, READERS, USD
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import Opened
 
@@ -27,6 +27,24 @@ def open_map(document: Document) -> Opened:
     from animtool.mocap.retarget.file import map_of_document  # loads the kernels
 
     return Opened(Kind.MAP, [], map_of_document(document))
+
+
+def open_landmarks(document: Document) -> Opened:
+    """Return a landmarks file, on its rig where it names one."""
+    from animtool.mocap.face.file import face_model, landmarks_of_document
+    from animtool.rig.skeleton import Rig
+
+    file = landmarks_of_document(document)
+    if file.rig is not None:
+        face_model(file, Rig.load(file.rig))
+    return Opened(Kind.LANDMARKS, [], file)
+
+
+def open_remap(document: Document) -> Opened:
+    """Return a remap file; which faces it is for, it does not say."""
+    from animtool.rig.remap import remap_of_document
+
+    return Opened(Kind.REMAP, [], remap_of_document(document))
 
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
@@ -48,6 +66,9 @@ _OPENERS = {
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
     Kind.TARGETS: "animtool.validation.subjects.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
+    Kind.LANDMARKS: "animtool.validation.subjects.open:open_landmarks",
+    Kind.REMAP: "animtool.validation.subjects.open:open_remap",
+    Kind.LIVELINK: "animtool.validation.subjects.capture:open_livelink",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }
@@ -58,6 +79,8 @@ def open_file(path: Path) -> Opened:
     reader = READERS.get(path.suffix.lower())
     if reader is BVH or reader is USD:
         return _open(Kind.BVH if reader is BVH else Kind.USD, path)
+    if reader is LIVELINK:
+        return _open(Kind.LIVELINK, path)
     if reader is None and not path.exists():
         raise unreadable(path, "does not exist")
     if reader is not DOCUMENT:
