@@ -23,7 +23,7 @@ from animtool.output import check_outputs
 from animtool.rates import FractionLike
 from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
-from animtool.rig.remap import RemapFile, ShapeLinks, link_shapes, load_remap
+from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.onto_rig import open_rig
