@@ -39,6 +39,7 @@ class Kind(StrEnum):
     LANDMARKS = "landmarks"
     REMAP = "remap"
     LIVELINK = "livelink"
+    CAMERAS = "cameras"
     BVH = "bvh"
     USD = "usd"
 

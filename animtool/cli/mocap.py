@@ -15,6 +15,10 @@ COMMANDS = {
         "animtool.cli.mocap_face:face",
         "Turn landmarks of a face into blend-shape weights.",
     ),
+    "triangulate": (
+        "animtool.cli.mocap_triangulate:triangulate",
+        "Find markers in space from what cameras see.",
+    ),
 }
 
 
@@ -24,7 +28,8 @@ COMMANDS = {
     epilog="""\b
 Examples:
   animtool mocap clean take.bvh -o clean.usdc
-  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc""",
+  animtool mocap face take.npz --rig hero.rig.yaml -o face.usdc
+  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz""",
 )
 def mocap() -> None:
     """Turn captures into motion, and clean it."""

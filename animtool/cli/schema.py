@@ -30,6 +30,7 @@ def completion(console: Console, shell: str) -> None:
 
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
+    "cameras": "animtool.mocap.cameras.file:CamerasModel",
     "clip": "animtool.clip.schema:ClipModel",
     "landmarks": "animtool.mocap.face.file:LandmarksModel",
     "map": "animtool.mocap.retarget.file:MapModel",

@@ -17,7 +17,7 @@ Location = tuple[str | int, ...]
 MAX_FAULTS = 100
 # What a file says that it is, in its name too.
 _KINDS = frozenset(
-    {"batch", "clip", "landmarks", "map", "remap", "rig", "scene", "targets"}
+    {"batch", "cameras", "clip", "landmarks", "map", "remap", "rig", "scene", "targets"}
 )
 
 

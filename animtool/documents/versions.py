@@ -16,6 +16,7 @@ Steps = Mapping[int, Step]
 # By kind and the version that a step leads on from.
 STEPS: dict[str, dict[int, Step]] = {
     "batch": {},
+    "cameras": {},
     "rig": {},
     "clip": {},
     "landmarks": {},
@@ -41,6 +42,7 @@ KINDS = (
     "remap",
     "scene",
     "targets",
+    "cameras",
     "rig",
 )
 

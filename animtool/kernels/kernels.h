@@ -49,6 +49,10 @@ using Collided = std::tuple<Out<double, 3>, Out<std::int64_t, 2>, Out<double, 2>
 // distances, normals, velocities
 using ColliderSamples = std::tuple<Out<double, 2>, Out<double, 3>, Out<double, 3>>;
 
+// points, numbers, residuals, states
+using Triangulated =
+    std::tuple<Out<double, 3>, Out<double, 3>, Out<float, 4>, Out<std::uint8_t, 3>>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -164,5 +168,10 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 
 RoundedPoints round_points(In<double, 3> points, double unit);
+
+Triangulated triangulate_points(In<double, 4> pixels, std::optional<In<double, 3>> confidences,
+                                In<double, 2> cameras, In<bool, 2> active, In<double, 1> noise,
+                                double gate, double condition);
+Out<double, 2> least_median_residuals(In<double, 4> pixels, In<double, 2> cameras);
 
 }  // namespace animtool

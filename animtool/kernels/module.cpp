@@ -237,6 +237,27 @@ Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the 
 ``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
 weight in the last round. Rounds end where it is below ten times ``enough``.)");
 
+  m.def("triangulate_points", &triangulate_points, "pixels"_a, "confidences"_a.none(),
+        "cameras"_a, "active"_a, "noise"_a, "gate"_a, "condition"_a,
+        R"(Find points from the pixels ``(F, C, M, 2)`` at which C cameras see them.
+
+A pixel of NaN is not seen; ``confidences`` ``(F, C, M)`` weight pixels, and 0 is not seen.
+``cameras`` ``(C, 25)``: fx fy cx cy skew [px], k1 k2 p1 p2 k3 k4 k5 k6, the rotation by rows and
+the translation [m] that take the world to the camera. ``active`` ``(F, C)``: cameras that
+count. ``noise`` ``(C,)``: standard deviation of a pixel's axis [px]. Observations farther off
+than ``gate`` standard deviations are rejected; points whose normal matrix has a larger product
+of its trace and its inverse's than ``condition`` are left out.
+
+Returns ``(points, numbers, residuals, states)``: ``(F, M, 3)`` [m], NaN where fewer than two
+cameras agree; ``(F, M, 3)``: root mean square of the used residuals [px] and [m], and the
+standard error [m]; residuals ``(F, C, M, 2)`` [px]; ``(F, C, M)``: 0 not seen, 1 used,
+2 rejected, 3 not active, 4 outside of the lens's domain, 5 the point is not resolved.)");
+
+  m.def("least_median_residuals", &least_median_residuals, "pixels"_a, "cameras"_a,
+        R"(Return the least median of residuals over all pairs of cameras ``(F, M)`` [px].
+
+NaN where fewer than three see a point. Arguments are those of `triangulate_points`.)");
+
   m.def("curl_noise", &curl_noise, "points"_a, "times"_a, "seed"_a,
         R"(Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.
 

@@ -24,7 +24,15 @@ APP_SHAPES = (
     *(
         f"Eye{what}{side}"
         for side in ("Left", "Right")
-        for what in ["Blink", "LookDown", "LookIn", "LookOut", "LookUp", "Squint", "Wide"]
+        for what in [
+            "Blink",
+            "LookDown",
+            "LookIn",
+            "LookOut",
+            "LookUp",
+            "Squint",
+            "Wide",
+        ]
     ),
     *("JawForward", "JawRight", "JawLeft", "JawOpen", "MouthClose", "MouthFunnel"),
     *("MouthPucker", "MouthRight", "MouthLeft"),

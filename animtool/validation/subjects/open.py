@@ -47,6 +47,13 @@ def open_remap(document: Document) -> Opened:
     return Opened(Kind.REMAP, [], remap_of_document(document))
 
 
+def open_cameras(document: Document) -> Opened:
+    """Return a camera file."""
+    from animtool.mocap.cameras.file import cameras_of_document
+
+    return Opened(Kind.CAMERAS, [], cameras_of_document(document))
+
+
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
 DOCUMENT_SUFFIXES = tuple(
@@ -69,6 +76,7 @@ _OPENERS = {
     Kind.LANDMARKS: "animtool.validation.subjects.open:open_landmarks",
     Kind.REMAP: "animtool.validation.subjects.open:open_remap",
     Kind.LIVELINK: "animtool.validation.subjects.capture:open_livelink",
+    Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
 }

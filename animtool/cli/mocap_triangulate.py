@@ -1,0 +1,187 @@
+"""``animtool mocap triangulate``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console, columns, finite
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    read_values,
+    record_option,
+    source_options,
+    strict_option,
+)
+from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.mocap.cameras.options import TriangulateOptions
+from animtool.units import LengthUnit, UpAxis
+
+if TYPE_CHECKING:
+    from animtool.mocap.cameras.triangulate import CameraReport, Triangulation
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool mocap triangulate take.npz --cameras stage.cameras.yaml -o markers.npz
+  animtool mocap triangulate take.npz --cameras calib.toml --up Z -o markers.npz
+  animtool mocap triangulate pose/ --cameras calib.toml --fps 60 -o people.npz"""
+)
+@click.argument("observations", type=INPUT)
+@click.option(
+    "--cameras",
+    "calibrations",
+    type=INPUT,
+    required=True,
+    multiple=True,
+    help="Calibration: .cameras.yaml, or as OpenCV (YAML, JSON), Pose2Sim or anipose "
+    "(TOML) write it; can be given several times, for a file of each camera.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=INPUT,
+    required=True,
+    help="Marker file to write: .npz, .c3d or .trc.",
+)
+@click.option(
+    "--people",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Of keypoints of OpenPose, keep the N people that are seen most.  "
+    "[default: all]",
+)
+@record_option(TriangulateOptions)
+@source_options
+@strict_option
+@existing_options
+@format_option
+@common_options
+@click.pass_obj
+def triangulate(
+    console: Console,
+    /,
+    observations: Path,
+    calibrations: tuple[Path, ...],
+    output: Path,
+    **given: Any,
+) -> None:
+    """Find markers in space from OBSERVATIONS, what calibrated cameras see of them.
+
+    OBSERVATIONS is an npz file of pixels, or a folder of OpenPose keypoints with a
+    folder for each camera. Observations that are wrong are left out, and cameras that
+    moved after calibration are named.
+    """
+    if skipped(console, "mocap triangulate", given, output, lambda: [output]):
+        return
+    from animtool.errors import refuse_warnings
+    from animtool.formats.marker_files import marker_writer
+    from animtool.mocap.cameras.file import load_all_cameras
+    from animtool.mocap.cameras.openpose import read_keypoints
+    from animtool.mocap.cameras.observations import read_observations
+    from animtool.mocap.cameras.triangulate import triangulate as solve
+    from animtool.output import check_outputs
+
+    write = marker_writer(output)
+    inputs = [observations, *calibrations]
+    check_outputs([output], inputs, overwrite=given["overwrite"])
+    options = TriangulateOptions(**read_values(TriangulateOptions, given))
+    unit = LengthUnit(given["units"]) if given["units"] else None
+    up = UpAxis(given["up"].upper()) if given["up"] else None
+    cameras = load_all_cameras(calibrations, unit=unit, up=up)
+    name = observations.name
+    with all_named(), console.progress(f"triangulate {name}") as progress:
+        if observations.is_dir():
+            seen = read_keypoints(
+                observations, cameras, fps=given["source_fps"], people=given["people"]
+            )
+        else:
+            seen = read_observations(observations, fps=given["source_fps"])
+        found = solve(seen, cameras, options, progress=progress)
+        refuse_warnings(found.notices, strict=given["strict"])
+        lost = write(found.markers, output, overwrite=given["overwrite"])
+    found = replace(found, notices=(*found.notices, *lost))
+    console.faults(found.notices)
+    if given["report_format"] == "json":
+        console.result_json(triangulation_json(found, observations, output))
+        return
+    for line in triangulation_text(found, output):
+        console.say(line)
+
+
+def triangulation_text(found: Triangulation, output: Path) -> list[str]:
+    """Return a report in lines: what was found, and a table of the cameras."""
+    share = 100 * found.found / max(1, found.seen)
+    rows = [("camera", "seen", "used", "outliers", "error px", "error mm", "")]
+    rows += [
+        (
+            each.name,
+            f"{each.observed}",
+            f"{each.used}",
+            f"{100 * each.outliers:.2f} %",
+            f"{each.error_px:.3f}",
+            f"{each.error_mm:.3f}",
+            ", ".join(f"out {m.first + 1}-{m.end}" for m in each.moved),
+        )
+        for each in found.cameras
+    ]
+    return [
+        f"{output}: {found.markers!r}".replace("<", "").replace(">", ""),
+        f"{found.found} of {found.seen} points that two cameras see ({share:.2f} %), "
+        f"reprojection {found.error_px:.3f} px ({found.error_mm:.3f} mm)",
+        *columns(rows, {0, 6}),
+    ]
+
+
+def triangulation_json(
+    found: Triangulation, observations: Path, output: Path
+) -> dict[str, Any]:
+    """Return a report as plain values."""
+    return {
+        "mocap triangulate": "animtool/1",
+        "observations": str(observations),
+        "output": str(output),
+        "frames": len(found.markers),
+        "fps": float(found.markers.clock.rate),
+        "markers": list(found.markers.names),
+        "points": {"seen": found.seen, "found": found.found},
+        "reprojection": {
+            "px": finite(found.error_px),
+            "mm": finite(found.error_mm),
+        },
+        "cameras": [camera_json(each) for each in found.cameras],
+        "notices": [fault.as_dict() for fault in found.notices],
+    }
+
+
+def camera_json(report: CameraReport) -> dict[str, Any]:
+    """Return the report of a camera as plain values."""
+    return {
+        "name": report.name,
+        "observed": report.observed,
+        "used": report.used,
+        "outliers": report.outliers,
+        "noise_px": finite(report.noise_px),
+        "reprojection": {"px": finite(report.error_px), "mm": finite(report.error_mm)},
+        "moved": [
+            {
+                "first": each.first + 1,
+                "last": each.end,
+                "outliers": each.outliers,
+                "change": None
+                if each.change is None
+                else {
+                    "angle_rad": each.change.angle,
+                    "distance_m": each.change.distance,
+                    "reprojection_px": each.change.error_px,
+                },
+            }
+            for each in report.moved
+        ],
+    }

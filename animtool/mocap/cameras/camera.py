@@ -1,0 +1,163 @@
+"""Calibrated cameras: lens, place and direction, and the way from points to pixels.
+
+References:
+    Brown, Decentering distortion of lenses, 1966; the rational model is that of
+    OpenCV's ``calib3d``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.units import UpAxis
+
+# Coefficients of a lens, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6.
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# How far a matrix may be from a rotation: files round to three digits and more.
+ROTATION_TOLERANCE = 5e-3
+_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A calibrated camera.
+
+    It looks along +z, x is to the right and y down: ``x_camera = R x_world + t``.
+
+    Attributes:
+        name: Unique among the cameras.
+        focal: Focal lengths along x and y [px].
+        centre: Principal point [px].
+        rotation: ``R`` ``(3, 3)``.
+        translation: ``t`` [m] ``(3,)``.
+        size: Width and height of the image [px]; None where unknown.
+        skew: Of the image axes [px].
+        distortion: k1 k2 p1 p2 k3 k4 k5 k6 [1], as OpenCV has them.
+    """
+
+    name: str
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    rotation: FloatArray
+    translation: FloatArray
+    size: tuple[int, int] | None = None
+    skew: float = 0.0
+    distortion: tuple[float, ...] = (0.0,) * 8
+
+    @property
+    def position(self) -> FloatArray:
+        """Where it stands in the world [m] ``(3,)``."""
+        return -self.rotation.T @ self.translation
+
+    @property
+    def numbers(self) -> FloatArray:
+        """As kernels take it: focal, centre, skew, distortion, R, t ``(25,)``."""
+        lens = (*self.focal, *self.centre, self.skew, *self.distortion)
+        return np.concatenate([lens, self.rotation.ravel(), self.translation])
+
+
+@dataclass(frozen=True, slots=True)
+class Cameras:
+    """The cameras of a capture.
+
+    Attributes:
+        cameras: In the order of the file.
+        up: The up axis of the world.
+        path: The file they are from; empty where they are from none.
+        notices: Warnings and notes about the file.
+    """
+
+    cameras: tuple[Camera, ...]
+    up: UpAxis = UpAxis.Y
+    path: str = ""
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of each camera."""
+        return tuple(camera.name for camera in self.cameras)
+
+    def __len__(self) -> int:
+        """Return the number of cameras."""
+        return len(self.cameras)
+
+
+def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
+    """Return the rotation nearest to a matrix ``(3, 3)``; None where it is none.
+
+    >>> nearest_rotation(np.diag([1.0, 1.0, -1.0])) is None
+    True
+    """
+    if not np.isfinite(matrix).all() or abs(matrix).max() > 2:
+        return None
+    u, _, v = np.linalg.svd(matrix)
+    rotation: FloatArray = u @ v
+    if np.linalg.det(rotation) < 0:
+        return None
+    return rotation if abs(rotation - matrix).max() <= ROTATION_TOLERANCE else None
+
+
+def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
+    """Return cameras as kernels take them ``(C, 25)``."""
+    return np.array([camera.numbers for camera in cameras]).reshape(-1, 25)
+
+
+def distorted(camera: Camera, places: FloatArray) -> FloatArray:
+    """Return where a lens shows places of the image plane at depth 1 ``(…, 2)``."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
+    x, y = places[..., 0], places[..., 1]
+    s = x * x + y * y
+    radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
+    across = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
+    down = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([across, down], axis=-1)
+
+
+def project(camera: Camera, points: FloatArray) -> FloatArray:
+    """Return the pixels ``(…, 2)`` of points in the world [m] ``(…, 3)``.
+
+    NaN where a point is missing or behind the camera.
+
+    >>> camera = Camera("a", (100.0, 100.0), (50.0, 40.0), np.eye(3), np.zeros(3))
+    >>> project(camera, np.array([0.1, 0.0, 1.0])).tolist()
+    [60.0, 40.0]
+    """
+    seen = points @ camera.rotation.T + camera.translation
+    depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+    x, y = np.moveaxis(distorted(camera, seen[..., :2] / depth[..., None]), -1, 0)
+    across = camera.focal[0] * x + camera.skew * y + camera.centre[0]
+    return np.stack([across, camera.focal[1] * y + camera.centre[1]], axis=-1)
+
+
+def rays(camera: Camera, pixels: FloatArray) -> FloatArray:
+    """Return directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
+
+    NaN where no direction near a pixel leads to it.
+    """
+    y = (pixels[..., 1] - camera.centre[1]) / camera.focal[1]
+    x = (pixels[..., 0] - camera.centre[0] - camera.skew * y) / camera.focal[0]
+    wanted = np.stack([x, y], axis=-1)
+    found = wanted.copy()
+    for _ in range(_STEPS if any(camera.distortion) else 0):
+        # The slopes of the lens by differences: exact enough, since each step is
+        # measured by the lens itself.
+        step, here = 1e-6, distorted(camera, found)
+        by_x = (distorted(camera, found + [step, 0]) - here) / step
+        by_y = (distorted(camera, found + [0, step]) - here) / step
+        off = here - wanted
+        det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
+        det = np.where(det > 0, det, np.nan)
+        change = np.stack(
+            [
+                off[..., 0] * by_y[..., 1] - off[..., 1] * by_y[..., 0],
+                off[..., 1] * by_x[..., 0] - off[..., 0] * by_x[..., 1],
+            ],
+            axis=-1,
+        )
+        found -= change / det[..., None]
+    return found
