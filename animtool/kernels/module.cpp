@@ -227,8 +227,8 @@ from where the ways end.)");
         R"(Fit blend-shape weights and the head's pose to landmarks over frames.
 
 Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
-``(1, N, 3)``, or ``(F, N, 3)`` with one a frame. ``observed`` is ``(F, N, 3)`` in that unit, or with a ``camera`` fx, fy, cx, cy ``(F, N, 2)`` in pixels, in
-front of it along +Z; NaN is missing. ``poses`` ``(F, 7)``, quaternions x y z w and t, and
+``(1, N, 3)``, or ``(F, N, 3)`` with one a frame. ``observed`` is ``(F, N, 3)`` in that unit, or
+with a ``camera`` fx, fy, cx, cy ``(F, N, 2)`` in pixels, in front of it along +Z; NaN is missing. ``poses`` ``(F, 7)``, quaternions x y z w and t, and
 ``weights`` ``(F, S)`` are where it starts. Weights stay between 0 and 1, their differences
 from frame to frame cost ``smooth`` times the square, and they themselves ``rest``; a residual
 beyond the ``threshold`` counts for less.

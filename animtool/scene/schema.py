@@ -45,8 +45,8 @@ class SourceModel(FileModel):
         "Of a BVH: its up axis. Not given: Y.", "Z", default=None
     )
     fps: Real | str | None = key(
-        "Of a BVH: its true frame rate; of a face recording: what its time code counts. "
-        "Not given: what the file shows.",
+        "Of a BVH: its true frame rate; of a face recording: what its time code "
+        "counts. Not given: what the file shows.",
         120,
         default=None,
     )

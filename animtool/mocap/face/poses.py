@@ -15,8 +15,8 @@ PERSPECTIVE_ROUNDS = 30
 def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     """Return a pose a frame, quaternion x, y, z, w and translation ``(F, 7)``.
 
-    Landmarks that move most count least. Frames without three landmarks have the pose of
-    the frame before them that has some.
+    Landmarks that move most count least. Frames without three landmarks have the pose
+    of the frame before them that has some.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.
@@ -63,7 +63,7 @@ def held(poses: FloatArray, good: BoolArray) -> FloatArray:
 def camera_pose(
     neutral: FloatArray, pixels: FloatArray, camera: FloatArray
 ) -> FloatArray | None:
-    """Return the pose of a head in front of a camera ``(7,)``; None where none is found.
+    """Return the pose of a head in front of a camera ``(7,)``; None if none is found.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.

@@ -1,8 +1,8 @@
 """Landmarks to blend-shape weights: bounded, robust, smooth in time, without the head.
 
 Every frame asks for weights and a head pose at which the shaped face lies on its
-landmarks. Frames are coupled by the cost of changes, so a take is solved in windows that
-overlap by more than a change reaches: the same numbers whatever is read at a time.
+landmarks. Frames are coupled by the cost of changes, so a take is solved in windows
+that overlap by more than a change reaches: the same numbers whatever is read at a time.
 
 References:
     P. J. Huber, Robust Statistics, 1981, chapter 7 (reweighted least squares).
@@ -25,17 +25,17 @@ from animtool.maths.so3 import align_signs, slerp
 from animtool.mocap.face.model import FaceModel, spread
 from animtool.mocap.face.poses import camera_pose, head_poses
 
-# Frames of a window that count, and those on both sides that it is solved with: a change
-# is felt for some frames only.
+# Frames of a window that count, and those on both sides that it is solved with: a
+# change is felt for some frames only.
 WINDOW, OVERLAP = 256, 32
 # A pose and a weight need as many in a frame.
 MIN_LANDMARKS = 4
 # Frames that the noise is measured on.
 NOISE_FRAMES = 200
-# Half of the residuals of noise in three directions are shorter than so many deviations,
-# and in two.
+# Half of the residuals of noise in three directions are shorter than so many
+# deviations, and in two.
 MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
-# Residuals longer than so many deviations of the noise count for less: 3 % of good ones.
+# Residuals longer than so many deviations of the noise count for less: 3 % of good.
 ROBUST_DEVIATIONS = 3.0
 # Of noise, in shares of the face's size: below, weights are exact to a thousandth.
 LEAST_NOISE = 1e-5
@@ -115,11 +115,11 @@ def fit_face(
 
     Args:
         model: The face.
-        observed: Its landmarks in the world, in the model's order, NaN where missing [m]
-            ``(F, N, 3)``, or with a camera, free of lens distortion [px] ``(F, N, 2)``.
+        observed: Its landmarks in the world, in the model's order, NaN where missing
+            [m] ``(F, N, 3)``; with a camera, free of distortion [px] ``(F, N, 2)``.
         fps: Frames a second.
-        smooth: How much changes from frame to frame cost: 1 is as the noise and a lively
-            face ask for, 0 nothing.
+        smooth: How much changes from frame to frame cost: 1 is as the noise and a
+            lively face ask for, 0 nothing.
         camera: fx, fy, cx, cy of a camera that looks along +Z with Y down [px].
         progress: Called with the share done, 0 to 1.
 
