@@ -223,7 +223,7 @@ Infinite where no way leads. ``seeds`` are numbers of nodes, and ``starts`` how 
 from where the ways end.)");
 
   m.def("fit_face", &fit_face, "neutral"_a, "deltas"_a, "observed"_a, "camera"_a.none(), "poses"_a,
-        "weights"_a, "threshold"_a, "smooth"_a, "rest"_a, "enough"_a, "rounds"_a,
+        "weights"_a, "threshold"_a, "smooth"_a, "rest"_a, "enough"_a, "rounds"_a, "warm"_a,
         R"(Fit blend-shape weights and the head's pose to landmarks over frames.
 
 Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
@@ -235,7 +235,8 @@ beyond the ``threshold`` counts for less.
 
 Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the residuals
 ``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
-weight in the last round. Rounds end where it is below ten times ``enough``.)");
+weight in the last round. Rounds end where it is below ten times ``enough``. A ``warm`` start is
+near the solution: outliers are known at once.)");
 
   m.def("triangulate_points", &triangulate_points, "pixels"_a, "confidences"_a.none(),
         "cameras"_a, "active"_a, "noise"_a, "gate"_a, "condition"_a,

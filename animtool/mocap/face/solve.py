@@ -267,6 +267,7 @@ class _Fit:
             self.rest,
             ENOUGH,
             rounds,
+            begin is not None,
         )
 
     def _noise(self) -> float:
