@@ -40,7 +40,7 @@ def made_weights(frames: int = FRAMES, shapes: int = SHAPES) -> FloatArray:
 
 def placed(points: FloatArray) -> FloatArray:
     t = np.arange(len(points))[:, None] / 60
-    turns = from_axis_angle(np.array([0.2, 0.9, 0.3]), 0.6 * np.sin(3 * t[:, 0]) + 2)
+    turns = from_axis_angle(np.array([0.36, 0.48, 0.8]), 0.6 * np.sin(3 * t[:, 0]) + 2)
     moved = rotate(turns[:, None], points) + (t * [0.1, 0, 0.05])[:, None]
     return np.asarray(moved + [0.3, 1.6, -2])
 
