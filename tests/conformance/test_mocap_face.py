@@ -40,7 +40,7 @@ def test_weights_and_poses(path: Path, capsys: pytest.CaptureFixture[str]) -> No
     )
     shift = 1000 * np.linalg.norm(fit.translations - truth["head_t_m"], axis=1)
     with capsys.disabled():
-        print(
+        print(  # noqa: T201 - the score table
             f"\n{path.name}: weights RMS {rms:.4f}, max {most:.3f}; head "
             f"{angle.max():.3f} deg, {shift.max():.3f} mm at most; landmarks "
             f"{1000 * fit.rms:.3f} mm RMS, noise {1000 * fit.noise:.3f} mm"
@@ -73,7 +73,7 @@ def test_real_recordings(path: Path) -> None:
     assert take.clock.count >= 100
 
 
-def test_recordings_move_the_head(tmp_path: Path) -> None:
+def test_recordings_move_the_head() -> None:
     root = os.environ.get("ANIMTOOL_DATA")
     files = sorted(Path(root, "mocap").glob("*.livelink.csv")) if root else []
     if not files:

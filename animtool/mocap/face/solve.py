@@ -13,16 +13,16 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted, listed, naming
 from animtool.maths.so3 import align_signs, slerp
-from animtool.mocap.face.model import FaceModel, spread
+from animtool.mocap.face.model import MIN_MOTION, FaceModel, spread
 from animtool.mocap.face.poses import camera_pose, head_poses
 
 # Frames of a window that count, and those on both sides that it is solved with: a
@@ -135,7 +135,7 @@ def fit_face(
     [[0.5], [0.5]]
     """
     _check(model, observed, camera)
-    seen = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.isfinite(observed).all(axis=-1)
     usable = seen.sum(axis=1) >= MIN_LANDMARKS
     if not usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
@@ -145,13 +145,19 @@ def fit_face(
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh that the shapes are of?"
         raise OptionError(Fault("FAC007", message, hint=hint))
-    face = model.select(moving)
+    # What moves landmarks alike is solved as one shape, and shared evenly.
+    kept, share = _shared(model, moving)
+    face = model.select(kept)
+    if model.bent is None:
+        counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+        face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
     whole = np.zeros((len(observed), len(model.shapes)))
-    whole[:, moving] = weights
+    places = np.cumsum(kept) - 1
+    whole[:, moving] = weights[:, places[share[moving]]]
     rotations, translations = _bridged(poses, usable)
     poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
     poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
@@ -174,6 +180,16 @@ def fit_face(
     )
 
 
+def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+    """Return which shapes are solved, and for each that moves the one it goes with."""
+    kept, share = moving.copy(), np.arange(len(moving))
+    for a, b in model.alike() if model.bent is None else ():
+        same = np.linalg.norm(model.deltas[a] - model.deltas[b])
+        if share[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            share[b], kept[b] = a, False
+    return kept, share
+
+
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
     """Refuse landmarks that are not those of a face."""
     width = 3 if camera is None else 2
@@ -190,7 +206,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
-    seen = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.isfinite(observed).all(axis=-1)
     full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
     ratios = [
         spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)

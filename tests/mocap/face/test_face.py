@@ -42,7 +42,7 @@ def placed(points: FloatArray) -> FloatArray:
     t = np.arange(len(points))[:, None] / 60
     turns = from_axis_angle(np.array([0.36, 0.48, 0.8]), 0.6 * np.sin(3 * t[:, 0]) + 2)
     moved = rotate(turns[:, None], points) + (t * [0.1, 0, 0.05])[:, None]
-    return np.asarray(moved + [0.3, 1.6, -2])
+    return np.asarray(moved + np.array([0.3, 1.6, -2]))
 
 
 def test_exact_landmarks_give_exact_weights() -> None:
@@ -100,7 +100,7 @@ def test_one_camera_that_goes_with_the_head() -> None:
     model, weights = made_face(), made_weights(30)
     camera = np.array([900.0, 880.0, 640.0, 360.0])
     half = np.array([1.0, 0, 0, 0])
-    seen = rotate(half, model.points(weights)) + [0.01, 0.02, 0.35]
+    seen = rotate(half, model.points(weights)) + np.array([0.01, 0.02, 0.35])
     pixels = seen[..., :2] / seen[..., 2:] * camera[:2] + camera[2:]
     fit = fit_face(model, pixels, 60, camera=camera)
     assert np.abs(fit.weights - weights).max() < 0.02
