@@ -22,7 +22,7 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
         neutral: Landmarks at rest ``(N, 3)``.
         observed: Likewise in the world, NaN where missing ``(F, N, 3)``.
     """
-    seen: BoolArray = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     points = np.where(seen[..., None], observed, 0.0)
     shares: FloatArray = seen.astype(np.float64)
     poses = np.zeros((len(observed), 7))
@@ -32,7 +32,7 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
         placed = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
         miss = np.where(seen, np.linalg.norm(points - placed, axis=-1), np.nan)
         usual = np.full(len(miss), np.inf)
-        some: BoolArray = seen.any(axis=1)
+        some: BoolArray = np.asarray(seen.any(axis=1))
         usual[some] = np.maximum(np.nanmedian(miss[some], axis=1), 1e-9)
         shares = np.where(seen, 1.0 / (1.0 + (miss / usual[:, None]) ** 2), 0.0)
     return held(poses, seen.sum(axis=1) >= 3)
@@ -75,7 +75,7 @@ def camera_pose(
         D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
         1995.
     """
-    seen: BoolArray = np.isfinite(pixels).all(axis=1)
+    seen: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
     if seen.sum() < 4:
         return None
     points, image = neutral[seen], (pixels[seen] - camera[2:]) / camera[:2]

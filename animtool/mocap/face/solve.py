@@ -135,7 +135,7 @@ def fit_face(
     [[0.5], [0.5]]
     """
     _check(model, observed, camera)
-    seen: BoolArray = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     usable = seen.sum(axis=1) >= MIN_LANDMARKS
     if not usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
@@ -206,7 +206,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
-    seen: BoolArray = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
     ratios = [
         spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)
