@@ -41,8 +41,8 @@ ROBUST_DEVIATIONS = 3.0
 LEAST_NOISE = 1e-5
 # How fast weights of a lively face change [1/s].
 USUAL_SPEED = 3.0
-# A weight that no landmark shows is as likely up to this one.
-USUAL_WEIGHT = 10.0
+# Deviation of weights from 0 that is usual: what landmarks do not show stays small.
+USUAL_WEIGHT = 0.5
 # A weight's change in the last round that is none.
 ENOUGH = 1e-5
 ROUNDS = 30
