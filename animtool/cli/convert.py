@@ -30,6 +30,7 @@ Examples:
   animtool convert walk.usdc walk.bvh
   animtool convert walk.bvh walk.clip.yaml --reduce 0.5mm
   animtool convert shot.usda hero.bvh --prim-path /World/hero
+  animtool convert take.csv face.clip.yaml
   animtool convert hero.rig.yaml hero.usda --physics
   animtool convert hero.usda hero.rig.yaml"""
 )
@@ -39,7 +40,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@source_option("take")
+@source_option("take", "dropped")
 @click.option(
     "--reduce",
     type=LENGTH,
@@ -65,7 +66,7 @@ Examples:
 @common_options
 @click.pass_obj
 def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
-    """Convert SOURCE to OUTPUT: BVH, USD and clips to BVH, USD or a clip.
+    """Convert SOURCE to OUTPUT: BVH, USD, CSV or a clip to one of these.
 
     A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
     it. Joints that came from a BVH get their channel order and names back.
@@ -87,7 +88,9 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     if of_rig:
         _rig(console, source, output, params)
         return
-    options = source_options_record(params, "take", prim_path=params["prim_path"])
+    options = source_options_record(
+        params, "take", "dropped", prim_path=params["prim_path"]
+    )
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,

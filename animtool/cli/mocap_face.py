@@ -134,7 +134,8 @@ def face_text(result: FaceResult) -> list[str]:
     rate = frames / max(result.seconds["solve"], 1e-9)
     moved = int((fit.weights.max(axis=0, initial=0) > 0).sum())
     lines = [
-        f"{result.job.capture} onto {result.take.rig.name}: {counted(frames, 'frame')}, "
+        f"{result.job.capture} onto {result.take.rig.name}: "
+        f"{counted(frames, 'frame')}, "
         f"{counted(len(fit.model.names), 'landmark')}, {moved} of "
         f"{counted(len(fit.model.shapes), 'shape')} move, {rate:.0f} frames a second",
         f"  landmarks within {_residual(result, fit.rms)} RMS; noise "

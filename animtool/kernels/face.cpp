@@ -233,6 +233,35 @@ struct Quadratics {
     }
   }
 
+  // What the weights of a frame cost while those of its neighbours stay.
+  double cost(const double* w, const double* own, std::size_t f) const {
+    const double* hf = h.data() + f * shapes * shapes;
+    double sum = 0;
+    for (std::size_t s = 0; s < shapes; ++s) {
+      if (own[s] == 0) continue;
+      double row = 0.5 * neighbours(f) * own[s] - g[f * shapes + s] - beside(w, f, s);
+      const double* hs = hf + s * shapes;
+      for (std::size_t k = 0; k < shapes; ++k) row += 0.5 * hs[k] * own[k];
+      sum += own[s] * row;
+    }
+    return sum;
+  }
+
+  // Take as much of the step of a frame as makes its cost less.
+  void alone(double* w, std::size_t f, double* tried) const {
+    double *own = w + f * shapes, share = 1;
+    const double* step = step_.data() + f * shapes;
+    const double from = cost(w, own, f);
+    for (int half = 0; half < HALVINGS; ++half, share /= 2) {
+      for (std::size_t s = 0; s < shapes; ++s)
+        tried[s] = std::clamp(own[s] + share * step[s], 0.0, 1.0);
+      if (cost(w, tried, f) < from) {
+        std::copy(tried, tried + shapes, own);
+        return;
+      }
+    }
+  }
+
   // Bring weights to the minimum, as far as a step of descent changes them by `enough`.
   double solve(double* w, double enough) {
     std::vector<double> tried(frames * shapes);
@@ -243,15 +272,12 @@ struct Quadratics {
       if (change < enough) break;
       const double from = value(w);
       newton(w);
-      double share = 1;
-      for (int half = 0; half < HALVINGS; ++half, share /= 2) {
-        for (std::size_t i = 0; i < tried.size(); ++i)
-          tried[i] = std::clamp(w[i] + share * step_[i], 0.0, 1.0);
-        if (value(tried.data()) < from) {
-          std::copy(tried.begin(), tried.end(), w);
-          break;
-        }
-      }
+      for (std::size_t i = 0; i < tried.size(); ++i)
+        tried[i] = std::clamp(w[i] + step_[i], 0.0, 1.0);
+      if (value(tried.data()) < from)
+        std::copy(tried.begin(), tried.end(), w);
+      else
+        for (std::size_t f = 0; f < frames; ++f) alone(w, f, tried.data());
     }
     return change;
   }
@@ -481,7 +507,7 @@ class Linear {
 FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
                     std::optional<In<double, 1>> camera, In<double, 2> poses,
                     In<double, 2> weights, double threshold, double smooth, double rest,
-                    double enough, int rounds) {
+                    double enough, int rounds, bool warm) {
   const std::size_t landmarks = neutral.shape(1), shapes = deltas.shape(0),
                     frames = observed.shape(0);
   const std::size_t width = camera ? 2 : 3;
@@ -534,8 +560,9 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
     for (; round < rounds; ++round) {
       std::copy(w, w + frames * shapes, before.begin());
       // The loss of Huber first, which has one minimum; then one that outliers do not pull.
-      const double power = round < 3 ? 1 : 2;
-      const double limit = round == 0 ? HUGE_VAL : threshold;
+      const bool early = !warm && round < 3;
+      const double power = early ? 1 : 2;
+      const double limit = early && round == 0 ? HUGE_VAL : threshold;
       for (std::size_t f = 0; f < frames; ++f) {
         look(f, limit, power);
         double* h = problem.h.data() + f * shapes * shapes;
@@ -545,7 +572,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
         linear.keep(kept.data() + f * Linear::kept(shapes));
         for (std::size_t s = 0; s < shapes; ++s) h[s * shapes + s] += rest;
       }
-      problem.solve(w, round < 3 ? std::max(enough, 1e-3) : enough);
+      problem.solve(w, early ? std::max(enough, 1e-3) : enough);
       for (std::size_t f = 0; f < frames; ++f) {
         linear.restore(kept.data() + f * Linear::kept(shapes));
         linear.follow(w + f * shapes, placed.get() + 7 * f);
@@ -553,7 +580,7 @@ FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> o
       change = 0;
       for (std::size_t i = 0; i < frames * shapes; ++i)
         change = std::max(change, std::fabs(w[i] - before[i]));
-      if (round >= 4 && change < 10 * enough) {
+      if (round >= (warm ? 1 : 4) && change < 10 * enough) {
         ++round;
         break;
       }

@@ -194,7 +194,7 @@ using FittedFace = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 2>, Ou
 FittedFace fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> observed,
                     std::optional<In<double, 1>> camera, In<double, 2> poses,
                     In<double, 2> weights, double threshold, double smooth, double rest,
-                    double enough, int rounds);
+                    double enough, int rounds, bool warm);
 
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 

@@ -276,6 +276,22 @@ Returns ``(fits, moved)``: of each of ``begins`` ``(B,)``, and of the frames ins
 Infinite where no way leads. ``seeds`` are numbers of nodes, and ``starts`` how far these are
 from where the ways end.)");
 
+  m.def("fit_face", &fit_face, "neutral"_a, "deltas"_a, "observed"_a, "camera"_a.none(), "poses"_a,
+        "weights"_a, "threshold"_a, "smooth"_a, "rest"_a, "enough"_a, "rounds"_a, "warm"_a,
+        R"(Fit blend-shape weights and the head's pose to landmarks over frames.
+
+Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
+``(1, N, 3)``, or ``(F, N, 3)`` with one a frame. ``observed`` is ``(F, N, 3)`` in that unit, or
+with a ``camera`` fx, fy, cx, cy ``(F, N, 2)`` in pixels, in front of it along +Z; NaN is missing. ``poses`` ``(F, 7)``, quaternions x y z w and t, and
+``weights`` ``(F, S)`` are where it starts. Weights stay between 0 and 1, their differences
+from frame to frame cost ``smooth`` times the square, and they themselves ``rest``; a residual
+beyond the ``threshold`` counts for less.
+
+Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the residuals
+``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
+weight in the last round. Rounds end where it is below ten times ``enough``. A ``warm`` start is
+near the solution: outliers are known at once.)");
+
   m.def("triangulate_points", &triangulate_points, "pixels"_a, "confidences"_a.none(),
         "cameras"_a, "active"_a, "noise"_a, "gate"_a, "condition"_a,
         "detailed"_a,
@@ -300,20 +316,6 @@ is not found.)");
         R"(Return the least median of residuals over all pairs of cameras ``(F, M)`` [px].
 
 NaN where fewer than three see a point. Arguments are those of `triangulate_points`.)");
-  m.def("fit_face", &fit_face, "neutral"_a, "deltas"_a, "observed"_a, "camera"_a.none(), "poses"_a,
-        "weights"_a, "threshold"_a, "smooth"_a, "rest"_a, "enough"_a, "rounds"_a,
-        R"(Fit blend-shape weights and the head's pose to landmarks over frames.
-
-Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
-``(1, N, 3)``, or ``(F, N, 3)`` with one a frame. ``observed`` is ``(F, N, 3)`` in that unit, or with a ``camera`` fx, fy, cx, cy ``(F, N, 2)`` in pixels, in
-front of it along +Z; NaN is missing. ``poses`` ``(F, 7)``, quaternions x y z w and t, and
-``weights`` ``(F, S)`` are where it starts. Weights stay between 0 and 1, their differences
-from frame to frame cost ``smooth`` times the square, and they themselves ``rest``; a residual
-beyond the ``threshold`` counts for less.
-
-Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the residuals
-``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
-weight in the last round. Rounds end where it is below ten times ``enough``.)");
 
   m.def("curl_noise", &curl_noise, "points"_a, "times"_a, "seed"_a,
         R"(Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.

@@ -23,7 +23,7 @@ _Z_UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 
 
 def head_joints(rig: Rig) -> dict[str, int]:
-    """Return the joints of a head and of its eyes, by part; what is not there is left out.
+    """Return the joints of a head and of its eyes, those that there are, by part.
 
     >>> from animtool.rig.skeleton import Joint
     >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))

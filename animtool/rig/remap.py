@@ -1,4 +1,4 @@
-"""Remap files, ``*.remap.yaml``: names of shapes of one convention as those of another."""
+"""Remap files, ``*.remap.yaml``: shapes of one convention as those of another."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def link_shapes(
 ) -> ShapeLinks:
     """Return which shapes of a target follow which of a source, by name.
 
-    Names are equal, or ARKit's in any spelling: ``eyeBlink_L``, ``blendShape1.JawOpen``.
+    Names are equal, or ARKit's in any spelling, such as ``blendShape1.eyeBlink_L``.
 
     Raises:
         FormatError: The source or the target has no shape that a file names (FAC001).

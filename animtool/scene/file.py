@@ -384,21 +384,23 @@ class _SceneReader:
         self, at: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
         path = self.read_file((*at, "file"), model.file)
+
+        def named_file(key: str) -> Path | None:
+            name = getattr(model, key)
+            return None if name is None else self.read_file((*at, key), name)
+
         options = SourceOptions(
-            None if model.units is None else LengthUnit(model.units),
-            None if model.up is None else UpAxis(model.up),
-            self._rate((*at, "fps"), model.fps),
-            model.prim,
-            rig,
-            model.clamp,
-            model.take,
-            *(
-                None if name is None else self.read_file((*at, key), name)
-                for key, name in (
-                    ("template", model.template),
-                    ("cameras", model.cameras),
-                )
-            ),
+            unit=None if model.units is None else LengthUnit(model.units),
+            up=None if model.up is None else UpAxis(model.up),
+            fps=self._rate((*at, "fps"), model.fps),
+            prim_path=model.prim,
+            rig=rig,
+            clamp=model.clamp,
+            take=model.take,
+            remap=named_file("remap"),
+            dropped=model.dropped,
+            template=named_file("template"),
+            cameras=named_file("cameras"),
         )
         tracks = None
         if model.tracks is not None:

@@ -45,7 +45,8 @@ class SourceModel(FileModel):
         "Of a BVH: its up axis. Not given: Y.", "Z", default=None
     )
     fps: Real | str | None = key(
-        "Of a BVH: its true frame rate. Not given: what its frame time stands for.",
+        "Of a BVH: its true frame rate; of a face recording: what its time code "
+        "counts. Not given: what the file shows.",
         120,
         default=None,
     )
@@ -58,6 +59,17 @@ class SourceModel(FileModel):
         "Of a clip library in USD: the take to read. Not given: the one "
         "that is selected.",
         "walk",
+        default=None,
+    )
+    remap: Name | None = key(
+        "Of a face recording: a remap file for the names of its shapes.",
+        "hero.remap.yaml",
+        default=None,
+    )
+    dropped: Literal["interpolate", "hold", "close"] | None = key(
+        "Of a face recording: what becomes of frames without a row. Not given: "
+        "`interpolate`.",
+        "hold",
         default=None,
     )
     clamp: bool = key(

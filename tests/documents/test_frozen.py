@@ -16,10 +16,12 @@ from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
 from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
+from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.mocap.retarget import TwistShare
 from animtool.mocap.retarget.file import load_map, resolved_map
 from animtool.mocap.template import TemplateMarker, load_template
 from animtool.rig.file import load_rig
+from animtool.rig.remap import ShapeLink, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
@@ -115,6 +117,24 @@ def test_markers_1() -> None:
     joints = template.joints(load_rig(template.rig)).tolist()
     names = load_rig(template.rig).names
     assert [names[j] for j in joints] == ["chest", "elbow_l", "hips"]
+
+
+def test_landmarks_1() -> None:
+    file = load_landmarks(FROZEN / "landmarks-1.landmarks.yaml")
+    assert file.rig == (FROZEN / "rig-1.rig.yaml").resolve()
+    model = face_model(file, load_rig(file.rig))
+    assert model.names == ("tip", "side", "middle")
+    assert model.neutral.shape == (3, 3)
+
+
+def test_remap_1() -> None:
+    found = load_remap(FROZEN / "remap-1.remap.yaml")
+    links = link_shapes(["Smile_L", "Jaw", "x"], ["jawOpen", "mouthSmileLeft"], found)
+    assert links.links == (
+        ShapeLink(0, 1),
+        ShapeLink(1, 0, 0.8, -0.1, 0.0, 1.0),
+    )
+    assert links.lost == ("x",)
 
 
 def test_scene_1(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ class _Table:
         return line.split(self.delimiter)
 
     def _fault(self, code: str, cell: int, message: str, line: int = 0) -> Fault:
-        """Return a fault of a cell; its column is that of the table, as people count."""
+        """Return a fault of a cell; its column is that of the table, from 1."""
         return Fault(
             code, message, str(self.path), (line or self.line,), column=cell + 1
         )
@@ -208,7 +208,7 @@ class _Table:
         return found
 
     def _numbers(self, cells: Sequence[tuple[int, list[str]]]) -> FloatArray:
-        """Return all values ``(R, C)``, NaN where there is none, or no column of one."""
+        """Return all values ``(R, C)``, NaN where there is none."""
         columns = [*self.shapes, *self.turns]
         if self.count is not None:
             columns.append(self.count)

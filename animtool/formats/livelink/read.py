@@ -171,7 +171,7 @@ def _motion(
 
 
 def _filled(values: FloatArray, times: IntArray) -> FloatArray:
-    """Return values ``(N, C)`` with those that are missing put in between; none is 0."""
+    """Return values ``(N, C)``, missing ones put in between; of none, 0."""
     made = values.copy()
     for column in made.T:
         there = np.isfinite(column)
@@ -217,8 +217,8 @@ def _notices(recording: Recording, frames: RowFrames, dropped: Dropped) -> list[
             "close": "left out, so that later frames move up",
         }[dropped]
         message = (
-            f"{len(gaps)} of {frames.count} frames have no row: {what}; from the first, "
-            f"frames {listed((gaps).tolist(), MAX_NAMED)}"
+            f"{len(gaps)} of {frames.count} frames have no row: {what}; from the "
+            f"first, frames {listed((gaps).tolist(), MAX_NAMED)}"
         )
         hint = "--dropped interpolate, hold or close says what becomes of them"
         made.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))

@@ -20,8 +20,8 @@ USUAL_CLOCK = 60
 # Rows come every so many labels where this share of them does.
 REGULAR_SHARE = 0.9
 MAX_STEP = 16
-# Parts of a frame by which rows that follow a clock miss its beat: that of phones is off
-# by 2e-4 a row, while time stamps of a network jitter by a frame.
+# Parts of a frame by which rows that follow a clock miss its beat: that of phones is
+# off by 2e-4 a row, while time stamps of a network jitter by a frame.
 STEADY = 0.1
 # Nobody means to invent more than this between two rows [s].
 MAX_GAP_SECONDS = 600

@@ -62,9 +62,9 @@ def write_livelink(
 def livelink_text(take: Take) -> LiveLinkText:
     """Return a take as a recording: ARKit's 52 weights, rotations of head and eyes.
 
-    The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97 and
-    59.94. What the rig lacks is 0. Other shapes and joints have no place in the format;
-    shapes that move are named in the notices.
+    The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97
+    and 59.94. What the rig lacks is 0. Other shapes and joints have no place in the
+    format; shapes that move are named in the notices.
     """
     columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
     columns.pop(None, None)

@@ -63,7 +63,7 @@ class FaceCapture:
     @property
     def pixels(self) -> bool:
         """Whether they are those of a camera."""
-        return self.points.shape[-1] == 2
+        return int(self.points.shape[-1]) == 2
 
 
 def read_capture(
@@ -228,8 +228,8 @@ def in_order(capture: FaceCapture, model: FaceModel) -> tuple[FloatArray, list[F
     if capture.names is None or capture.names == model.names:
         if capture.points.shape[1] != count:
             message = (
-                f"has {counted(capture.points.shape[1], 'landmark')} without names, and "
-                f"the face has {count}"
+                f"has {counted(capture.points.shape[1], 'landmark')} without names, "
+                f"and the face has {count}"
             )
             hint = "landmark_names in the npz says which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))

@@ -221,7 +221,7 @@ _Moved = tuple[FloatArray, list[tuple[float, FloatArray]]]
 def _moved(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_Row]
 ) -> _Moved | None:
-    """Return what a shape adds at landmarks, and at weights in between; None: nothing."""
+    """Return what a shape adds at landmarks, and in between; None is nothing."""
     found: SurfaceShape | None = None
     surface = surfaces.get(shape.mesh)
     if surface is not None:

@@ -76,7 +76,7 @@ class FaceModel:
         return whole - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
-        """Return the landmarks at weights in the frame of the face [m] ``(F, N, 3)``."""
+        """Return the landmarks at weights, in the frame of the face [m]."""
         if self.bent is not None:
             return self.bent.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
@@ -92,6 +92,14 @@ class FaceModel:
         bent = None if self.bent is None else self.bent.select(shapes)
         return replace(self, shapes=names, deltas=self.deltas[shapes], bent=bent)
 
+    def alike(self) -> list[tuple[int, int]]:
+        """Return pairs of shapes that move the landmarks in the same directions."""
+        moving = np.flatnonzero(self.moving())
+        flat = self.deltas[moving].reshape(len(moving), -1)
+        flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+        pairs = np.argwhere(np.triu(flat @ flat.T > SAME_SHAPE, 1))
+        return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
+
     def notices(self) -> list[Fault]:
         """Return warnings of shapes that landmarks do not show, or not apart."""
         made = []
@@ -100,12 +108,9 @@ class FaceModel:
         if still:
             message = f"{len(still)} shapes move no landmark, and stay at 0: "
             made.append(naming("FAC101", message, still, severity=Severity.WARNING))
-        flat = self.deltas.reshape(len(self.shapes), -1)
-        norms = np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
-        alike = (flat / norms) @ (flat / norms).T
-        pairs = np.argwhere(np.triu(alike > SAME_SHAPE, 1) & np.outer(moving, moving))
+        pairs = self.alike()
         if len(pairs):
-            names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs.tolist()]
+            names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
             message = f"{len(pairs)} pairs of shapes move landmarks alike, and share: "
             made.append(naming("FAC102", message, names, severity=Severity.WARNING))
         return made

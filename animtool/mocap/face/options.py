@@ -40,6 +40,6 @@ class FaceOptions:
         "count",
         "--neutral",
         metavar="FRAME",
-        help="Frame, from 0, in which the actor's face is neutral: proportions are then "
-        "the actor's.",
+        help="Frame, from 0, in which the actor's face is neutral: proportions are "
+        "then the actor's.",
     )

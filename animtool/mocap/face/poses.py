@@ -15,16 +15,16 @@ PERSPECTIVE_ROUNDS = 30
 def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     """Return a pose a frame, quaternion x, y, z, w and translation ``(F, 7)``.
 
-    Landmarks that move most count least. Frames without three landmarks have the pose of
-    the frame before them that has some.
+    Landmarks that move most count least. Frames without three landmarks have the pose
+    of the frame before them that has some.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.
         observed: Likewise in the world, NaN where missing ``(F, N, 3)``.
     """
-    seen = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     points = np.where(seen[..., None], observed, 0.0)
-    shares = seen.astype(np.float64)
+    shares: FloatArray = seen.astype(np.float64)
     poses = np.zeros((len(observed), 7))
     poses[:, 3] = 1.0
     for _ in range(ROUNDS):
@@ -32,7 +32,7 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
         placed = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
         miss = np.where(seen, np.linalg.norm(points - placed, axis=-1), np.nan)
         usual = np.full(len(miss), np.inf)
-        some = seen.any(axis=1)
+        some: BoolArray = np.asarray(seen.any(axis=1))
         usual[some] = np.maximum(np.nanmedian(miss[some], axis=1), 1e-9)
         shares = np.where(seen, 1.0 / (1.0 + (miss / usual[:, None]) ** 2), 0.0)
     return held(poses, seen.sum(axis=1) >= 3)
@@ -63,7 +63,7 @@ def held(poses: FloatArray, good: BoolArray) -> FloatArray:
 def camera_pose(
     neutral: FloatArray, pixels: FloatArray, camera: FloatArray
 ) -> FloatArray | None:
-    """Return the pose of a head in front of a camera ``(7,)``; None where none is found.
+    """Return the pose of a head in front of a camera ``(7,)``; None if none is found.
 
     Args:
         neutral: Landmarks at rest ``(N, 3)``.
@@ -75,7 +75,7 @@ def camera_pose(
         D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
         1995.
     """
-    seen = np.isfinite(pixels).all(axis=1)
+    seen: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
     if seen.sum() < 4:
         return None
     points, image = neutral[seen], (pixels[seen] - camera[2:]) / camera[:2]

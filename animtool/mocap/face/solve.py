@@ -1,8 +1,8 @@
 """Landmarks to blend-shape weights: bounded, robust, smooth in time, without the head.
 
 Every frame asks for weights and a head pose at which the shaped face lies on its
-landmarks. Frames are coupled by the cost of changes, so a take is solved in windows that
-overlap by more than a change reaches: the same numbers whatever is read at a time.
+landmarks. Frames are coupled by the cost of changes, so a take is solved in windows
+that overlap by more than a change reaches: the same numbers whatever is read at a time.
 
 References:
     P. J. Huber, Robust Statistics, 1981, chapter 7 (reweighted least squares).
@@ -13,36 +13,36 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted, listed, naming
 from animtool.maths.so3 import align_signs, slerp
-from animtool.mocap.face.model import FaceModel, spread
+from animtool.mocap.face.model import MIN_MOTION, FaceModel, spread
 from animtool.mocap.face.poses import camera_pose, head_poses
 
-# Frames of a window that count, and those on both sides that it is solved with: a change
-# is felt for some frames only.
+# Frames of a window that count, and those on both sides that it is solved with: a
+# change is felt for some frames only.
 WINDOW, OVERLAP = 256, 32
 # A pose and a weight need as many in a frame.
 MIN_LANDMARKS = 4
 # Frames that the noise is measured on.
 NOISE_FRAMES = 200
-# Half of the residuals of noise in three directions are shorter than so many deviations,
-# and in two.
+# Half of the residuals of noise in three directions are shorter than so many
+# deviations, and in two.
 MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
-# Residuals longer than so many deviations of the noise count for less: 3 % of good ones.
+# Residuals longer than so many deviations of the noise count for less: 3 % of good.
 ROBUST_DEVIATIONS = 3.0
 # Of noise, in shares of the face's size: below, weights are exact to a thousandth.
 LEAST_NOISE = 1e-5
 # How fast weights of a lively face change [1/s].
 USUAL_SPEED = 3.0
-# A weight that no landmark shows is as likely up to this one.
-USUAL_WEIGHT = 10.0
+# Deviation of weights from 0 that is usual: what landmarks do not show stays small.
+USUAL_WEIGHT = 0.5
 # A weight's change in the last round that is none.
 ENOUGH = 1e-5
 ROUNDS = 30
@@ -115,11 +115,11 @@ def fit_face(
 
     Args:
         model: The face.
-        observed: Its landmarks in the world, in the model's order, NaN where missing [m]
-            ``(F, N, 3)``, or with a camera, free of lens distortion [px] ``(F, N, 2)``.
+        observed: Its landmarks in the world, in the model's order, NaN where missing
+            [m] ``(F, N, 3)``; with a camera, free of distortion [px] ``(F, N, 2)``.
         fps: Frames a second.
-        smooth: How much changes from frame to frame cost: 1 is as the noise and a lively
-            face ask for, 0 nothing.
+        smooth: How much changes from frame to frame cost: 1 is as the noise and a
+            lively face ask for, 0 nothing.
         camera: fx, fy, cx, cy of a camera that looks along +Z with Y down [px].
         progress: Called with the share done, 0 to 1.
 
@@ -135,7 +135,7 @@ def fit_face(
     [[0.5], [0.5]]
     """
     _check(model, observed, camera)
-    seen = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     usable = seen.sum(axis=1) >= MIN_LANDMARKS
     if not usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
@@ -145,13 +145,19 @@ def fit_face(
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh that the shapes are of?"
         raise OptionError(Fault("FAC007", message, hint=hint))
-    face = model.select(moving)
+    # What moves landmarks alike is solved as one shape, and shared evenly.
+    kept, share = _shared(model, moving)
+    face = model.select(kept)
+    if model.bent is None:
+        counts = np.bincount(share[moving], minlength=len(model.shapes))[kept]
+        face = replace(face, deltas=face.deltas * counts[:, None, None])
     fit = _Fit(
         face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
     weights, poses, residuals, shares, rounds, change = fit.solve(progress)
     whole = np.zeros((len(observed), len(model.shapes)))
-    whole[:, moving] = weights
+    places = np.cumsum(kept) - 1
+    whole[:, moving] = weights[:, places[share[moving]]]
     rotations, translations = _bridged(poses, usable)
     poor = usable & ((shares < POOR_SHARE).sum(axis=1) > 0.5 * len(model.names))
     poor &= (shares >= POOR_SHARE).sum(axis=1) < 0.5 * seen.sum(axis=1)
@@ -174,6 +180,16 @@ def fit_face(
     )
 
 
+def _shared(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+    """Return which shapes are solved, and for each that moves the one it goes with."""
+    kept, share = moving.copy(), np.arange(len(moving))
+    for a, b in model.alike() if model.bent is None else ():
+        same = np.linalg.norm(model.deltas[a] - model.deltas[b])
+        if share[a] == a and same <= MIN_MOTION * np.linalg.norm(model.deltas[a]):
+            share[b], kept[b] = a, False
+    return kept, share
+
+
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
     """Refuse landmarks that are not those of a face."""
     width = 3 if camera is None else 2
@@ -190,7 +206,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or spread(model.neutral) == 0:
         return
-    seen = np.isfinite(observed).all(axis=-1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
     full = np.flatnonzero(seen.sum(axis=1) >= MIN_LANDMARKS)[:: max(1, len(seen) // 50)]
     ratios = [
         spread(observed[f, seen[f]]) / max(spread(model.neutral[seen[f]]), 1e-300)
@@ -267,6 +283,7 @@ class _Fit:
             self.rest,
             ENOUGH,
             rounds,
+            begin is not None,
         )
 
     def _noise(self) -> float:

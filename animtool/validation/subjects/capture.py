@@ -64,6 +64,14 @@ def open_bvh(path: Path) -> CheckedFile:
     return CheckedFile(Kind.BVH, faults, subject, takes=(motion,))
 
 
+def open_livelink(path: Path) -> CheckedFile:
+    """Return what is wrong with a face recording, and its take."""
+    stream = open_source(path)
+    stream.collect()
+    faults = [f if f.path else replace(f, path=str(path)) for f in stream.notices]
+    return CheckedFile(Kind.LIVELINK, faults)
+
+
 def open_usd(path: Path) -> CheckedFile:
     """Return what is wrong with a USD layer and what it brings in, and its takes."""
     from animtool.usd.checks import inspect_layer

@@ -12,7 +12,7 @@ from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import unreadable
 from animtool.plugins import load_object
-from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.readers import BVH, DOCUMENT, LIVELINK, READERS, USD
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile
@@ -44,6 +44,23 @@ def open_markers(document: Document) -> CheckedFile:
     return CheckedFile(Kind.MARKERS, faults, template)
 
 
+def open_landmarks(document: Document) -> CheckedFile:
+    """Return a landmarks file, on its rig where it names one."""
+    from animtool.mocap.face.file import face_model, landmarks_of_document
+
+    file = landmarks_of_document(document)
+    if file.rig is not None:
+        face_model(file, Rig.load(file.rig))
+    return CheckedFile(Kind.LANDMARKS, [], file)
+
+
+def open_remap(document: Document) -> CheckedFile:
+    """Return a remap file; which faces it is for, it does not say."""
+    from animtool.rig.remap import remap_of_document
+
+    return CheckedFile(Kind.REMAP, [], remap_of_document(document))
+
+
 def open_cameras(document: Document) -> CheckedFile:
     """Return a camera file."""
     from animtool.mocap.cameras.file import cameras_of_document
@@ -71,6 +88,9 @@ _OPENERS = {
     Kind.TARGETS: "animtool.validation.rules.targets:open_targets",
     Kind.MAP: "animtool.validation.subjects.open:open_map",
     Kind.MARKERS: "animtool.validation.subjects.open:open_markers",
+    Kind.LANDMARKS: "animtool.validation.subjects.open:open_landmarks",
+    Kind.REMAP: "animtool.validation.subjects.open:open_remap",
+    Kind.LIVELINK: "animtool.validation.subjects.capture:open_livelink",
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
@@ -82,6 +102,8 @@ def open_file(path: Path) -> CheckedFile:
     reader = READERS.get(path.suffix.lower())
     if reader is BVH or reader is USD:
         return _open(Kind.BVH if reader is BVH else Kind.USD, path)
+    if reader is LIVELINK:
+        return _open(Kind.LIVELINK, path)
     if reader is None and not path.exists():
         raise unreadable(path, "does not exist")
     if reader is not DOCUMENT:
