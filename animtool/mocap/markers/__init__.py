@@ -1,1 +1,1 @@
-"""Marker trajectories made whole: points named, swaps and spikes repaired, gaps filled."""
+"""Marker trajectories made whole: named, swaps and spikes repaired, gaps filled."""

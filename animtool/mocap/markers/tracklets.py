@@ -33,7 +33,7 @@ class Tracklets:
     last: IntArray
 
     def trajectory(self, positions: FloatArray, run: int) -> FloatArray:
-        """Return the positions of a run, from its first frame to its last ``(L, 3)``."""
+        """Return the positions of a run from first to last frame ``(L, 3)``."""
         frames = slice(int(self.first[run]), int(self.last[run]) + 1)
         slots = (self.ids[frames] == run).argmax(axis=1)
         return np.asarray(positions[frames][np.arange(len(slots)), slots])
