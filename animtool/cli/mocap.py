@@ -11,6 +11,14 @@ COMMANDS = {
         "animtool.cli.mocap_clean:clean",
         "Remove spikes and noise from a take.",
     ),
+    "label": (
+        "animtool.cli.mocap_label:label",
+        "Give unlabelled points the names of markers.",
+    ),
+    "fill": (
+        "animtool.cli.mocap_fill:fill",
+        "Repair swaps and spikes of markers, fill gaps.",
+    ),
 }
 
 

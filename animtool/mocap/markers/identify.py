@@ -94,9 +94,9 @@ def _matches(
     group: tuple[int, ...], apart: FloatArray, rest: FloatArray
 ) -> list[tuple[int, ...]]:
     """Return the markers whose distances at rest are those of a group of runs."""
-    partial = [(marker,) for marker in range(len(rest))]
+    partial: list[tuple[int, ...]] = [(marker,) for marker in range(len(rest))]
     for k in range(1, len(group)):
-        longer = []
+        longer: list[tuple[int, ...]] = []
         for markers in partial:
             off = np.zeros(len(rest))
             for earlier, marker in enumerate(markers):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,11 @@ class LabelReport:
     missing: list[str]
     coverage: dict[str, float]
     notices: list[Fault] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        found = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**found, "notices": [notice.as_dict() for notice in self.notices]}
 
 
 def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:

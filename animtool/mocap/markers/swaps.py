@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, IntArray
 from animtool.markers import Markers
-from animtool.mocap.markers.label import RunLabels
+from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import follow
 
 # Frames that name a run; a change of fewer is a spike.

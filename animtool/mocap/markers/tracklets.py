@@ -51,7 +51,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     from scipy.spatial.distance import cdist
 
     frames, count, _ = positions.shape
-    seen = np.isfinite(positions).all(axis=-1)
+    seen = np.asarray(np.isfinite(positions).all(axis=-1))
     ids = np.full((frames, count), -1)
     first: list[int] = []
     last: list[int] = []
