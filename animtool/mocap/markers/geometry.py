@@ -62,20 +62,42 @@ def joined(rest: Distances, moving: Distances) -> Distances:
     )
 
 
-def fitted(points: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+def fitted(
+    points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return rotations and translations that bring a shape onto points, a frame each.
 
-    points: ``(F, K, 3)``. shape: ``(K, 3)``. The result is ``(F, 3, 3)`` and
+    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None
+    is 1. The result is ``(F, 3, 3)`` and
     ``(F, 3)``; ``points = rotation · shape + translation``.
 
     References:
         Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
         Acta Crystallographica A32, 1976.
     """
-    centre, middle = points.mean(axis=1), shape.mean(axis=0)
-    cross = np.einsum("fki,kj->fij", points - centre[:, None], shape - middle)
+    if weights is None:
+        weights = np.ones(points.shape[:2])
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    centre = np.einsum("fk,fki->fi", weights, points)
+    middle = weights @ shape
+    own = shape - middle[:, None]
+    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], own)
     left, _, right = np.linalg.svd(cross)
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
     left[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
     rotation = left @ right
-    return rotation, centre - rotation @ middle
+    return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
+
+
+def mean_shape(points: FloatArray, rounds: int = 3) -> FloatArray:
+    """Return the shape that rigid points have in the median ``(K, 3)``.
+
+    points: ``(F, K, 3)``, all seen.
+    """
+    shape = np.median(points - points[:, :1], axis=0)
+    for _ in range(rounds):
+        rotation, shift = fitted(points, shape)
+        shape = np.median(
+            np.einsum("fji,fkj->fki", rotation, points - shift[:, None]), axis=0
+        )
+    return np.asarray(shape)

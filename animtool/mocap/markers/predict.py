@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.mocap.markers.geometry import fitted
+from animtool.mocap.markers.geometry import fitted, mean_shape
 
 # Frames on either side of a gap that show how a marker moves with the others [s].
 WINDOW = 6.0
@@ -124,11 +124,7 @@ def _local(
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
     """Return the marker and the pose in the frame of the nearest, and the way back."""
     around = positions[frames][:, near]
-    shape = np.median(around[:, :count] - around[:, :1], axis=0)
-    for _ in range(3):
-        rotation, shift = fitted(around[:, :count], shape)
-        inside = np.einsum("fji,fkj->fki", rotation, around[:, :count] - shift[:, None])
-        shape = np.median(inside, axis=0)
+    shape = mean_shape(around[:, :count])
     rotation, shift = fitted(around[:, :count], shape)
     pose = np.einsum("fji,fkj->fki", rotation, around - shift[:, None])
     own = positions[frames, marker] - shift
