@@ -29,7 +29,9 @@ def written(folder: Path, file: C3dFile) -> Path:
 
 @pytest.mark.parametrize("processor", [INTEL, DEC, SGI])
 @pytest.mark.parametrize("scale", [-0.1, 0.1])
-def test_every_format(tmp_path: Path, points: Any, processor: int, scale: float) -> None:
+def test_every_format(
+    tmp_path: Path, points: Any, processor: int, scale: float
+) -> None:
     words = {"residuals": np.full((6, 4), 3), "masks": np.full((6, 4), 0b101)}
     file = C3dFile(points, list("ABCD"), scale=scale, processor=processor, **words)
     path = written(tmp_path, file)
