@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ Examples:
   animtool convert shot.usda hero.bvh --prim-path /World/hero
   animtool convert take.csv face.clip.yaml
   animtool convert hero.rig.yaml hero.usda --physics
-  animtool convert hero.usda hero.rig.yaml"""
+  animtool convert hero.usda hero.rig.yaml
+  animtool convert capture.c3d capture.trc"""
 )
 @click.argument("source", type=INPUT)
 @click.argument("output", type=INPUT)
@@ -73,7 +75,14 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
 
     A rig (.rig.yaml) becomes a USD layer that animations can be put over, and comes
     back equal, its arrays in a npz file beside it.
+
+    Markers are converted between C3D, TRC and npz.
     """
+    from animtool.formats.marker_files import is_marker_file
+
+    if is_marker_file(source) and is_marker_file(output):
+        _markers(console, source, output, given)
+        return
     from animtool.scene.convert import convert as run_convert
     from animtool.scene.convert import convert_outputs
 
@@ -111,6 +120,34 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         return
     for line in convert_text(report):
         console.say(line)
+
+
+@dataclass(frozen=True, slots=True)
+class _Converted:
+    """What a conversion of markers did."""
+
+    frames: int
+    markers: int
+    notices: tuple[()] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"frames": self.frames, "markers": self.markers}
+
+
+def _markers(
+    console: Console, source: Path, output: Path, params: dict[str, Any]
+) -> None:
+    from animtool.cli.marker_files import run_on_markers
+
+    refused = ("prim_path", "take", "reduce", "reduce_at", "base", "physics")
+    for name in (name for name in refused if params[name]):
+        option = f"--{name.replace('_', '-')}"
+        raise click.UsageError(f"{option} is not for markers.")
+
+    def work(read: Any) -> tuple[Any, Any]:
+        return read, _Converted(len(read), len(read.names))
+
+    run_on_markers(console, "convert", (source,), output, params, work, lambda _: [])
 
 
 def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -> None:

@@ -23,6 +23,14 @@ COMMANDS = {
         "animtool.cli.mocap_face:face",
         "Turn landmarks of a face into blend-shape weights.",
     ),
+    "label": (
+        "animtool.cli.mocap_label:label",
+        "Give unlabelled points the names of markers.",
+    ),
+    "fill": (
+        "animtool.cli.mocap_fill:fill",
+        "Repair swaps and spikes of markers, fill gaps.",
+    ),
 }
 
 

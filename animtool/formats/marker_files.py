@@ -1,30 +1,94 @@
-"""What writes marker trajectories, by the suffix of the file."""
+"""Marker files by their suffix: opened through the table of readers, and written."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
+from animtool.documents.references import split_reference
 from animtool.errors import Fault, OptionError
+from animtool.markers import Markers
 from animtool.plugins import load_object
+from animtool.rates import FractionLike
+from animtool.readers import READERS, find_reader
+from animtool.units import LengthUnit, UpAxis
 
-MARKER_WRITERS = {
+# What writes markers: ``module:object`` of a function from markers, a path and
+# ``overwrite`` to what the format cannot hold.
+WRITERS = {
     ".c3d": "animtool.formats.c3d.write:write_c3d",
-    ".npz": "animtool.formats.marker_arrays:write_marker_arrays",
     ".trc": "animtool.formats.trc:write_trc",
+    ".npz": "animtool.formats.marker_arrays:write_marker_arrays",
 }
 
 
-def marker_writer(path: Path) -> Callable[..., Any]:
-    """Return what writes markers to a path, and returns what the format cannot hold.
+def is_marker_file(path: Path) -> bool:
+    """Return whether a path is that of a file of markers and of nothing else.
+
+    >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
+    (True, False)
+    """
+    reader = READERS.get(file_of(path).suffix.lower())
+    return reader is not None and bool(reader.markers)
+
+
+def file_of(path: Path) -> Path:
+    """Return the file of a path that may name an array of it too."""
+    return Path(split_reference(str(path), "")[0])
+
+
+def open_markers(
+    path: Path | str,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: FractionLike | None = None,
+    subject: str | None = None,
+) -> Markers:
+    """Return the markers of a C3D, TRC or npz file; ``take.npz#array`` names an array.
+
+    Args:
+        path: The file.
+        unit: What its numbers are in; None is what it states.
+        up: Which axis points up; None is what it states, Y without.
+        fps: The frame rate, where it states a wrong one or none.
+        subject: Whose prefix, as in ``Anna:LFHD``, is left out of names.
 
     Raises:
-        OptionError: No format of markers has its suffix (IO002).
+        FormatError: It cannot be read or is malformed.
+        OptionError: Its suffix is none of a file of markers (IO002), or fps is no
+            rate (SCN022).
     """
-    place = MARKER_WRITERS.get(path.suffix.lower())
-    if place is None:
-        message = f"markers are not written to {path.suffix or 'such'} files"
-        hint = f"allowed: {', '.join(MARKER_WRITERS)}"
-        raise OptionError(Fault("IO002", message, str(path), (), hint))
-    return cast(Callable[..., Any], load_object(place))
+    path = Path(path)
+    opener = find_reader(file_of(path)).markers_opener(path)
+    return cast(Markers, opener(path, unit=unit, up=up, fps=fps, subject=subject))
+
+
+def check_marker_output(output: Path) -> None:
+    """Refuse a suffix that no markers are written to (OUT004)."""
+    if _suffix(output) not in WRITERS:
+        kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
+        message = f"{kind} is no format that markers are written to"
+        hint = f"allowed: {', '.join(WRITERS)}"
+        raise OptionError(Fault("OUT004", message, str(output), (), hint))
+
+
+def write_markers(
+    markers: Markers, output: Path | str, *, overwrite: bool = False
+) -> list[Fault]:
+    """Write markers in the format of a suffix; return what it cannot hold.
+
+    Raises:
+        OptionError: The suffix is none of a file of markers (OUT004), the file exists
+            (OUT001), or the format cannot hold the markers.
+        OutputError: The file cannot be written (OUT002).
+    """
+    output = Path(output)
+    check_marker_output(output)
+    writer = cast(Callable[..., list[Fault]], load_object(WRITERS[_suffix(output)]))
+    return writer(markers, output, overwrite=overwrite)
+
+
+def _suffix(output: Path) -> str:
+    return output.suffix.lower()

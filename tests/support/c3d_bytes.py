@@ -64,18 +64,18 @@ class C3dFile:
         """Return groups of parameters: texts, float32 or 16-bit integers."""
         frames, count = np.shape(self.points)[:2]
         point: dict[str, Any] = {
-            "USED": np.array([count if self.used is None else self.used], np.int16),
+            "USED": np.array([count if self.used is None else self.used], np.int64),
             "SCALE": np.array([self.scale], np.float32),
             "RATE": np.array([self.rate], np.float32),
-            "DATA_START": np.array([0], np.int16),
-            "FRAMES": np.array([min(frames, 32767)], np.int16),
+            "DATA_START": np.array([0], np.int64),
+            "FRAMES": np.array([min(frames, 32767)], np.int64),
         }
         for k in range(0, max(len(self.labels), 1), 255):
             suffix = "" if k == 0 else str(k // 255 + 1)
             point[f"LABELS{suffix}"] = self.labels[k : k + 255]
         if self.units is not None:
             point["UNITS"] = [self.units]
-        groups = {"POINT": point, "ANALOG": {"USED": np.array([0], np.int16)}}
+        groups = {"POINT": point, "ANALOG": {"USED": np.array([0], np.int64)}}
         for name, entries in self.groups.items():
             groups[name] = {**groups.get(name, {}), **entries}
         return {
@@ -107,7 +107,7 @@ class C3dFile:
         out = b""
         p = self.processor
         groups = self.parameters()
-        groups["POINT"]["DATA_START"] = np.array([start], np.int16)
+        groups["POINT"]["DATA_START"] = np.array([start], np.int64)
         for number, (name, entries) in enumerate(groups.items(), 1):
             raw = name.encode()
             out += struct.pack("bb", len(raw), -number) + raw + words([3], p) + b"\0"

@@ -1,0 +1,100 @@
+"""Options and messages of commands that read and write files of markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    INPUT,
+    common_options,
+    format_option,
+    source_options,
+    source_options_record,
+    stacked,
+    strict_option,
+)
+from animtool.cli.outputs import all_named, existing_options
+
+marker_options = stacked(
+    source_options,
+    click.option(
+        "--subject",
+        metavar="NAME",
+        help="Whose markers: the prefix of names such as Anna:LFHD.  [default: the "
+        "only one]",
+    ),
+    strict_option,
+    existing_options,
+    format_option,
+    common_options,
+)
+output_option = click.option(
+    "-o",
+    "--output",
+    type=INPUT,
+    required=True,
+    help="What to write: .c3d, .trc or .npz.",
+)
+
+
+def read_marker_file(path: Path, given: Mapping[str, Any]) -> Any:
+    """Return the markers of a file, as the options say."""
+    from animtool.formats.marker_files import open_markers
+
+    options = source_options_record(given)
+    return open_markers(
+        path,
+        unit=options.unit,
+        up=options.up,
+        fps=options.fps,
+        subject=given.get("subject"),
+    )
+
+
+def run_on_markers(
+    console: Console,
+    command: str,
+    sources: tuple[Path, ...],
+    output: Path,
+    given: Mapping[str, Any],
+    work: Callable[..., tuple[Any, Any]],
+    said: Callable[[Any], list[str]],
+) -> None:
+    """Read files of markers, work on them, write the result and report.
+
+    work: From the markers of the sources to markers and a report, which has notices.
+    """
+    from animtool.cli.outputs import skipped
+    from animtool.errors import refuse_warnings
+    from animtool.formats.marker_files import (
+        check_marker_output,
+        file_of,
+        write_markers,
+    )
+    from animtool.output import check_outputs
+
+    if skipped(console, command, given, output, lambda: [output]):
+        return
+    check_marker_output(output)
+    files = [file_of(path) for path in sources]
+    check_outputs([output], files, overwrite=given["overwrite"])
+    with all_named(), console.progress(f"{command} {sources[0].name}"):
+        read = [read_marker_file(path, given) for path in sources]
+        made, report = work(*read)
+        notices = [*(n for one in read for n in one.notices), *report.notices]
+        refuse_warnings(notices, strict=given["strict"])
+        notices += write_markers(made, output, overwrite=given["overwrite"])
+    console.faults(notices)
+    if given["report_format"] == "json":
+        described = {command: "animtool/1", "output": str(output), **report.as_dict()}
+        described["notices"] = [notice.as_dict() for notice in notices]
+        console.result_json(described)
+        return
+    for line in (f"{output}: {made!r}".replace("<Markers: ", "").rstrip(">"),
+                 *said(report)):  # fmt: skip
+        console.say(line)

@@ -1,0 +1,1 @@
+"""Marker trajectories made whole: named, swaps and spikes repaired, gaps filled."""

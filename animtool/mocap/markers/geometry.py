@@ -1,0 +1,103 @@
+"""How far markers of one subject are from each other: at rest, and as they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+
+# Soft tissue moves a marker by some millimetres, and so do two clothes [m].
+TISSUE = 0.004
+# Frames looked at of a long take: distances do not need all of them.
+MAX_FRAMES = 1500
+# Frames from which a spread is known.
+MIN_FRAMES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """Distances between M markers.
+
+    Attributes:
+        mean: Of each pair ``(M, M)`` [m]; NaN where it was never seen.
+        spread: How much each varies ``(M, M)`` [m], standard deviation.
+    """
+
+    mean: FloatArray
+    spread: FloatArray
+
+
+def distances(positions: FloatArray) -> Distances:
+    """Return the distances of markers over frames, robust against a few outliers.
+
+    positions: ``(F, M, 3)`` [m]; NaN where not seen.
+    """
+    frames, count, _ = positions.shape
+    step = max(1, frames // MAX_FRAMES)
+    sample = positions[::step]
+    mean = np.full((count, count), np.nan)
+    spread = np.full((count, count), np.nan)
+    least = min(MIN_FRAMES, len(sample))
+    for i in range(count - 1):
+        apart = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
+        known = np.isfinite(apart)
+        enough = np.flatnonzero(known.sum(axis=0) >= least)
+        if not len(enough):
+            continue
+        low, middle, high = np.nanpercentile(apart[:, enough], (15.87, 50, 84.13), 0)
+        columns = enough + i + 1
+        mean[i, columns] = mean[columns, i] = middle
+        spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
+    return Distances(mean, spread)
+
+
+def joined(rest: Distances, moving: Distances) -> Distances:
+    """Return distances at rest where a take shows none, else those of the take."""
+    known = np.isfinite(moving.mean)
+    return Distances(
+        np.where(known, moving.mean, rest.mean),
+        np.where(known, moving.spread, rest.spread),
+    )
+
+
+def fitted(
+    points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return rotations and translations that bring a shape onto points, a frame each.
+
+    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None
+    is 1. The result is ``(F, 3, 3)`` and
+    ``(F, 3)``; ``points = rotation · shape + translation``.
+
+    References:
+        Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
+        Acta Crystallographica A32, 1976.
+    """
+    if weights is None:
+        weights = np.ones(points.shape[:2])
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    centre = np.einsum("fk,fki->fi", weights, points)
+    middle = weights @ shape
+    own = shape - middle[:, None]
+    cross = np.einsum("fk,fki,fkj->fij", weights, points - centre[:, None], own)
+    left, _, right = np.linalg.svd(cross)
+    sign = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    left[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
+    rotation = left @ right
+    return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
+
+
+def mean_shape(points: FloatArray, rounds: int = 3) -> FloatArray:
+    """Return the shape that rigid points have in the median ``(K, 3)``.
+
+    points: ``(F, K, 3)``, all seen.
+    """
+    shape = np.median(points - points[:, :1], axis=0)
+    for _ in range(rounds):
+        rotation, shift = fitted(points, shape)
+        shape = np.median(
+            np.einsum("fji,fkj->fki", rotation, points - shift[:, None]), axis=0
+        )
+    return np.asarray(shape)

@@ -1,0 +1,201 @@
+"""Where a marker is that was not seen, by the markers around it and their pose.
+
+References:
+    Rasmussen, C. E. and Williams, C. K. I., "Gaussian Processes for Machine Learning",
+    MIT Press, 2006, section 2.2.
+    Gløersen, Ø. and Federolf, P., "Predicting Missing Marker Trajectories in Human
+    Motion Data Using Marker Intercorrelations", PLOS ONE 11(3), 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.mocap.markers.geometry import fitted, mean_shape
+
+# Frames on either side of a gap that show how a marker moves with the others [s].
+WINDOW = 6.0
+# Frames learnt from, next to the gap and farther off.
+MAX_TRAINING, DENSE = 300, 16
+MIN_TRAINING = 12
+# Markers that give the frame, and those that give the pose.
+FRAME_MARKERS, POSE_MARKERS = (3, 4, 6), (0, 5, 9)
+# Noise of a position [m].
+NOISE = 0.0005
+# How a marker strays from where the pose has it [m], and for how long [s].
+STRAYS = ((0.004, 0.12), (0.03, 0.35))
+# How much of the pose changes before what was learnt is forgotten, of its spread [1].
+REACHES = (1.0, 3.0)
+# Spans that are left out to see how good a model is.
+CHECKS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Positions of a marker in a gap.
+
+    Attributes:
+        positions: ``(G, 3)`` [m].
+        markers: Those that gave the frame and the pose, nearest first.
+    """
+
+    positions: FloatArray
+    markers: IntArray
+
+
+def predict(
+    positions: FloatArray,
+    seen: BoolArray,
+    marker: int,
+    gap: slice,
+    spread: FloatArray,
+    rate: float,
+) -> Prediction | None:
+    """Return where a marker is in a gap; None where too little is seen to say.
+
+    The marker is looked at in the frame of those around it that are most rigid with it.
+    How it moves there with the pose of the others is learnt from the frames in which it
+    is seen: a Gaussian process over the pose, plus one over time that joins the ends.
+
+    positions: ``(F, M, 3)`` [m], filled gaps included. seen: ``(F, M)``. spread: How
+    much the distance to each marker varies ``(M,)``. rate: [frame/s].
+    """
+    near = _near(seen, marker, gap, spread)
+    if len(near) < 3:
+        return None
+    training = _training(seen, marker, gap, near, rate)
+    if len(training) < MIN_TRAINING:
+        return None
+    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
+    best: tuple[float, FloatArray] | None = None
+    known = len(training)
+    for count in FRAME_MARKERS:
+        if count > len(near):
+            continue
+        local, pose, back = _local(positions, frames, marker, near, count)
+        for many in POSE_MARKERS:
+            if many and many > len(near):
+                continue
+            part = pose[:, : max(many, count)].reshape(len(frames), -1)
+            for reach, (stray, time) in product(REACHES, STRAYS):
+                if not many and reach != REACHES[0]:
+                    continue
+                kernel = _kernel(
+                    part, frames / rate, reach if many else 0.0, stray, time,
+                    local[:known],
+                )  # fmt: skip
+                off, found = _regressed(local[:known], kernel, frames, gap)
+                if best is None or off < best[0]:
+                    best = (off, back(found))
+    assert best is not None
+    return Prediction(best[1], near)
+
+
+def _near(seen: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:
+    """Return the markers that are seen in all of a gap, the most rigid ones first."""
+    whole = seen[gap].all(axis=0) & np.isfinite(spread)
+    whole[marker] = False
+    order = np.argsort(np.where(whole, spread, np.inf), kind="stable")
+    return np.asarray(order[: min(max(POSE_MARKERS), int(whole.sum()))])
+
+
+def _training(
+    seen: BoolArray, marker: int, gap: slice, near: IntArray, rate: float
+) -> IntArray:
+    """Return the frames to learn from: all next to the gap, and some farther off."""
+    reach = int(WINDOW * rate)
+    begin, end = max(gap.start - reach, 0), min(gap.stop + reach, len(seen))
+    whole = seen[begin:end, marker] & seen[begin:end][:, near].all(axis=1)
+    frames = np.flatnonzero(whole) + begin
+    frames = frames[(frames < gap.start) | (frames >= gap.stop)]
+    away = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
+    close = frames[away <= DENSE]
+    rest = frames[away > DENSE]
+    count = MAX_TRAINING - len(close)
+    if len(rest) > count:
+        rest = rest[np.linspace(0, len(rest) - 1, count).astype(np.int64)]
+    return np.sort(np.concatenate([close, rest]))
+
+
+def _local(
+    positions: FloatArray, frames: IntArray, marker: int, near: IntArray, count: int
+) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
+    """Return the marker and the pose in the frame of the nearest, and the way back."""
+    around = positions[frames][:, near]
+    shape = mean_shape(around[:, :count])
+    rotation, shift = fitted(around[:, :count], shape)
+    pose = np.einsum("fji,fkj->fki", rotation, around - shift[:, None])
+    own = positions[frames, marker] - shift
+    local = np.einsum("fji,fj->fi", rotation, own)
+
+    def back(found: FloatArray) -> FloatArray:
+        gapped = rotation[-len(found) :], shift[-len(found) :]
+        return np.asarray(np.einsum("fij,fj->fi", gapped[0], found) + gapped[1])
+
+    return local, pose, back
+
+
+def _regressed(
+    local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
+) -> tuple[float, FloatArray]:
+    """Return positions in the frames behind the known ones, and how good they are.
+
+    The measure is how far known positions are off that are left out, in spans as long
+    as the gap [m].
+    """
+    from scipy.linalg import cho_factor, cho_solve
+
+    known = len(local)
+    mean = local.mean(axis=0)
+    factor = cho_factor(kernel[:known] + NOISE**2 * np.eye(known))
+    inverse = cho_solve(factor, np.eye(known))
+    weights = inverse @ (local - mean)
+    found = kernel[known:] @ weights + mean
+    length = gap.stop - gap.start
+    own = frames[:known]
+    off = []
+    for begin in _spans(own, gap):
+        left_out = np.flatnonzero((own >= begin) & (own < begin + length))
+        if 0 < len(left_out) < known - MIN_TRAINING:
+            block = inverse[np.ix_(left_out, left_out)]
+            missed = np.linalg.solve(block, weights[left_out])
+            off.append((missed**2).sum(axis=1).mean())
+    return (float(np.sqrt(np.mean(off))) if off else np.inf), found
+
+
+def _spans(own: IntArray, gap: slice) -> list[int]:
+    """Return where spans begin that are left out, on both sides of a gap."""
+    length = gap.stop - gap.start
+    begins = []
+    for k in range(CHECKS // 2):
+        begins.append(gap.start - (k + 1) * (length + 2))
+        begins.append(gap.stop + k * (length + 2) + 2)
+    return [b for b in begins if b + length > own[0] and b <= own[-1]]
+
+
+def _kernel(
+    pose: FloatArray,
+    times: FloatArray,
+    reach: float,
+    stray: float,
+    stray_time: float,
+    local: FloatArray,
+) -> FloatArray:
+    """Return how alike all frames are to the known ones ``(F, known)`` [m^2]."""
+    known = len(local)
+    variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), NOISE**2)
+    lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known]) / stray_time
+    over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
+    centred = pose - pose[:known].mean(axis=0)
+    features = centred / (np.sqrt((centred[:known] ** 2).sum(axis=1).mean()) + 1e-9)
+    alike = features @ features[:known].T
+    if reach:
+        square = (features**2).sum(axis=1)
+        apart = np.maximum(square[:, None] + square[None, :known] - 2.0 * alike, 0.0)
+        alike = alike + np.exp(-0.5 * apart / reach**2)
+    return np.asarray(variance * alike + over_time)

@@ -1,0 +1,157 @@
+"""Marker captures with known truth: read, named, repaired and filled."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.c3d_bytes import read_points
+from support.data import data_files
+
+from animtool.formats.marker_files import open_markers
+from animtool.markers import Markers
+from animtool.mocap.markers.fill import FillReport, fill
+from animtool.mocap.markers.label import label
+
+# Recall and precision of names; of spikes, and of frames with swapped names.
+NAMED, FOUND = 0.995, 0.95
+# RMS of filled positions by kind of gap that is aimed at [mm]. Takes that do not repeat
+# themselves, without a skeleton, come to several times as much.
+TARGETS = {"short": 1.2, "medium": 5.0, "long": 10.0, "segment": 3.0}
+WORST = 5.5
+
+
+Record = Callable[[str, object], None]
+NAMES = "Labelling: cloud, precision, recall, runs, points rejected"
+GAPS = "Filling: cloud, RMS by kind of gap and its target [mm], precision and recall"
+
+
+def clouds() -> list[Any]:
+    return data_files("mocap", "cloud_*.truth.npz")
+
+
+def cloud_of(truth: Path) -> Path:
+    return truth.with_name(truth.name.replace(".truth", ""))
+
+
+@pytest.mark.parametrize("path", data_files("mocap", "**/*.c3d"))
+def test_a_c3d_is_read_as_by_others(path: Path) -> None:
+    markers = open_markers(path)
+    expected, rate = read_points(path.read_bytes())
+    assert float(markers.clock.rate) == pytest.approx(rate)
+    seen = np.isfinite(expected).all(axis=-1) & (expected != 0.0).any(axis=-1)
+    np.testing.assert_array_equal(markers.seen, seen)
+    scale = np.linalg.norm(markers.positions[seen]) / np.linalg.norm(expected[seen])
+    assert min(abs(scale - 1.0), abs(scale - 0.001)) < 1e-6
+    np.testing.assert_allclose(
+        markers.positions[seen], expected[seen] * scale, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("path", data_files("mocap", "*.trc"))
+def test_a_trc_is_read_as_the_c3d_of_it(path: Path) -> None:
+    trc, c3d = open_markers(path), open_markers(path.with_suffix(".c3d"))
+    assert (trc.names, trc.clock.rate) == (c3d.names, c3d.clock.rate)
+    np.testing.assert_allclose(trc.positions, c3d.positions, atol=1e-5)
+
+
+@pytest.mark.slow(seconds=4)
+@pytest.mark.parametrize("truth", clouds())
+def test_points_get_their_names(truth: Path, record_property: Record) -> None:
+    path = cloud_of(truth)
+    cloud = open_markers(f"{path}#unlabelled_mm")
+    named, report = label(cloud, open_markers(f"{path}#static_mm"))
+    slots = np.load(truth)["perm"]
+    right = given = 0
+    for marker in range(len(named.names)):
+        slot = (slots == marker).argmax(axis=1)
+        own = cloud.positions[np.arange(len(cloud)), slot]
+        own[~(slots == marker).any(axis=1)] = np.nan
+        has = named.seen[:, marker]
+        given += int(has.sum())
+        right += int((has & (named.positions[:, marker] == own).all(axis=1)).sum())
+    there = int(((slots >= 0) & cloud.seen).sum())
+    precision, recall = right / given, right / there
+    scores = f"{precision:.4f} {recall:.4f} {report.runs} {report.rejected}"
+    record_property(NAMES, f"  {path.stem:20} {scores}")
+    assert min(precision, recall) >= NAMED
+
+
+@pytest.mark.slow(seconds=6)
+@pytest.mark.parametrize("truth", clouds())
+def test_swaps_spikes_and_gaps(truth: Path, record_property: Record) -> None:
+    path = cloud_of(truth)
+    markers = open_markers(path)
+    whole, report = fill(markers)
+    known = json.loads(truth.with_suffix(".json").read_text())
+    found = {"swaps": _swaps(report, known, markers), "spikes": _spikes(report, known,
+             markers)}  # fmt: skip
+    errors = _errors(whole, known, np.load(truth)["markers_mm"])
+    text = ", ".join(f"{kind} {rms:.2f}/{TARGETS[kind]} mm" for kind, rms in errors)
+    shares = " ".join(f"{k} {p:.3f} {r:.3f}" for k, (p, r) in found.items())
+    record_property(GAPS, f"  {path.stem:20} {text}; {shares}")
+    for precision, recall in found.values():
+        assert min(precision, recall) >= FOUND
+    for kind, rms in errors:
+        assert rms <= WORST * TARGETS[kind], kind
+    held = whole.filled
+    assert held is not None
+    assert held.any(axis=0).any()
+
+
+def _swaps(
+    report: FillReport, known: dict[str, Any], markers: Markers
+) -> tuple[float, float]:
+    """Return precision and recall of frames with swapped names."""
+    shape = (len(markers), len(markers.names))
+    found, truth = np.zeros(shape, bool), np.zeros(shape, bool)
+    for swap in report.swaps:
+        for name in swap.markers:
+            found[swap.first : swap.last + 1, markers.names.index(name)] = True
+    for entry in known["swaps"]:
+        for name in (entry["a"], entry["b"]):
+            truth[entry["start"] : entry["end"], markers.names.index(name)] = True
+    both = int((found & truth).sum())
+    return both / max(1, int(found.sum())), both / max(1, int(truth.sum()))
+
+
+def _spikes(
+    report: FillReport, known: dict[str, Any], markers: Markers
+) -> tuple[float, float]:
+    """Return precision and recall of spikes; those in gaps cannot be seen."""
+    truth = [
+        (s["marker"], s["start"], s["end"] - 1)
+        for s in known["spikes"]
+        if markers.seen[s["start"] : s["end"], markers.names.index(s["marker"])].any()
+    ]
+    found = [(s.marker, s.first, s.last) for s in report.spikes]
+
+    def share(some: list[Any], others: list[Any]) -> float:
+        hit = [any(_meet(one, other) for other in others) for one in some]
+        return sum(hit) / len(hit) if hit else 1.0
+
+    return share(found, truth), share(truth, found)
+
+
+def _meet(one: tuple[str, int, int], other: tuple[str, int, int]) -> bool:
+    return one[0] == other[0] and one[1] <= other[2] and one[2] >= other[1]
+
+
+def _errors(
+    whole: Markers, known: dict[str, Any], truth: Any
+) -> list[tuple[str, float]]:
+    """Return the RMS of filled positions by kind of gap [mm]."""
+    squares: dict[str, list[Any]] = {}
+    for gap in known["gaps"]:
+        marker = whole.names.index(gap["marker"])
+        frames = slice(gap["start"], gap["end"])
+        off = whole.positions[frames, marker] * 1000.0 - truth[frames, marker]
+        squares.setdefault(gap["kind"], []).append((off**2).sum(axis=1))
+    return [
+        (kind, float(np.sqrt(np.mean(np.concatenate(values)))))
+        for kind, values in sorted(squares.items())
+    ]

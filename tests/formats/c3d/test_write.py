@@ -1,0 +1,73 @@
+"""What is written as C3D is read back, here and by ezc3d."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool.clock import Clock
+from animtool.errors import OptionError
+from animtool.formats.c3d import read_c3d, write_c3d
+from animtool.markers import Markers
+from animtool.units import UpAxis
+
+
+def made(frames: int = 20, count: int = 3) -> Markers:
+    rng = np.random.default_rng(1)
+    positions = rng.normal(size=(frames, count, 3))
+    positions[3, 1] = np.nan
+    filled = np.zeros((frames, count), bool)
+    filled[5:8, 2] = True
+    residuals = np.full((frames, count), 0.0004)
+    residuals[filled] = np.nan
+    cameras = np.full((frames, count), 3)
+    cameras[3, 1] = 0
+    cameras[filled] = 0
+    names = tuple(f"M{i}" for i in range(count))
+    clock = Clock(Fraction(120000, 1001), Fraction(7), Fraction(1), frames)
+    return Markers(names, clock, positions, UpAxis.Z, cameras, residuals, filled)
+
+
+def test_there_and_back(tmp_path: Path) -> None:
+    markers, path = made(), tmp_path / "take.c3d"
+    assert not write_c3d(markers, path)
+    back = read_c3d(path)
+    assert (back.names, back.clock, back.up) == (markers.names, markers.clock, UpAxis.Z)
+    np.testing.assert_allclose(back.positions, markers.positions, atol=1e-6)
+    np.testing.assert_array_equal(back.filled, markers.filled)
+    np.testing.assert_allclose(back.residuals, np.where(
+        markers.seen, markers.residuals, np.nan), rtol=1e-6)  # fmt: skip
+    np.testing.assert_array_equal(back.cameras, markers.cameras)
+    assert not back.notices
+
+
+def test_ezc3d_reads_the_same(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    markers, path = made(count=300), tmp_path / "take.c3d"
+    write_c3d(markers, path)
+    found = ezc3d.c3d(str(path))
+    positions = found["data"]["points"][:3].transpose(2, 1, 0) / 1000.0
+    np.testing.assert_allclose(positions, markers.positions, atol=1e-6)
+    parameters = found["parameters"]["POINT"]
+    labels = [*parameters["LABELS"]["value"], *parameters["LABELS2"]["value"]]
+    assert tuple(labels) == markers.names
+    assert found["header"]["points"]["first_frame"] == 6
+
+
+def test_a_long_take(tmp_path: Path) -> None:
+    clock = Clock(Fraction(240), Fraction(1), Fraction(1), 70_000)
+    path = tmp_path / "long.c3d"
+    write_c3d(Markers(("A",), clock, np.ones((70_000, 1, 3))), path)
+    assert read_c3d(path).clock == clock
+
+
+def test_what_does_not_fit(tmp_path: Path) -> None:
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+    names = tuple(f"{i:0255d}" for i in range(600))
+    with pytest.raises(OptionError) as caught:
+        write_c3d(Markers(names, clock, np.ones((1, 600, 3))), tmp_path / "a.c3d")
+    assert caught.value.code == "C3D010"
+    assert not list(tmp_path.iterdir())
