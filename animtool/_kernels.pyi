@@ -191,6 +191,28 @@ def sample_colliders(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape
     ways out and velocities of the surfaces ``(C, N, 3)``.
     """
 
+def fluid_steps(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], owners: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], bodies: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], accelerations: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], spacing: float, density: float, viscosity: float, cohesion: float, sound: float, step: float, parts: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], float]:
+    """
+    Where N particles of a fluid are a step [s] later, in some parts of it.
+
+    ``state`` is positions and velocities ``(2, N, 3)``, ``accelerations`` ``(N, 3)`` [m/s²] last
+    for the step, ``colliders`` move over it. ``owners`` names the body that each collider is
+    of, -1 for none ``(C,)``. ``bodies`` ``(B, 13)``: the inverse mass [1/kg], the inverse inertia
+    (xx, yy, zz, xy, xz, yz), and the centre of mass at both ends of the step [m]. ``sound`` is how fast
+    pressure goes [m/s], up to a spacing in a part.
+
+    Returns ``(state, pressures, impulses, compression)``: pressures are means over the step
+    ``(N,)`` [Pa]; impulses on bodies ``(2, B, 6)`` [N s] with moments about the origin, and
+    times how long before the end they were; compression is the mean over the particles.
+    """
+
+def fluid_densities(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], spacing: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    Densities of a fluid at its particles ``(N, 3)``, over that at rest ``(N,)``.
+
+    The first poses of ``colliders`` count, as walls that are as dense as what is before them.
+    """
+
 def flock_accelerations(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], velocities: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], members: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, others: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, radius: float, cosine: float, nearest: int, attraction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], alignment: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], repulsion: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], softening: float, period: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], most: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], float]:
     """
     What M members of a flock do by the others that they see ``(M, 3)`` [m/s²].
@@ -286,6 +308,50 @@ def travel_distances(free: Annotated[NDArray[numpy.bool_], dict(shape=(None, Non
     from where the ways end.
     """
 
+def fit_face(neutral: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], deltas: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], observed: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], camera: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, poses: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], threshold: float, smooth: float, rest: float, enough: float, rounds: int, warm: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], int, float]:
+    """
+    Fit blend-shape weights and the head's pose to landmarks over frames.
+
+    Landmark n of a face is at ``R (neutral[n] + sum of w[s] deltas[s, n]) + t``; ``neutral``
+    ``(1, N, 3)``, or ``(F, N, 3)`` with one a frame. ``observed`` is ``(F, N, 3)`` in that unit, or
+    with a ``camera`` fx, fy, cx, cy ``(F, N, 2)`` in pixels, in front of it along +Z; NaN is missing. ``poses`` ``(F, 7)``, quaternions x y z w and t, and
+    ``weights`` ``(F, S)`` are where it starts. Weights stay between 0 and 1, their differences
+    from frame to frame cost ``smooth`` times the square, and they themselves ``rest``; a residual
+    beyond the ``threshold`` counts for less.
+
+    Returns ``(weights, poses, residuals, shares, rounds, change)``: lengths of the residuals
+    ``(F, N)``, NaN where missing, and for how much each counted, 0 to 1; the largest change of a
+    weight in the last round. Rounds end where it is below ten times ``enough``. A ``warm`` start is
+    near the solution: outliers are known at once.
+    """
+
+def triangulate_points(pixels: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], confidences: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, cameras: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], active: Annotated[NDArray[numpy.bool_], dict(shape=(None, None), order='C', device='cpu', writable=False)], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gate: float, condition: float, detailed: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float32], dict(shape=(None, None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None), order='C')]]:
+    """
+    Find points from the pixels ``(F, C, M, 2)`` at which C cameras see them.
+
+    A pixel of NaN is not seen; ``confidences`` ``(F, C, M)`` weight pixels, and 0 is not seen.
+    ``cameras`` ``(C, 27)``: fx fy cx cy skew [px], k1 k2 p1 p2 k3 k4 k5 k6, the rotation by rows and
+    the translation [m] that take the world to the camera, width and height [px] or 0. ``active`` ``(F, C)``: cameras that
+    count. ``noise`` ``(C,)``: standard deviation of a pixel's axis [px]. Observations farther off
+    than ``gate`` standard deviations are rejected; points whose normal matrix has a larger product
+    of its trace and its inverse's than ``condition`` are left out.
+
+    Returns ``(points, numbers, tallies, residuals, states)``: ``(F, M, 3)`` [m], NaN where fewer
+    than two cameras agree; ``(F, M, 5)``: root mean square of the used residuals [px] and [m], the
+    standard error [m], cameras used and cameras that see it; ``(F, C, 8)``: observations, those used,
+    judged, rejected and outside of the lens's domain, sums of squared residuals [px^2] and [m^2],
+    observations outside of the image. ``detailed``, else empty: residuals ``(F, C, M, 2)`` [px], and
+    ``(F, C, M)``: 0 not seen, 1 used, 2 rejected, 3 not active, 4 outside of the domain, 5 the point
+    is not found.
+    """
+
+def least_median_residuals(pixels: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], cameras: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Return the least median of residuals over all pairs of cameras ``(F, M)`` [px].
+
+    NaN where fewer than three see a point. Arguments are those of `triangulate_points`.
+    """
+
 def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
     """
     Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.
@@ -293,7 +359,7 @@ def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     Between whole times one field goes over into the next.
     """
 
-IK_GOAL_KINDS: tuple[tuple[str, int, int, bool, bool], ...] = ...
+IK_GOAL_KINDS: tuple = ...
 
 def place_ik_targets(targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')], frames: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], length: float) -> None:
     """

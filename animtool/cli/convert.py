@@ -81,7 +81,7 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     from animtool.formats.marker_files import is_marker_file
 
     if is_marker_file(source) and is_marker_file(output):
-        _markers(console, source, output, given)
+        _markers(console, source, output, params)
         return
     from animtool.scene.convert import convert as run_convert
     from animtool.scene.convert import convert_outputs

@@ -81,14 +81,14 @@ def triangulate(
     if skipped(console, "mocap triangulate", given, output, lambda: [output]):
         return
     from animtool.errors import refuse_warnings
-    from animtool.formats.marker_files import marker_writer
+    from animtool.formats.marker_files import check_marker_output, write_markers
     from animtool.mocap.cameras.file import load_all_cameras
     from animtool.mocap.cameras.observations import read_observations
     from animtool.mocap.cameras.openpose import read_keypoints
     from animtool.mocap.cameras.triangulate import triangulate as solve
     from animtool.output import check_outputs
 
-    write = marker_writer(output)
+    check_marker_output(output)
     inputs = [observations, *calibrations]
     check_outputs([output], inputs, overwrite=given["overwrite"])
     options = TriangulateOptions(**read_values(TriangulateOptions, given))
@@ -105,7 +105,7 @@ def triangulate(
             seen = read_observations(observations, fps=given["source_fps"])
         found = solve(seen, cameras, options, progress=progress)
         refuse_warnings(found.notices, strict=given["strict"])
-        lost = write(found.markers, output, overwrite=given["overwrite"])
+        lost = write_markers(found.markers, output, overwrite=given["overwrite"])
     found = replace(found, notices=(*found.notices, *lost))
     console.faults(found.notices)
     if given["report_format"] == "json":

@@ -18,8 +18,8 @@ from animtool.documents.mend import (
     replaced,
     stand_in,
 )
-from animtool.documents.names import nearest
-from animtool.documents.versions import KINDS, STEPS, new_key, newest, version_of
+from animtool.documents.names import KINDS, nearest
+from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.clock import Clock, FrameSpan
-from animtool.documents.versions import KINDS
+from animtool.documents.names import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
