@@ -217,11 +217,11 @@ class SpringSimulation:
         """Count what a motion took, and stop where it ended."""
         stats = run.stats(self._choice, reached)
         notices = run.notices(self._choice, stats)
+        self.taken += run.grid.steps
         if stats.status is not Status.OK:
             raise StoppedError(_as_errors(notices), stats)
         self._say(notices, run.grid.stretch)
         self.shortest = min(self.shortest, run.shortest)
-        self.taken += run.grid.steps
         self.unresolved = max(self.unresolved, run.grid.unresolved)
 
     def _say(self, notices: Sequence[Fault], stretch: float) -> None:
