@@ -114,8 +114,8 @@ def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observati
     if views > MAX_CAMERAS:
         raise ValueError(f"{key!r} is of {views} cameras; at most {MAX_CAMERAS} can be")
     if (head.kind == "f") != (key == "uv"):
-        wanted = "floats" if key == "uv" else "whole numbers"
-        raise ValueError(f"{key!r} does not hold {wanted}")
+        kinds = "floats" if key == "uv" else "whole numbers"
+        raise ValueError(f"{key!r} does not hold {kinds}")
     stored = archives.stored(path, key)
     if head.kind == "f" and np.isinf(stored).any():
         raise ValueError(f"{key!r} holds an infinity")

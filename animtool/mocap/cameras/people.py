@@ -21,7 +21,7 @@ MAX_PEOPLE = 100
 # between an image and where the person was before, and between two rays.
 _NEAR, _AGREE = 0.3, 0.06
 # How long a person may be out of sight and be the same [s].
-PATIENCE = 0.5
+LOST_SECONDS = 0.5
 # People that are seen shorter are taken for mistakes of the detector [s].
 LEAST_SECONDS = 0.25
 # Keypoints that two images must share, to be compared.
@@ -58,9 +58,9 @@ def follow_people(
         most: People to keep, those that are seen most; None keeps all.
     """
     tracks: list[_Track] = []
-    patience = max(1, round(PATIENCE * rate))
+    lost_after = max(1, round(LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
-        live = [t for t in tracks if frame - t.seen <= patience]
+        live = [t for t in tracks if frame - t.seen <= lost_after]
         free = {(c, i) for c, seen in enumerate(people) for i in range(len(seen))}
         groups = _continued(live, people, cameras, free)
         fresh = _grouped(people, cameras, sorted(free))
