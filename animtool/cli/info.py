@@ -55,8 +55,10 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     used: set[str] = set()
     for path in files:
         try:
-            one = _markers(path, given) if is_marker_file(path) else None
-            described.append(one or _described(path, given, used))
+            if is_marker_file(path):
+                described.append(_markers(path, given))
+            else:
+                described.append(_described(path, given, used))
         except AnimtoolError as error:
             if console.debug:
                 raise
