@@ -24,7 +24,7 @@ WINDOW = 6.0
 MAX_TRAINING, DENSE = 300, 16
 MIN_TRAINING = 12
 # Markers that give the frame, and those that give the pose.
-FRAME_MARKERS, POSE_MARKERS = (3, 4, 6), (0, 5, 9)
+FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 NOISE = 0.0005
 # How a marker strays from where the pose has it [m], and for how long [s].
