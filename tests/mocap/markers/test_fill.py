@@ -97,7 +97,7 @@ def test_a_last_value_is_never_held() -> None:
 
 
 def test_the_rest_of_a_take_does_not_matter() -> None:
-    """A part of a take with its surroundings is filled with the same bytes."""
+    """A curve over a gap is the same bytes in a part of the take."""
     positions = paths()
     positions[100:104, 2] = np.nan
     whole, _ = fill(made(positions))
