@@ -44,17 +44,21 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
 
     Of a USD file without a character: its meshes, curves and particles. Of a rig file
     (.rig.yaml): its joints, meshes, shapes and controls. Of a targets file
-    (.targets.yaml): its goals. Of a scene (.scene.yaml): its sources, passes and
-    systems, and what would be baked.
+    (.targets.yaml): its goals. Of C3D, TRC and npz files: markers, gaps, spikes. Of a
+    scene (.scene.yaml): its sources, passes and systems, and what would be baked.
     """
     from animtool.errors import AnimtoolError
+    from animtool.formats.marker_files import is_marker_file
 
     described: list[tuple[Any, Callable[[Any], list[str]]]] = []
     errors: list[AnimtoolError] = []
     used: set[str] = set()
     for path in files:
         try:
-            described.append(_described(path, params, used))
+            if is_marker_file(path):
+                described.append(_markers(path, params))
+            else:
+                described.append(_described(path, params, used))
         except AnimtoolError as error:
             if console.debug:
                 raise
@@ -101,6 +105,16 @@ def _described(
             return points, info_summary.points_text
     options = SourceOptions(prim_path=params["prim_path"], take=params["take"])
     return describe(path, options), info_summary.take_text
+
+
+def _markers(
+    path: Path, params: dict[str, Any]
+) -> tuple[Any, Callable[[Any], list[str]]]:
+    from animtool.cli.info_summary import markers_text
+    from animtool.cli.marker_files import read_marker_file
+    from animtool.report.describe_markers import describe_markers
+
+    return describe_markers(path, read_marker_file(path, params)), markers_text
 
 
 def _scene(path: Path, params: dict[str, Any], used: set[str]) -> Any:

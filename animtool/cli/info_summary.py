@@ -13,6 +13,7 @@ from animtool.rates import rate_label
 
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription
+    from animtool.report.describe_markers import MarkersDescription
     from animtool.report.describe_rig import RigDescription, TargetsDescription
     from animtool.report.describe_scene import (
         OutputDescription,
@@ -72,6 +73,33 @@ def rig_text(described: RigDescription) -> list[str]:
     }
     counts = ", ".join(counted(count, name) for name, count in others.items() if count)
     return [*lines, f"  and       {counts or 'nothing else'}"]
+
+
+def markers_text(found: MarkersDescription) -> list[str]:
+    """Return the lines on a file of markers."""
+    labelled = found.markers - found.unlabelled
+    points = f", {counted(found.unlabelled, 'point')} without label"
+    missing = (
+        f"{100 * found.missing:.1f}% missing, the longest {found.longest_gap:.2f} s"
+    )
+    gaps = counted(found.gaps, "gap")
+    lines = [
+        f"{found.path}: {found.format}",
+        f"  markers   {labelled}{points if found.unlabelled else ''}",
+        f"  frames    {found.frames} at {rate_label(found.fps)}, "
+        f"{float(found.duration):.3g} s",
+        f"  gaps      {gaps}: {missing}" if found.gaps else "  gaps      none",
+        f"  spikes    {found.spikes or 'none'}",
+        f"  up        {found.up}",
+    ]
+    if found.filled:
+        lines.append(f"  filled    {counted(found.filled, 'position')}")
+    if found.bounds is not None:
+        low, high = (" ".join(f"{x:.3g}" for x in side) for side in found.bounds)
+        lines.append(f"  bounds    {low} to {high} m")
+    if found.names:
+        lines.append(f"  names     {listed(found.names, 60)}")
+    return lines
 
 
 def take_text(described: TakeDescription) -> list[str]:

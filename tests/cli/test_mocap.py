@@ -5,10 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.cli import animtool
 
 from animtool import open_source
+from animtool.clock import Clock
+from animtool.formats.marker_files import open_markers, write_markers
+from animtool.markers import Markers
+from animtool.maths import so3
 from animtool.mocap.clean_options import CleanOptions
 from animtool.passes import find_pass
 from animtool.scene.passed import convert_passed
@@ -55,3 +60,68 @@ def test_feet_are_held_and_what_was_done_is_said(root: Path, tmp_path: Path) -> 
     assert list(passes) == ["clean", "feet"]
     drift = next(score for score in passes["feet"] if score["name"] == "drift")
     assert drift["value"] < 1e-6
+
+
+def marker_file(folder: Path, name: str) -> Path:
+    """Write a walk of ten markers with a gap, and return its path."""
+    rng = np.random.default_rng(3)
+    shape, time = rng.uniform(-0.2, 0.2, (10, 3)), np.arange(200) / 100.0
+    turn = so3.exp(np.stack([0.3 * time, np.sin(time), 0 * time], axis=1))
+    positions = so3.rotate(turn[:, None], shape[None])
+    positions[60:90, 4] = np.nan
+    names = tuple(f"M{i}" for i in range(10))
+    write_markers(Markers(names, Clock(100, 1, 1, 200), positions), folder / name)
+    return folder / name
+
+
+def test_markers_are_converted_there_and_back(tmp_path: Path) -> None:
+    source = marker_file(tmp_path, "take.c3d")
+    for before, after in (
+        ("take.c3d", "b.trc"),
+        ("b.trc", "c.npz"),
+        ("c.npz", "d.c3d"),
+    ):
+        done = animtool("convert", tmp_path / before, tmp_path / after)
+        assert done.code == 0, done.stderr
+    first, last = open_markers(source), open_markers(tmp_path / "d.c3d")
+    assert first.names == last.names
+    np.testing.assert_allclose(first.positions, last.positions, atol=1e-6)
+    done = animtool("convert", source, tmp_path / "e.trc", "--take", "x")
+    assert done.code == 2
+
+
+def test_gaps_are_filled_and_listed(tmp_path: Path) -> None:
+    source, output = marker_file(tmp_path, "take.c3d"), tmp_path / "whole.c3d"
+    done = animtool("mocap", "fill", source, "-o", output, "--format", "json")
+    assert done.code == 0, done.stderr
+    report = json.loads(done.stdout)
+    gap = {"marker": "M4", "first": 60, "last": 89, "method": "markers"}
+    assert report["gaps"] == [gap]
+    whole = open_markers(output)
+    assert whole.seen.all()
+    assert whole.filled is not None
+    assert np.flatnonzero(whole.filled[:, 4]).tolist() == list(range(60, 90))
+    again = animtool("mocap", "fill", source, "-o", output)
+    assert again.code == 2
+    assert "OUT001" in again.stderr
+
+
+def test_points_are_named_by_the_command(tmp_path: Path) -> None:
+    source, output = marker_file(tmp_path, "take.trc"), tmp_path / "named.npz"
+    done = animtool("mocap", "label", source, "--static", source, "-o", output)
+    assert done.code == 0, done.stderr
+    assert open_markers(output).names == open_markers(source).names
+
+
+def test_info_of_markers(tmp_path: Path) -> None:
+    done = animtool("info", marker_file(tmp_path, "take.c3d"), "--format", "json")
+    (found,) = json.loads(done.stdout)["files"]
+    assert (found["markers"], found["gaps"], found["frames"]) == (10, 1, 200)
+    assert found["longest_gap"] == 0.3
+
+
+def test_a_suffix_that_no_markers_are_written_to(tmp_path: Path) -> None:
+    source = marker_file(tmp_path, "take.trc")
+    done = animtool("mocap", "fill", source, "-o", tmp_path / "a.usda")
+    assert done.code == 2
+    assert "OUT004" in done.stderr

@@ -87,9 +87,8 @@ def fill(
     than three other markers are seen, or one at an end of the take without enough to
     learn from, is left; a last position is never held.
 
-    What a gap is filled with depends on the frames within six seconds of it alone, so
-    that a long take needs no more memory than a short one, and gives the same numbers
-    in parts.
+    Each gap is filled from the frames within six seconds of it. Which markers are most
+    rigid with each other is taken from the whole take, and so are swaps.
 
     Args:
         markers: Named trajectories; points without a label stay as they are.

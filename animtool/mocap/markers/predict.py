@@ -21,16 +21,17 @@ from animtool.mocap.markers.geometry import fitted, mean_shape
 # Frames on either side of a gap that show how a marker moves with the others [s].
 WINDOW = 6.0
 # Frames learnt from, next to the gap and farther off.
-MAX_TRAINING, DENSE = 300, 16
+MAX_TRAINING, DENSE = 180, 16
 MIN_TRAINING = 12
 # Markers that give the frame, and those that give the pose.
-FRAME_MARKERS, POSE_MARKERS = (3, 4, 6), (0, 5, 9)
+FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 NOISE = 0.0005
 # How a marker strays from where the pose has it [m], and for how long [s].
 STRAYS = ((0.004, 0.12), (0.03, 0.35))
-# How much of the pose changes before what was learnt is forgotten, of its spread [1].
-REACHES = (1.0, 3.0)
+# How much of the pose changes before what was learnt is forgotten, of its spread [1];
+# 0 is never: a marker moves with the pose in straight lines.
+REACHES = (0.0, 1.0, 3.0)
 # Spans that are left out to see how good a model is.
 CHECKS = 6
 
@@ -85,10 +86,7 @@ def predict(
             for reach, (stray, time) in product(REACHES, STRAYS):
                 if not many and reach != REACHES[0]:
                     continue
-                kernel = _kernel(
-                    part, frames / rate, reach if many else 0.0, stray, time,
-                    local[:known],
-                )  # fmt: skip
+                kernel = _kernel(part, frames / rate, reach, stray, time, local[:known])
                 off, found = _regressed(local[:known], kernel, frames, gap)
                 if best is None or off < best[0]:
                     best = (off, back(found))

@@ -39,6 +39,8 @@ def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
     distances to the others, is the marker whose place it is at.
     """
     positions, count = markers.positions, len(markers.names)
+    if count < 2 or not markers.seen.any():
+        return markers, []
     rate = float(markers.clock.rate)
     tracklets = follow(positions, rate)
     runs = len(tracklets.first)

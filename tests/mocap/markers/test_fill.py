@@ -97,12 +97,22 @@ def test_a_last_value_is_never_held() -> None:
 
 
 def test_the_rest_of_a_take_does_not_matter() -> None:
-    """A part of a take with its surroundings is filled with the same bytes."""
+    """A curve over a gap is the same bytes in a part of the take."""
     positions = paths()
     positions[100:104, 2] = np.nan
     whole, _ = fill(made(positions))
     part, _ = fill(made(positions[60:160]))
     np.testing.assert_array_equal(whole.positions[100:104, 2], part.positions[40:44, 2])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("seen", [0, 1, 5])
+def test_hardly_anything_is_seen(count: int, seen: int) -> None:
+    positions = np.full((5, count, 3), np.nan)
+    positions[:seen] = paths()[:seen, :count]
+    whole, report = fill(made(positions))
+    np.testing.assert_array_equal(whole.positions, positions)
+    assert report.left == (5 - seen) * count
 
 
 def test_points_get_names_whatever_their_order() -> None:

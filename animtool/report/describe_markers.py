@@ -1,0 +1,75 @@
+"""What a file of markers holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool.errors import Fault
+from animtool.formats.marker_files import file_of
+from animtool.markers import Markers
+from animtool.mocap.markers.spikes import find_spikes
+from animtool.quantities import Description
+from animtool.readers import find_reader
+
+
+@dataclass(frozen=True, slots=True)
+class MarkersDescription(Description):
+    """Markers in numbers."""
+
+    path: str  # the file
+    format: str  # what such files are
+    markers: int  # number of markers and points
+    unlabelled: int  # those without a label
+    frames: int  # number of frames
+    fps: Fraction  # frames a second, exact
+    start: Fraction  # number of the first frame
+    duration: Fraction  # from the first frame to the last [s]
+    up: str  # up axis
+    gaps: int  # gaps of labelled markers
+    missing: float  # share of their positions that is missing
+    longest_gap: float  # the longest gap [s]
+    spikes: int  # positions that are off for a few frames
+    filled: int  # positions that were computed over a gap
+    # Lowest and highest position over all frames [m]; None where none is seen.
+    bounds: tuple[list[float], list[float]] | None
+    names: list[str]  # of the labelled markers
+    notices: list[Fault]  # what is odd
+
+
+def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
+    """Return what a file of markers holds."""
+    labelled = np.array([not name.startswith("*") for name in markers.names], bool)
+    seen = markers.seen
+    missing = np.pad(~seen[:, labelled], ((1, 1), (0, 0))).astype(np.int8)
+    steps = np.diff(missing, axis=0)
+    starts = np.argwhere(steps.T == 1)[:, 1]
+    ends = np.argwhere(steps.T == -1)[:, 1]
+    longest = int((ends - starts).max(initial=0))
+    points = markers.positions[seen]
+    bounds = None
+    if len(points):
+        bounds = (points.min(axis=0).tolist(), points.max(axis=0).tolist())
+    clock = markers.clock
+    return MarkersDescription(
+        str(path),
+        find_reader(file_of(path)).about,
+        len(markers.names),
+        int((~labelled).sum()),
+        clock.count,
+        clock.rate,
+        clock.start,
+        clock.duration,
+        markers.up.value,
+        len(starts),
+        float((~seen[:, labelled]).mean()) if labelled.any() else 0.0,
+        longest / float(clock.rate),
+        len(find_spikes(markers)),
+        0 if markers.filled is None else int(markers.filled.sum()),
+        bounds,
+        [name for name in markers.names if not name.startswith("*")],
+        list(markers.notices),
+    )
