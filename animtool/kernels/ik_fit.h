@@ -240,6 +240,11 @@ class PathFit : public Descent {
       if (other + surprise(kept_.q.data(), prefer.data()) < own) cost = other, best = kept_.q;
       look(t, best.data(), kept_);
     }
+    if (send_torn_home(t, best, start)) {
+      const double other = settle(t, start.data(), start.data(), true);
+      if (other < cost) cost = other, best = kept_.q;
+      look(t, best.data(), kept_);
+    }
     if (share(t, kept_) > LOST) {
       for (int i = 0; i < SEEDS; ++i) {
         std::copy(anew, anew + coordinates_, start.begin());
@@ -251,6 +256,27 @@ class PathFit : public Descent {
     }
     std::copy(best.begin(), best.end(), pose(now_path_, t));
     return searched;
+  }
+
+  // `out` <- a pose with the joints at rest that move goals which all are far off, such as
+  // those of a neck whose head is lost; false where there are none.
+  bool send_torn_home(int t, const std::vector<double>& pose, std::vector<double>& out) {
+    torn_.assign(task_.chain.nodes.size(), 0);
+    const double limit = fit_.robust * fit_.robust;
+    each_miss(t, kept_, [&](std::size_t e, int, double square) {
+      for (const int n : task_.goals[e].path) torn_[n] |= square > limit ? 1 : 2;
+    });
+    out = pose;
+    bool found = false;
+    for (std::size_t n = 0; n < torn_.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
+      if (torn_[n] != 1 || node.follows || node.kind == Kind::SLIDE || is_root(node)) continue;
+      const int size = node.kind == Kind::BALL ? 4 : 1;
+      std::copy(home_.begin() + node.coordinate, home_.begin() + node.coordinate + size,
+                out.begin() + node.coordinate);
+      found = true;
+    }
+    return found;
   }
 
   // Targets that lie where frames before lead another goal to, which is without its own or
@@ -446,6 +472,7 @@ class PathFit : public Descent {
   TimeBand band_;
   BlockBand blocks_;
   std::vector<double> home_, away_, begun_, sizes_;
+  std::vector<int> torn_;
   std::vector<std::size_t> strays_;
   std::int64_t* taken_ = nullptr;
   State kept_;
