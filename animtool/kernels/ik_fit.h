@@ -65,6 +65,8 @@ class PathFit : public Descent {
  private:
   // What a step over a frame gains at least, and a round over all of them.
   static constexpr double ENOUGH = 1e-5, ROUND = 1e-4;
+  // What is missed by more has no square.
+  static constexpr double BEYOND = 1e100;
   // Of the residuals' median at a start: what is more is likely none to follow. Halved each
   // time, at most so often.
   static constexpr double WIDER = 3;
@@ -116,7 +118,8 @@ class PathFit : public Descent {
         const double weight = weight_of(task_.goals[e], given(t) + TARGET_WIDTH * e, part);
         if (!(weight > 0)) continue;
         const double miss = weight * state.misses[PARTS * e + part];
-        f(e, part, miss * miss);
+        // Poses and targets may be of any numbers: what is none is far off.
+        f(e, part, std::fabs(miss) < BEYOND ? miss * miss : BEYOND * BEYOND);
       }
   }
 
