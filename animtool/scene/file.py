@@ -384,6 +384,10 @@ class _SceneReader:
         self, at: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
         path = self.read_file((*at, "file"), model.file)
+
+        def named(key: str, name: str | None) -> Path | None:
+            return None if name is None else self.read_file((*at, key), name)
+
         options = SourceOptions(
             None if model.units is None else LengthUnit(model.units),
             None if model.up is None else UpAxis(model.up),
@@ -392,12 +396,9 @@ class _SceneReader:
             rig,
             model.clamp,
             model.take,
-            *(
-                None if name is None else self.read_file((*at, key), name)
-                for key, name in (
-                    ("template", model.template),
-                    ("cameras", model.cameras),
-                )
+            named("template", model.template),
+            named("cameras", model.cameras),
+        )
             ),
         )
         tracks = None
