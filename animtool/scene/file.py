@@ -399,13 +399,11 @@ class _SceneReader:
             named("template", model.template),
             named("cameras", model.cameras),
         )
-            ),
-        )
         tracks = None
         if model.tracks is not None:
-            named = model.tracks
+            chosen = model.tracks
             tracks = TrackNames(
-                tuple(named.joints), tuple(named.shapes), tuple(named.controls)
+                tuple(chosen.joints), tuple(chosen.shapes), tuple(chosen.controls)
             )
         return SceneSource(
             path,
