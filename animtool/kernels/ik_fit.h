@@ -65,6 +65,8 @@ class PathFit : public Descent {
  private:
   // What a step over a frame gains at least, and a round over all of them.
   static constexpr double ENOUGH = 1e-5, ROUND = 1e-4;
+  // What is missed by more has no square.
+  static constexpr double BEYOND = 1e100;
   // Of the residuals' median at a start: what is more is likely none to follow. Halved each
   // time, at most so often.
   static constexpr double WIDER = 3;
@@ -116,7 +118,8 @@ class PathFit : public Descent {
         const double weight = weight_of(task_.goals[e], given(t) + TARGET_WIDTH * e, part);
         if (!(weight > 0)) continue;
         const double miss = weight * state.misses[PARTS * e + part];
-        f(e, part, miss * miss);
+        // Poses and targets may be of any numbers: what is none is far off.
+        f(e, part, std::fabs(miss) < BEYOND ? miss * miss : BEYOND * BEYOND);
       }
   }
 
@@ -240,6 +243,11 @@ class PathFit : public Descent {
       if (other + surprise(kept_.q.data(), prefer.data()) < own) cost = other, best = kept_.q;
       look(t, best.data(), kept_);
     }
+    if (send_torn_home(t, best, start)) {
+      const double other = settle(t, start.data(), start.data(), true);
+      if (other < cost) cost = other, best = kept_.q;
+      look(t, best.data(), kept_);
+    }
     if (share(t, kept_) > LOST) {
       for (int i = 0; i < SEEDS; ++i) {
         std::copy(anew, anew + coordinates_, start.begin());
@@ -251,6 +259,27 @@ class PathFit : public Descent {
     }
     std::copy(best.begin(), best.end(), pose(now_path_, t));
     return searched;
+  }
+
+  // `out` <- a pose with the joints at rest that move goals which all are far off, such as
+  // those of a neck whose head is lost; false where there are none.
+  bool send_torn_home(int t, const std::vector<double>& pose, std::vector<double>& out) {
+    torn_.assign(task_.chain.nodes.size(), 0);
+    const double limit = fit_.robust * fit_.robust;
+    each_miss(t, kept_, [&](std::size_t e, int, double square) {
+      for (const int n : task_.goals[e].path) torn_[n] |= square > limit ? 1 : 2;
+    });
+    out = pose;
+    bool found = false;
+    for (std::size_t n = 0; n < torn_.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
+      if (torn_[n] != 1 || node.follows || node.kind == Kind::SLIDE || is_root(node)) continue;
+      const int size = node.kind == Kind::BALL ? 4 : 1;
+      std::copy(home_.begin() + node.coordinate, home_.begin() + node.coordinate + size,
+                out.begin() + node.coordinate);
+      found = true;
+    }
+    return found;
   }
 
   // Targets that lie where frames before lead another goal to, which is without its own or
@@ -446,6 +475,7 @@ class PathFit : public Descent {
   TimeBand band_;
   BlockBand blocks_;
   std::vector<double> home_, away_, begun_, sizes_;
+  std::vector<int> torn_;
   std::vector<std::size_t> strays_;
   std::int64_t* taken_ = nullptr;
   State kept_;

@@ -404,9 +404,9 @@ class _SceneReader:
         )
         tracks = None
         if model.tracks is not None:
-            named = model.tracks
+            chosen = model.tracks
             tracks = TrackNames(
-                tuple(named.joints), tuple(named.shapes), tuple(named.controls)
+                tuple(chosen.joints), tuple(chosen.shapes), tuple(chosen.controls)
             )
         return SceneSource(
             path,

@@ -52,7 +52,7 @@ def cameras(middle: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     for i in range(CAMERAS):
         angle = 2 * np.pi * i / CAMERAS
         height = HEIGHTS[i % 2]
-        at = middle + [RADIUS * np.cos(angle), 0, RADIUS * np.sin(angle)]
+        at = middle + RADIUS * np.array([np.cos(angle), 0, np.sin(angle)])
         at[1] = height
         ahead = (middle - at) / np.linalg.norm(middle - at)
         right = np.cross(ahead, [0, 1, 0])

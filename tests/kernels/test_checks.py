@@ -315,6 +315,30 @@ def test_a_way_needs_a_path() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
+    [
+        *(("acceleration", NAN), ("anchor", 0.0), ("end", 9), ("first", 2)),
+        *(("rounds", -1), ("robust", 0.0), ("robust", NAN), ("homing", 2.0)),
+        *(("iterations", -1), ("rest_weight", -1.0), ("starts", np.zeros((2, 2)))),
+    ],
+)
+def test_fitting_needs_weights_and_frames(name: str, value: object) -> None:
+    given = {key: GIVEN[key] for key in ("nodes", "numbers", "goals", "goal_numbers")}
+    given |= {"targets": GIVEN["targets"], "path": np.zeros((1, 2))}
+    given |= {"starts": np.zeros((1, 2)), "anchor": 1.0, "speed": 0.0}
+    given |= {"acceleration": 1.0, "robust": 8.0, "rest_weight": 1.0, "homing": 0.1}
+    given |= {"first": 0, "end": 1, "iterations": 9, "rounds": 2, "tracked": True}
+    assert _kernels.fit_ik(**given)[0].shape == (1, 2)
+    for bad in (NAN, np.inf, 1e300):
+        spoiled = np.full_like(GIVEN["targets"], 1.0)
+        spoiled[..., 0] = bad
+        assert _kernels.fit_ik(**{**given, "targets": spoiled})[0].shape == (1, 2)
+        assert _kernels.fit_ik(**{**given, "path": np.full((1, 2), bad)})
+    with pytest.raises(ValueError, match=rf"^{name}: "):
+        _kernels.fit_ik(**{**given, name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
     [("acceleration", NAN), ("anchor", -1.0), ("end", 9), ("first", 2), ("rounds", -1)],
 )
 def test_smoothing_needs_weights_and_frames(name: str, value: float) -> None:

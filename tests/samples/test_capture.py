@@ -60,4 +60,4 @@ def test_it_goes_step_by_step(tmp_path: Path) -> None:
     template = FOLDER.parents[1] / "rigs/biped/biped.markers.yaml"
     done = animtool("mocap", "solve", markers, "--template", template)
     assert done.code == 0, done.stderr
-    assert "43 markers" in done.stdout
+    assert "43 markers" in done.stderr

@@ -327,7 +327,7 @@ class _Calibrating:
         for e, j in enumerate(self.model.joints.tolist()):
             own = parents == j
             out[e, own if own.any() else slice(None)] = 1.0
-        return out / out.sum(axis=1, keepdims=True)
+        return np.asarray(out / out.sum(axis=1, keepdims=True))
 
     def _pairs(self) -> list[tuple[int, int]]:
         """Return the numbers of bones that are left and right of each other."""

@@ -58,7 +58,7 @@ class MarkerModel:
 
         noise: How far each marker may be off, where its weight is 1 ``(E,)`` [m].
         """
-        seen = np.isfinite(positions).all(axis=2)
+        seen = seen_markers(positions)
         weights = np.zeros((*seen.shape, len(KINDS)))
         weights[:, :, 0] = seen * self.template.weights * self.problem.length / noise
         return Targets(np.where(seen[:, :, None], positions, 0.0), weights=weights)
@@ -79,7 +79,7 @@ class MarkerModel:
             return q
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
         near = LESS_BY_JOINT ** (depths - depths.min())
-        seen = np.isfinite(positions).all(axis=2)
+        seen = seen_markers(positions)
         turn, at = rigid_motions(
             self.points(q[:1])[0],
             np.where(seen[:, :, None], positions, 0.0),

@@ -36,7 +36,7 @@ class SolveOptions:
     )
     subject: str | None = option(
         None,
-        "name",
+        "text",
         "--subject",
         metavar="NAME",
         help="Whose markers count, where names begin with those of several: Ann:LFHD.",

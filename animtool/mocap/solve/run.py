@@ -31,6 +31,7 @@ from animtool.mocap.solve.sampling import (
 from animtool.mocap.template.match import MarkerMatch, match_markers
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.motion import Channel, Motion
+from animtool.quantities import length_text
 from animtool.rig.skeleton import Rig
 from animtool.shot import frame_spans
 from animtool.take import Take
@@ -47,6 +48,8 @@ BEHIND = 2
 SAMPLES = 24
 # Markers that are this many times as far apart as the rig's are in other units.
 OTHER_UNITS = 30.0
+# Markers that are farther off as a rule are not on this rig [m].
+STRANGE = 0.01
 # Where the noise is looked for from, and when it is found.
 FAR, ROUNDS, SETTLED = 0.02, 4, 0.7
 
@@ -204,6 +207,11 @@ def solve_markers(
         message += f"template: {listed(match.missing, 8)}"
         notices.append(Fault("SOL103", message, severity=Severity.WARNING))
     noise = sampled_noise(model, sample, options.noise)
+    usual = float(np.median(noise))
+    if usual > STRANGE:
+        message = f"markers are {length_text(usual)} off their places on the rig"
+        hint = "--calibrate fits bones and offsets to the subject"
+        notices.append(Fault("SOL107", message, hint=hint, severity=Severity.WARNING))
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 

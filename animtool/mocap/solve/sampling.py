@@ -59,7 +59,7 @@ def usual_noise(misses: FloatArray, least: float) -> FloatArray:
     own = np.full(misses.shape[1], usual)
     has = seen.sum(axis=0) >= FEW
     own[has] = np.nanmedian(misses[:, has], axis=0) / MEDIAN_LENGTH
-    return np.maximum(own, max(least, usual / 2))
+    return np.asarray(np.maximum(own, max(least, usual / 2)))
 
 
 def misses_of(

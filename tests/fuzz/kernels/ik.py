@@ -154,6 +154,28 @@ def _smooth(rng: Rng) -> dict[str, Any]:
     }
 
 
+def _fit(rng: Rng) -> dict[str, Any]:
+    problem, frames = Problem(rng), int(rng.integers(1, 7))
+    first, end = sorted(rng.integers(0, frames + 1, 2).tolist())
+    return {
+        **problem.arrays,
+        "path": problem.poses(rng, frames),
+        "targets": problem.targets(rng, frames),
+        "starts": problem.poses(rng, frames),
+        "anchor": float(rng.choice([1e-3, 1.0])),
+        "speed": float(rng.choice([0.0, 1.0])),
+        "acceleration": float(rng.choice([0.0, 10.0])),
+        "robust": float(rng.choice([0.1, 8.0, np.inf])),
+        "rest_weight": float(rng.choice([0.0, 10.0])),
+        "homing": float(rng.choice([0.0, 0.1])),
+        "first": first,
+        "end": end,
+        "iterations": int(rng.integers(0, 9)),
+        "rounds": int(rng.integers(0, 3)),
+        "tracked": bool(rng.integers(2)),
+    }
+
+
 def _cheapest(rng: Rng) -> dict[str, Any]:
     problem = Problem(rng)
     count, length = int(rng.integers(1, 5)), int(rng.integers(0, 6))
@@ -174,6 +196,7 @@ CALLS: dict[str, Maker] = {
     "solve_ik": _solve,
     "linearize_ik": _linearize,
     "smooth_ik": _smooth,
+    "fit_ik": _fit,
     "cheapest_ik_path": _cheapest,
 }
 UNBOUNDED: frozenset[str] = frozenset()
