@@ -43,7 +43,7 @@ def filled(
             made.append(_given(fill, own, name))
             _check_outside(made[-1][0], colliders, t, name)
             continue
-        points = _lattice(spec, own["shape"], own["poses"], name, t)
+        points = _lattice(spec, own["shape"], own["poses"], t)
         if colliders.rigid:
             gaps = colliders.sample(points, t).distances.min(axis=0)
             points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -77,7 +77,9 @@ def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
     return np.stack([points, velocities])
 
 
-def _check_outside(points: FloatArray, colliders: Colliders, t: float, name: str) -> None:
+def _check_outside(
+    points: FloatArray, colliders: Colliders, t: float, name: str
+) -> None:
     """Refuse points that are within colliders, or beyond a container."""
     if not colliders.rigid or not len(points):
         return
@@ -119,7 +121,9 @@ def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
     if count > spec.max_particles:
-        message = f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+        message = (
+            f"it takes {count:,.0f} particles at a spacing of {spec.spacing:g} m, "
+        )
         message += f"and {spec.max_particles:,} are allowed"
         wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
         hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
@@ -141,7 +145,7 @@ def bounds(shape: Any) -> FloatArray:
 
 
 def _lattice(
-    spec: FluidModel, shape: Any, poses: Poses, name: str, t: float
+    spec: FluidModel, shape: Any, poses: Poses, t: float
 ) -> FloatArray:
     """Return the places of a lattice that are in a shape ``(N, 3)`` [m]."""
     low, high = bounds(shape)
@@ -152,7 +156,6 @@ def _lattice(
         for n, a, b in zip(sizes, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Along y first, as it is deep.
     inside = Colliders([Collider(shape)]).sample(grid, 0.0).distances[0] < 0
     pose = poses.at(t)
     return so3.rotate(pose[3:], grid[inside]) + pose[:3]
@@ -175,7 +178,8 @@ class Nozzle:
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
         self._period = spec.spacing / emitter.speed  # of layers [s]
-        self._spans = [(max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]]
+        opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
+        self._spans = [(max(a, begin), b) for a, b in opens]
         self._opening = self._places(spec, emitter)
 
     def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
@@ -184,15 +188,13 @@ class Nozzle:
         wide, deep = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (wide, deep)]
         _check_count(spec, float(counts[0]) * counts[1] / SPARSE, "emitters")
-        x, z = (
-            (np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts
-        )
+        x, z = ((np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts)
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
             return grid
-        return grid[np.linalg.norm(grid, axis=1) < radius]
+        return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
-    def _made(self, span: tuple[float, float], t: float) -> int:
+    def _made(self, span: Sequence[float], t: float) -> int:
         """Return how many layers a span has made before a time."""
         lasts = min(t, span[1]) - span[0]
         return max(math.ceil(lasts / self._period), 0)
@@ -209,7 +211,7 @@ class Nozzle:
             if kept <= 0:
                 continue
             layers = first + np.arange(kept)
-            times = span[0] + layers * self._period
+            times: FloatArray = span[0] + np.float64(self._period) * layers
             states.append(self._layers(times, until, pull))
             births.append(np.repeat(times, size))
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
@@ -219,7 +221,9 @@ class Nozzle:
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
         turns = np.repeat(now[:, 3:], len(self._opening), axis=0)
         places = np.tile(self._opening, (len(times), 1))
-        own = np.repeat((now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0)
+        own = np.repeat(
+            (now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0
+        )
         ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
         x = so3.rotate(turns, places) + np.repeat(
             now[:, :3], len(self._opening), axis=0

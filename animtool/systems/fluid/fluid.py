@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
@@ -23,8 +23,8 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
     Diagnostics,
     SimContext,
-    StoppedError,
     Stepped,
+    StoppedError,
     growing,
 )
 
@@ -152,7 +152,8 @@ class Fluid:
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
         """Return what forces do ``(N, 3)`` [m/s²]."""
-        made, particles = np.zeros_like(state.motion[0]), self._particles(state)
+        made: FloatArray = np.zeros_like(state.motion[0])
+        particles = self._particles(state)
         with np.errstate(all="ignore"):
             for force in self._forces:
                 made += force.force(t, *state.motion, particles) / self._mass
@@ -175,7 +176,9 @@ class Fluid:
         speeds = np.linalg.norm(state.motion[1], axis=1)
         most_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
-        sound = self._parting.sound(state.sound, state.pressures, fastest, most_pull, dt)
+        sound = self._parting.sound(
+            state.sound, state.pressures, fastest, most_pull, dt
+        )
         wanted = self._parting.parts(dt, fastest, sound)
         if wanted > self._parting.most:
             self._stop_long(t + dt, dt, fastest, wanted)
@@ -189,11 +192,15 @@ class Fluid:
         if not np.isfinite(found.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
         if found.compression > max(COLLAPSED, TIMES * allowed):
-            self._stop_dense(t + dt, found.compression)
+            message = (
+                f"it is {found.compression:.1%} denser than at rest: it has no room"
+            )
+            hint = "widen what holds it, open a drain, or close an emitter before"
+            self._stop("SIM108", t + dt, message, hint)
         if found.compression > allowed:
-            message = f"it is {found.compression:.2%} denser than at rest at {t + dt:g} "
-            hint = "give it room: it is squeezed"
-            self._warn("SIM137", f"{message}s, where {allowed:.2%} is allowed", hint)
+            message = f"it is {found.compression:.2%} denser than at rest at "
+            message += f"{t + dt:g} s, where {allowed:.2%} is allowed"
+            self._warn("SIM137", message, "give it room: it is squeezed")
         after = replace(
             state,
             motion=found.motion,
@@ -243,7 +250,8 @@ class Fluid:
             if around.sheets:
                 sheets = Colliders((), around.sheets)
                 radius = self._spec.spacing / 2
-                met = collide(*motion, before, sheets, t0, t0 + each, radius)
+                x, v = motion
+                met = collide(x, v, before, sheets, t0, t0 + each, radius)
                 motion = np.stack([met.points, met.velocities])
             first = 0
             for i, own in enumerate(around.bodies):
@@ -264,9 +272,9 @@ class Fluid:
         ]
         return Colliders([*around, *skins], (), around.bodies) if skins else around
 
-    def _owners(self, solid: Colliders) -> IntArray:
+    def _owners(self, solid: Colliders) -> npt.NDArray[np.int32]:
         """Return the body that each collider is of ``(C,)``, -1 for none."""
-        owners, first = [np.full(len(solid), -1, np.int32)], 0
+        owners, first = [np.full(len(solid), -1)], 0
         for own in solid.bodies:
             owners.append(np.where(own.owners >= 0, own.owners + first, -1))
             first += own.count
@@ -307,17 +315,9 @@ class Fluid:
             hint = f"step: {dt * most / wanted:.2g}, or {hint}"
         self._stop("SIM102", t, message, hint)
 
-    def _stop_dense(self, t: float, compression: float) -> None:
-        message = f"it is {compression:.1%} denser than at rest: it has no room"
-        finer = self._spec.spacing
-        hint = "widen what holds it, open a drain, or close an emitter before; "
-        hint += f"particles of {finer:g} m do not fit"
-        self._stop("SIM108", t, message, hint)
-
     def _stop(self, code: str, t: float, why: str, hint: str) -> None:
-        message = f"{self._spec.name} collapsed at {t:g} s: {why}"
-        if code == "SIM102":
-            message = f"{self._spec.name} blew up at {t:g} s: {why}"
+        what = "blew up" if code == "SIM102" else "collapsed"
+        message = f"{self._spec.name} {what} at {t:g} s: {why}"
         raise StoppedError([Fault(code, message, hint=hint)])
 
     def _warn(self, code: str, message: str, hint: str) -> None:
@@ -358,9 +358,8 @@ class Fluid:
                 message = f"there is room for {most:,} particles, from {until:g} s on "
                 hint = "raise max_particles, open a drain, or close an emitter"
                 self._warn("SIM121", f"{message}for no more", hint)
-            free = has_room(
-                new.state[0], state.motion[0], self._colliders, until, self._spec.spacing
-            )
+            others, spacing = state.motion[0], self._spec.spacing
+            free = has_room(new.state[0], others, self._colliders, until, spacing)
             blocked = int((~free).sum())
             if blocked:
                 message = f"{counted(blocked, 'particle')} did not come out by "

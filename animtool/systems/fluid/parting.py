@@ -61,7 +61,12 @@ class Parting:
         return math.sqrt(head * MEAN / self._spec.compression)
 
     def sound(
-        self, before: float, pressures: FloatArray, fastest: float, pull: float, dt: float
+        self,
+        before: float,
+        pressures: FloatArray,
+        fastest: float,
+        pull: float,
+        dt: float,
     ) -> float:
         """Return how fast pressure is to go in a step [m/s].
 

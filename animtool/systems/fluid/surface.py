@@ -61,20 +61,14 @@ def surface_of(
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > LEVEL:
-        return surface_of_nothing(primvars)
+        own = {name: one[:0] for name, one in primvars.items()}
+        return _mesh(points[:0], points[:0], np.zeros((0, 3), np.int64), own)
     places, faces, _, _ = marching_cubes(values, LEVEL)
     # Wound so that the field falls outwards.
-    places = places.astype(np.float64) * cell + low
+    places, faces = places.astype(np.float64) * cell + low, faces[:, ::-1]
     _, nearest = cKDTree(points).query(places)
     own = {name: values[nearest] for name, values in primvars.items()}
     return _mesh(places, velocities[nearest], faces.astype(np.int64), own)
-
-
-def surface_of_nothing(primvars: Mapping[str, Any]) -> MeshFrame:
-    """Return a mesh without faces."""
-    none = np.zeros((0, 3))
-    own = {name: values[:0] for name, values in primvars.items()}
-    return _mesh(none, none, np.zeros((0, 3), np.int64), own)
 
 
 def _mesh(
