@@ -55,7 +55,7 @@ def draw(baked: Path, out: Path) -> None:
         axis.set_facecolor(SKY)
         axis.plot(*seen(corners)[0].T, color=EDGE, lw=1)
         for corner in corners[:4]:
-            line = np.stack([corner, corner + [0, TANK[1], 0]])
+            line = np.stack([corner, corner + np.array([0, TANK[1], 0])])
             axis.plot(*seen(line)[0].T, color=EDGE, lw=0.6)
         points = np.array(water.GetPointsAttr().Get(frame))
         places, near = seen(points)
@@ -70,9 +70,12 @@ def draw(baked: Path, out: Path) -> None:
                 linewidths=0.15, zorder=order,
             )  # fmt: skip
         for height in np.linspace(0.0, 1.1, 60):
-            ring = rim + [1.4, height, 0.4]
+            ring = rim + np.array([1.4, height, 0.4])
             axis.fill(*seen(ring)[0].T, color=STONE, lw=0, zorder=4)
-        axis.set(aspect="equal", xticks=[], yticks=[], title=f"frame {frame}")
+        axis.set(
+            xlim=(-0.1, 2.6), ylim=(-0.4, 1.9), aspect="equal", title=f"frame {frame}"
+        )
+        axis.set(xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
     save(figure, out)
 

@@ -62,9 +62,7 @@ def test_a_lattice_is_as_dense_at_walls_edges_and_corners_as_within() -> None:
     assert_allclose(found[below], 1.0, atol=6e-3)
     assert (found[~below] < 0.95).all()
     # Planes are the same walls.
-    walls = [
-        Collider(Plane((1, 0, 0))), Collider(Plane((0, 1, 0))), Collider(Plane((0, 0, 1)))
-    ]  # fmt: skip
+    walls = [Collider(Plane(normal)) for normal in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
     near = lattice(6, 8, 6).max(axis=1) < 0.4
     assert_allclose(densities(lattice(6, 8, 6), *walls)[near], 1.0, atol=6e-3)
 
@@ -108,12 +106,11 @@ def floated(simulator: Simulator, density: float) -> np.ndarray:
         "density": density,
         "at": [0.3, 0.55, 0.3],
     }
+    met = {"system": "boxes", "two_way": True}
     systems = [
         {"rigid": {"name": "boxes", "bodies": [body], "colliders": [TANK]}},
-        *fluid(
-            spacing=0.05, viscosity=0.005, systems=[{"system": "boxes", "two_way": True}]
-        ),
-    ]  # fmt: skip
+        *fluid(spacing=0.05, viscosity=0.005, systems=[met]),
+    ]
     rows = simulator.simulate(systems, (np.arange(40) / 20).tolist())["boxes"]
     return np.array([row.points[0, 1] for row in rows])
 
