@@ -7,14 +7,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
 from animtool.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
-from animtool.sim.colliders.bodies import Wrenches
+from animtool.sim.colliders.bodies import (
+    Wrenches,
+    owners_of,
+    parted,
+    pushed_rows,
+)
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import Nozzle, filled, has_room
 from animtool.systems.fluid.parting import Parting
@@ -50,8 +54,7 @@ class FluidState:
         births: When each came ``(N,)`` [s].
         pressures: Means over the last step ``(N,)`` [Pa].
         made: How many came so far.
-        missed: How many did not, for want of room among `max_particles`.
-        blocked: How many did not, as there was fluid or a collider before the nozzle.
+        held: How many did not, for want of room.
         sound: How fast pressure went [m/s].
         energy: Most that there may be of kinetic and potential energy [J].
         compression: How much denser than at rest it was, in the mean [1].
@@ -64,8 +67,7 @@ class FluidState:
     births: FloatArray = field(metadata=growing())
     pressures: FloatArray = field(metadata=growing())
     made: int = 0
-    missed: int = 0
-    blocked: int = 0
+    held: int = 0
     sound: float = 0.0
     energy: float = 0.0
     compression: float = 0.0
@@ -233,8 +235,8 @@ class Fluid:
             solid = self._solid(t0)
             motion, pressed, pushes, dense = _kernels.fluid_steps(
                 solid.arrays(t0, t0 + each),
-                self._owners(solid),
-                self._bodies(t0, t0 + each),
+                owners_of(around.bodies, len(solid)),
+                pushed_rows(around.bodies, t0, t0 + each),
                 motion,
                 pull,
                 self._spec.spacing,
@@ -253,13 +255,12 @@ class Fluid:
                 x, v = motion
                 met = collide(x, v, before, sheets, t0, t0 + each, radius)
                 motion = np.stack([met.points, met.velocities])
-            first = 0
-            for i, own in enumerate(around.bodies):
-                pushed = pushes[:, first : first + own.count]
-                first += own.count
-                wrenches[i] = Wrenches.sum(
-                    [wrenches[i].after(each), Wrenches(pushed[0], pushed[1])]
+            wrenches = [
+                Wrenches.sum([one.after(each), Wrenches(*own)])
+                for one, own in zip(
+                    wrenches, parted(around.bodies, pushes), strict=True
                 )
+            ]
         return Pressed(motion, pressures, compression, wrenches)
 
     def _solid(self, t: float) -> Colliders:
@@ -271,27 +272,6 @@ class Fluid:
             if sheet.closed
         ]
         return Colliders([*around, *skins], (), around.bodies) if skins else around
-
-    def _owners(self, solid: Colliders) -> npt.NDArray[np.int32]:
-        """Return the body that each collider is of ``(C,)``, -1 for none."""
-        owners, first = [np.full(len(solid), -1)], 0
-        for own in solid.bodies:
-            owners.append(np.where(own.owners >= 0, own.owners + first, -1))
-            first += own.count
-        return np.concatenate(owners).astype(np.int32)
-
-    def _bodies(self, t0: float, t1: float) -> FloatArray:
-        """Return bodies that are pushed, as kernels take them ``(B, 13)``."""
-        rows = [np.zeros((0, 13))]
-        for own in self._colliders.bodies:
-            if not own.count:
-                continue
-            centres, eases = own.inertias(t0, begins=True)
-            ends, _ = own.inertias(t1)
-            six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            masses = 1 / own.masses[:, None]
-            rows.append(np.concatenate([masses, six, centres, ends], axis=1))
-        return np.concatenate(rows)
 
     def _watch(self, state: FluidState, t: float, dt: float) -> None:
         """Stop where there is energy that nothing brought."""
@@ -351,7 +331,7 @@ class Fluid:
         """Return a state with those who come in within a step, at its end."""
         for nozzle in self._nozzles:
             room = max(self._spec.max_particles - len(state.ids), 0)
-            mean = pull.mean(axis=0) if len(pull) else self._mean_pull(t)
+            mean = pull.mean(axis=0) if len(pull) else np.zeros(3)
             new = nozzle.inflow(t, until, mean, room)
             if new.missed:
                 most = self._spec.max_particles
@@ -374,20 +354,11 @@ class Fluid:
                 births=np.concatenate([state.births, new.births[free]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
-                missed=state.missed + new.missed,
-                blocked=state.blocked + blocked,
+                held=state.held + new.missed + blocked,
             )
             brought = self._energy(grown)[0] - self._energy(state)[0]
             state = replace(grown, energy=state.energy + brought) if count else state
         return state
-
-    def _mean_pull(self, t: float) -> FloatArray:
-        """Return what forces do to fluid that is not there yet ``(3,)`` [m/s²]."""
-        one = np.zeros((1, 3))
-        state = FluidState(
-            np.zeros(1, np.int64), np.stack([one, one]), np.full(1, t), np.zeros(1)
-        )
-        return np.asarray(self._pull(state, t)[0])
 
     def _quantity(self, which: Quantity, state: FluidState, t: float) -> FloatArray:
         """Return a quantity of each particle ``(N,)``."""
@@ -431,8 +402,8 @@ class Fluid:
             "speed": float(speeds.max(initial=0.0)),
             "parts": float(state.parts),
         }
-        if state.blocked or state.missed:
-            values = {**values, "held_back": float(state.blocked + state.missed)}
+        if state.held:
+            values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid at any frame"
         nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)

@@ -12,7 +12,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.frames import MeshFrame
-from animtool.systems.fluid.spec import FluidModel, FluidSurfaceModel
+from animtool.systems.fluid.spec import FluidModel
 
 # Of the field within: a particle alone still has a surface.
 LEVEL = 0.35
@@ -57,7 +57,11 @@ def surface_of(
     radius = (1 + spec.surface.smoothing) * spec.spacing
     low = points.min(axis=0) - radius - 2 * cell
     sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
-    _check_cells(spec.surface, float(np.prod(sizes)), cell)
+    if np.prod(sizes) > spec.surface.max_cells:
+        message = f"its surface takes {np.prod(sizes):,.0f} cells of {cell:g} m, and "
+        message += f"{spec.surface.max_cells:,} are allowed: it is far spread"
+        hint = "drain what flew off, take larger cells, or raise max_cells"
+        raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > LEVEL:
@@ -78,14 +82,6 @@ def _mesh(
     return MeshFrame(
         points, velocities, counts, faces.reshape(-1), True, primvars, tears=True
     )
-
-
-def _check_cells(surface: FluidSurfaceModel, count: float, cell: float) -> None:
-    if count > surface.max_cells:
-        message = f"its surface takes {count:,.0f} cells of {cell:g} m, and "
-        message += f"{surface.max_cells:,} are allowed: it is far spread"
-        hint = "drain what flew off, take larger cells, or raise max_cells"
-        raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
 
 
 def field(

@@ -14,7 +14,7 @@ from animtool import _kernels
 from animtool.errors import AnimtoolError, ToleranceError
 from animtool.frames import MeshFrame
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
-from animtool.systems.fluid.filling import bounds
+from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.fluid import colored
 from animtool.systems.fluid.spec import ColorModel
 
