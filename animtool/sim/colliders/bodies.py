@@ -122,7 +122,7 @@ def pushed_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatAr
     return np.concatenate(rows)
 
 
-def parted(bodies: Sequence[MovingBodies], pushes: FloatArray) -> list[FloatArray]:
+def by_system(bodies: Sequence[MovingBodies], pushes: FloatArray) -> list[FloatArray]:
     """Return what bodies were pushed by ``(2, B, 6)``, system by system."""
     ends = np.cumsum([own.count for own in bodies])
     return np.split(pushes, ends[:-1], axis=1) if bodies else []

@@ -15,14 +15,14 @@ from animtool.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,
+    by_system,
     owners_of,
-    parted,
     pushed_rows,
 )
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import Nozzle, filled, has_room
-from animtool.systems.fluid.parting import Parting
 from animtool.systems.fluid.spec import ColorModel, FluidModel, Quantity
+from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
     Diagnostics,
@@ -95,7 +95,7 @@ class Fluid:
             )
         ]
         self._drains = [Colliders([drain]) for drain in parts.get("drains", ())]
-        self._parting = Parting(spec)
+        self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._said: set[str] = set()
         # Nothing brings energy in, so that there is none but what there was.
@@ -117,7 +117,7 @@ class Fluid:
             made=count,
         )
         pull = self._pull(state, self._begin)
-        sound = self._parting.first_sound(self._start[0], pull)
+        sound = self._substeps.first_sound(self._start[0], pull)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
@@ -178,15 +178,15 @@ class Fluid:
         speeds = np.linalg.norm(state.motion[1], axis=1)
         most_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
-        sound = self._parting.sound(
+        sound = self._substeps.sound(
             state.sound, state.pressures, fastest, most_pull, dt
         )
-        wanted = self._parting.parts(dt, fastest, sound)
-        if wanted > self._parting.most:
+        wanted = self._substeps.parts(dt, fastest, sound)
+        if wanted > self._substeps.most:
             self._stop_long(t + dt, dt, fastest, wanted)
         parts, allowed = int(wanted), self._spec.compression
         found = self._kernel(state, t, dt, pull, sound, parts)
-        while found.compression > allowed and 2 * parts <= self._parting.most:
+        while found.compression > allowed and 2 * parts <= self._substeps.most:
             again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
             if again.compression > HELPS * found.compression:
                 break
@@ -226,7 +226,7 @@ class Fluid:
     ) -> Pressed:
         """Return the end of a step in some parts; sheets are met between pieces."""
         around, motion = self._colliders, state.motion
-        pieces = self._parting.pieces(around, parts, dt)
+        pieces = self._substeps.pieces(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
         wrenches = [Wrenches.none(own.count) for own in around.bodies]
         for k in range(pieces):
@@ -242,7 +242,7 @@ class Fluid:
                 self._spec.spacing,
                 self._spec.density,
                 self._spec.viscosity,
-                self._parting.cohesion,
+                self._substeps.cohesion,
                 sound,
                 each,
                 -(-parts // pieces),
@@ -258,7 +258,7 @@ class Fluid:
             wrenches = [
                 Wrenches.sum([one.after(each), Wrenches(*own)])
                 for one, own in zip(
-                    wrenches, parted(around.bodies, pushes), strict=True
+                    wrenches, by_system(around.bodies, pushes), strict=True
                 )
             ]
         return Pressed(motion, pressures, compression, wrenches)
@@ -287,7 +287,7 @@ class Fluid:
             self._stop("SIM102", t, message, f"step: {dt / 4:.3g}")
 
     def _stop_long(self, t: float, dt: float, fastest: float, wanted: float) -> None:
-        most, spacing = self._parting.most, self._spec.spacing
+        most, spacing = self._substeps.most, self._spec.spacing
         message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
         message += f"{dt:g} s takes more than {most} parts"
         hint = "weaker forces, a larger spacing, or colliders that move less fast"
@@ -356,8 +356,8 @@ class Fluid:
                 made=state.made + count,
                 held=state.held + new.missed + blocked,
             )
-            brought = self._energy(grown)[0] - self._energy(state)[0]
-            state = replace(grown, energy=state.energy + brought) if count else state
+            gained = self._energy(grown)[0] - self._energy(state)[0]
+            state = replace(grown, energy=state.energy + gained) if count else state
         return state
 
     def _quantity(self, which: Quantity, state: FluidState, t: float) -> FloatArray:

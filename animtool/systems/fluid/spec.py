@@ -137,7 +137,7 @@ class FluidModel(SystemSpec):
     )
     forces: list[ForceEntry] = key(
         "The forces on particles, on those of fluids too.",
-        [{"gravity": None}],
+        [{"gravity": None}, {"wind": {"velocity": [2, 0, 0], "drag": 0.01}}],
         default=[{"gravity": None}],
     )
     colliders: list[SystemColliderModel] = key(

@@ -35,7 +35,7 @@ LAYERS = 2.0
 COHESION = 1.0
 
 
-class Parting:
+class Substeps:
     """Parts of steps, from speed, pressure and what the fluid is.
 
     Attributes:
