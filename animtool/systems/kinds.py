@@ -70,7 +70,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     ),
     "fluid": system_kind(
         "animtool.systems.fluid",
-        "A fluid: particles that pressure keeps as dense as at rest.",
+        "Fluids that flow, splash and carry bodies.",
         {
             "name": "water",
             "spacing": 0.04,

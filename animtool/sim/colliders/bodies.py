@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.sim.colliders.collider import Collider
@@ -90,6 +91,41 @@ class Wrenches:
     def after(self, span: float) -> Wrenches:
         """Return them some time later [s]."""
         return Wrenches(self.now, self.moved + span * self.now)
+
+
+def owners_of(bodies: Sequence[MovingBodies], others: int) -> npt.NDArray[np.int32]:
+    """Return whose each collider is ``(C,)``, -1 for nobody; first come some others.
+
+    Bodies of all systems are counted through.
+    """
+    owners, first = [np.full(others, -1)], 0
+    for own in bodies:
+        owners.append(np.where(own.owners >= 0, own.owners + first, -1))
+        first += own.count
+    return np.concatenate(owners).astype(np.int32)
+
+
+def pushed_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
+    """Return bodies over a step [s], as kernels take those that they push ``(B, 13)``.
+
+    Inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and centres of
+    mass at both ends [m].
+    """
+    rows = [np.zeros((0, 13))]
+    for own in bodies:
+        if own.count:
+            centres, eases = own.inertias(t0, begins=True)
+            ends, _ = own.inertias(t1)
+            six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            masses = 1 / own.masses[:, None]
+            rows.append(np.concatenate([masses, six, centres, ends], axis=1))
+    return np.concatenate(rows)
+
+
+def by_system(bodies: Sequence[MovingBodies], pushes: FloatArray) -> list[FloatArray]:
+    """Return what bodies were pushed by ``(2, B, 6)``, system by system."""
+    ends = np.cumsum([own.count for own in bodies])
+    return np.split(pushes, ends[:-1], axis=1) if bodies else []
 
 
 def share_impulses(

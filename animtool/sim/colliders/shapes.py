@@ -229,6 +229,23 @@ SHAPES: dict[str, type[Any]] = {
 }
 
 
+def bounds(shape: Any) -> FloatArray:
+    """Return the least and largest coordinates of a shape in its frame ``(2, 3)`` [m].
+
+    Of a shape that ends: no plane.
+    """
+    sizes = np.asarray(shape.sizes(), np.float64)
+    if isinstance(shape, Box):
+        return np.stack([-sizes, sizes])
+    if isinstance(shape, Sphere):
+        return np.stack([sizes[:3] - sizes[3], sizes[:3] + sizes[3]])
+    if isinstance(shape, Capsule):
+        ends = sizes[:6].reshape(2, 3)
+        return np.stack([ends.min(axis=0) - sizes[6], ends.max(axis=0) + sizes[6]])
+    points = np.asarray(shape.points, np.float64)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
 def _unit(direction: Vector) -> FloatArray:
     vector = np.asarray(direction, np.float64)
     return np.asarray(vector / np.linalg.norm(vector), np.float64)

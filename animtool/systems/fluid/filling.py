@@ -12,7 +12,8 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths import so3
-from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Poses, Sphere
+from animtool.sim.colliders import Collider, Colliders, Poses
+from animtool.sim.colliders.shapes import bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
 # Places of a lattice that are looked at for one that is kept.
@@ -38,12 +39,12 @@ def filled(
     """
     made = [np.zeros((2, 0, 3))]
     for i, (fill, own) in enumerate(zip(spec.fills, parts, strict=True)):
-        name = repr(fill.name) if fill.name else f"fill {i}"
+        name = _named(spec, i)
         if own.get("points") is not None:
             made.append(_given(fill, own, name))
             _check_outside(made[-1][0], colliders, t, name)
             continue
-        points = _lattice(spec, own["shape"], own["poses"], name, t)
+        points = _lattice(spec, own["shape"], own["poses"], t)
         if colliders.rigid:
             gaps = colliders.sample(points, t).distances.min(axis=0)
             points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -57,6 +58,10 @@ def filled(
     _check_count(spec, state.shape[1], "fills")
     _check_apart(spec, state[0], np.cumsum([one.shape[1] for one in made[1:]]))
     return state
+
+
+def _named(spec: FluidModel, i: int) -> str:
+    return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
 def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
@@ -111,8 +116,8 @@ def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
     names = []
     for i in (one, other):
         k = int(np.searchsorted(ends, i, side="right"))
-        name = repr(spec.fills[k].name) if spec.fills[k].name else f"fill {k}"
-        names.append(f"particle {i - (int(ends[k - 1]) if k else 0)} of {name}")
+        begin = int(ends[k - 1]) if k else 0
+        names.append(f"particle {i - begin} of {_named(spec, k)}")
     gap = float(np.linalg.norm(points[one] - points[other]))
     message = f"{names[0]} and {names[1]} begin {gap:g} m apart, where the spacing is "
     message += f"{spec.spacing:g} m"
@@ -130,23 +135,7 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
         refuse(message, hint, key)
 
 
-def bounds(shape: Any) -> FloatArray:
-    """Return the least and largest coordinates of a shape in its frame ``(2, 3)``."""
-    sizes = np.asarray(shape.sizes(), np.float64)
-    if isinstance(shape, Box):
-        return np.stack([-sizes, sizes])
-    if isinstance(shape, Sphere):
-        return np.stack([sizes[:3] - sizes[3], sizes[:3] + sizes[3]])
-    if isinstance(shape, Capsule):
-        ends = sizes[:6].reshape(2, 3)
-        return np.stack([ends.min(axis=0) - sizes[6], ends.max(axis=0) + sizes[6]])
-    points = np.asarray(shape.points, np.float64)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def _lattice(
-    spec: FluidModel, shape: Any, poses: Poses, name: str, t: float
-) -> FloatArray:
+def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
     """Return the places of a lattice that are in a shape ``(N, 3)`` [m]."""
     low, high = bounds(shape)
     sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
@@ -156,7 +145,6 @@ def _lattice(
         for n, a, b in zip(sizes, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Along y first, as it is deep.
     inside = Colliders([Collider(shape)]).sample(grid, 0.0).distances[0] < 0
     pose = poses.at(t)
     return so3.rotate(pose[3:], grid[inside]) + pose[:3]
@@ -179,7 +167,8 @@ class Nozzle:
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
         self._period = spec.spacing / emitter.speed  # of layers [s]
-        self._spans = [(max(a, begin), b) for a, b in emitter.opens or [(begin, math.inf)]]
+        opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
+        self._spans = [(max(a, begin), b) for a, b in opens]
         self._opening = self._places(spec, emitter)
 
     def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
@@ -192,9 +181,9 @@ class Nozzle:
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
             return grid
-        return grid[np.linalg.norm(grid, axis=1) < radius]
+        return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
-    def _made(self, span: tuple[float, float], t: float) -> int:
+    def _made(self, span: Sequence[float], t: float) -> int:
         """Return how many layers a span has made before a time."""
         lasts = min(t, span[1]) - span[0]
         return max(math.ceil(lasts / self._period), 0)
@@ -211,7 +200,7 @@ class Nozzle:
             if kept <= 0:
                 continue
             layers = first + np.arange(kept)
-            times = span[0] + layers * self._period
+            times: FloatArray = span[0] + np.float64(self._period) * layers
             states.append(self._layers(times, until, pull))
             births.append(np.repeat(times, size))
         return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)

@@ -13,11 +13,16 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
 from animtool.frames import MeshFrame, PointsFrame
 from animtool.sim.colliders import Colliders, collide
-from animtool.sim.colliders.bodies import Wrenches
+from animtool.sim.colliders.bodies import (
+    Wrenches,
+    by_system,
+    owners_of,
+    pushed_rows,
+)
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import Nozzle, filled, has_room
-from animtool.systems.fluid.parting import Parting
 from animtool.systems.fluid.spec import ColorModel, FluidModel, Quantity
+from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
     Diagnostics,
@@ -49,8 +54,7 @@ class FluidState:
         births: When each came ``(N,)`` [s].
         pressures: Means over the last step ``(N,)`` [Pa].
         made: How many came so far.
-        missed: How many did not, for want of room among `max_particles`.
-        blocked: How many did not, as there was fluid or a collider before the nozzle.
+        held: How many did not, for want of room.
         sound: How fast pressure went [m/s].
         energy: Most that there may be of kinetic and potential energy [J].
         compression: How much denser than at rest it was, in the mean [1].
@@ -63,8 +67,7 @@ class FluidState:
     births: FloatArray = field(metadata=growing())
     pressures: FloatArray = field(metadata=growing())
     made: int = 0
-    missed: int = 0
-    blocked: int = 0
+    held: int = 0
     sound: float = 0.0
     energy: float = 0.0
     compression: float = 0.0
@@ -92,7 +95,7 @@ class Fluid:
             )
         ]
         self._drains = [Colliders([drain]) for drain in parts.get("drains", ())]
-        self._parting = Parting(spec)
+        self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._said: set[str] = set()
         # Nothing brings energy in, so that there is none but what there was.
@@ -114,7 +117,7 @@ class Fluid:
             made=count,
         )
         pull = self._pull(state, self._begin)
-        sound = self._parting.first_sound(self._start[0], pull)
+        sound = self._substeps.first_sound(self._start[0], pull)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
@@ -151,7 +154,8 @@ class Fluid:
 
     def _pull(self, state: FluidState, t: float) -> FloatArray:
         """Return what forces do ``(N, 3)`` [m/s²]."""
-        made, particles = np.zeros_like(state.motion[0]), self._particles(state)
+        made: FloatArray = np.zeros_like(state.motion[0])
+        particles = self._particles(state)
         with np.errstate(all="ignore"):
             for force in self._forces:
                 made += force.force(t, *state.motion, particles) / self._mass
@@ -174,13 +178,15 @@ class Fluid:
         speeds = np.linalg.norm(state.motion[1], axis=1)
         most_pull = float(np.linalg.norm(pull, axis=1).max())
         fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
-        sound = self._parting.sound(state.sound, state.pressures, fastest, most_pull, dt)
-        wanted = self._parting.parts(dt, fastest, sound)
-        if wanted > self._parting.most:
+        sound = self._substeps.sound(
+            state.sound, state.pressures, fastest, most_pull, dt
+        )
+        wanted = self._substeps.parts(dt, fastest, sound)
+        if wanted > self._substeps.most:
             self._stop_long(t + dt, dt, fastest, wanted)
         parts, allowed = int(wanted), self._spec.compression
         found = self._kernel(state, t, dt, pull, sound, parts)
-        while found.compression > allowed and 2 * parts <= self._parting.most:
+        while found.compression > allowed and 2 * parts <= self._substeps.most:
             again = self._kernel(state, t, dt, pull, 2 * sound, 2 * parts)
             if again.compression > HELPS * found.compression:
                 break
@@ -188,13 +194,15 @@ class Fluid:
         if not np.isfinite(found.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
         if found.compression > max(COLLAPSED, TIMES * allowed):
-            self._stop_dense(t + dt, found.compression)
-        if found.compression > allowed:
             message = (
-                f"it is {found.compression:.2%} denser than at rest at {t + dt:g} "
+                f"it is {found.compression:.1%} denser than at rest: it has no room"
             )
-            hint = "give it room: it is squeezed"
-            self._warn("SIM137", f"{message}s, where {allowed:.2%} is allowed", hint)
+            hint = "widen what holds it, open a drain, or close an emitter before"
+            self._stop("SIM108", t + dt, message, hint)
+        if found.compression > allowed:
+            message = f"it is {found.compression:.2%} denser than at rest at "
+            message += f"{t + dt:g} s, where {allowed:.2%} is allowed"
+            self._warn("SIM137", message, "give it room: it is squeezed")
         after = replace(
             state,
             motion=found.motion,
@@ -218,7 +226,7 @@ class Fluid:
     ) -> Pressed:
         """Return the end of a step in some parts; sheets are met between pieces."""
         around, motion = self._colliders, state.motion
-        pieces = self._parting.pieces(around, parts, dt)
+        pieces = self._substeps.pieces(around, parts, dt)
         each, pressures, compression = dt / pieces, np.zeros(len(state.ids)), 0.0
         wrenches = [Wrenches.none(own.count) for own in around.bodies]
         for k in range(pieces):
@@ -227,14 +235,14 @@ class Fluid:
             solid = self._solid(t0)
             motion, pressed, pushes, dense = _kernels.fluid_steps(
                 solid.arrays(t0, t0 + each),
-                self._owners(solid),
-                self._bodies(t0, t0 + each),
+                owners_of(around.bodies, len(solid)),
+                pushed_rows(around.bodies, t0, t0 + each),
                 motion,
                 pull,
                 self._spec.spacing,
                 self._spec.density,
                 self._spec.viscosity,
-                self._parting.cohesion,
+                self._substeps.cohesion,
                 sound,
                 each,
                 -(-parts // pieces),
@@ -244,15 +252,15 @@ class Fluid:
             if around.sheets:
                 sheets = Colliders((), around.sheets)
                 radius = self._spec.spacing / 2
-                met = collide(*motion, before, sheets, t0, t0 + each, radius)
+                x, v = motion
+                met = collide(x, v, before, sheets, t0, t0 + each, radius)
                 motion = np.stack([met.points, met.velocities])
-            first = 0
-            for i, own in enumerate(around.bodies):
-                pushed = pushes[:, first : first + own.count]
-                first += own.count
-                wrenches[i] = Wrenches.sum(
-                    [wrenches[i].after(each), Wrenches(pushed[0], pushed[1])]
+            wrenches = [
+                Wrenches.sum([one.after(each), Wrenches(*own)])
+                for one, own in zip(
+                    wrenches, by_system(around.bodies, pushes), strict=True
                 )
+            ]
         return Pressed(motion, pressures, compression, wrenches)
 
     def _solid(self, t: float) -> Colliders:
@@ -264,27 +272,6 @@ class Fluid:
             if sheet.closed
         ]
         return Colliders([*around, *skins], (), around.bodies) if skins else around
-
-    def _owners(self, solid: Colliders) -> IntArray:
-        """Return the body that each collider is of ``(C,)``, -1 for none."""
-        owners, first = [np.full(len(solid), -1, np.int32)], 0
-        for own in solid.bodies:
-            owners.append(np.where(own.owners >= 0, own.owners + first, -1))
-            first += own.count
-        return np.concatenate(owners).astype(np.int32)
-
-    def _bodies(self, t0: float, t1: float) -> FloatArray:
-        """Return bodies that are pushed, as kernels take them ``(B, 13)``."""
-        rows = [np.zeros((0, 13))]
-        for own in self._colliders.bodies:
-            if not own.count:
-                continue
-            centres, eases = own.inertias(t0, begins=True)
-            ends, _ = own.inertias(t1)
-            six = eases[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            masses = 1 / own.masses[:, None]
-            rows.append(np.concatenate([masses, six, centres, ends], axis=1))
-        return np.concatenate(rows)
 
     def _watch(self, state: FluidState, t: float, dt: float) -> None:
         """Stop where there is energy that nothing brought."""
@@ -300,7 +287,7 @@ class Fluid:
             self._stop("SIM102", t, message, f"step: {dt / 4:.3g}")
 
     def _stop_long(self, t: float, dt: float, fastest: float, wanted: float) -> None:
-        most, spacing = self._parting.most, self._spec.spacing
+        most, spacing = self._substeps.most, self._spec.spacing
         message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
         message += f"{dt:g} s takes more than {most} parts"
         hint = "weaker forces, a larger spacing, or colliders that move less fast"
@@ -308,17 +295,9 @@ class Fluid:
             hint = f"step: {dt * most / wanted:.2g}, or {hint}"
         self._stop("SIM102", t, message, hint)
 
-    def _stop_dense(self, t: float, compression: float) -> None:
-        message = f"it is {compression:.1%} denser than at rest: it has no room"
-        finer = self._spec.spacing
-        hint = "widen what holds it, open a drain, or close an emitter before; "
-        hint += f"particles of {finer:g} m do not fit"
-        self._stop("SIM108", t, message, hint)
-
     def _stop(self, code: str, t: float, why: str, hint: str) -> None:
-        message = f"{self._spec.name} collapsed at {t:g} s: {why}"
-        if code == "SIM102":
-            message = f"{self._spec.name} blew up at {t:g} s: {why}"
+        what = "blew up" if code == "SIM102" else "collapsed"
+        message = f"{self._spec.name} {what} at {t:g} s: {why}"
         raise StoppedError([Fault(code, message, hint=hint)])
 
     def _warn(self, code: str, message: str, hint: str) -> None:
@@ -352,20 +331,15 @@ class Fluid:
         """Return a state with those who come in within a step, at its end."""
         for nozzle in self._nozzles:
             room = max(self._spec.max_particles - len(state.ids), 0)
-            mean = pull.mean(axis=0) if len(pull) else self._mean_pull(t)
+            mean = pull.mean(axis=0) if len(pull) else np.zeros(3)
             new = nozzle.inflow(t, until, mean, room)
             if new.missed:
                 most = self._spec.max_particles
                 message = f"there is room for {most:,} particles, from {until:g} s on "
                 hint = "raise max_particles, open a drain, or close an emitter"
                 self._warn("SIM121", f"{message}for no more", hint)
-            free = has_room(
-                new.state[0],
-                state.motion[0],
-                self._colliders,
-                until,
-                self._spec.spacing,
-            )
+            others, spacing = state.motion[0], self._spec.spacing
+            free = has_room(new.state[0], others, self._colliders, until, spacing)
             blocked = int((~free).sum())
             if blocked:
                 message = f"{counted(blocked, 'particle')} did not come out by "
@@ -380,20 +354,11 @@ class Fluid:
                 births=np.concatenate([state.births, new.births[free]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
-                missed=state.missed + new.missed,
-                blocked=state.blocked + blocked,
+                held=state.held + new.missed + blocked,
             )
-            brought = self._energy(grown)[0] - self._energy(state)[0]
-            state = replace(grown, energy=state.energy + brought) if count else state
+            gained = self._energy(grown)[0] - self._energy(state)[0]
+            state = replace(grown, energy=state.energy + gained) if count else state
         return state
-
-    def _mean_pull(self, t: float) -> FloatArray:
-        """Return what forces do to fluid that is not there yet ``(3,)`` [m/s²]."""
-        one = np.zeros((1, 3))
-        state = FluidState(
-            np.zeros(1, np.int64), np.stack([one, one]), np.full(1, t), np.zeros(1)
-        )
-        return np.asarray(self._pull(state, t)[0])
 
     def _quantity(self, which: Quantity, state: FluidState, t: float) -> FloatArray:
         """Return a quantity of each particle ``(N,)``."""
@@ -437,8 +402,8 @@ class Fluid:
             "speed": float(speeds.max(initial=0.0)),
             "parts": float(state.parts),
         }
-        if state.blocked or state.missed:
-            values = {**values, "held_back": float(state.blocked + state.missed)}
+        if state.held:
+            values = {**values, "held_back": float(state.held)}
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid at any frame"
         nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)

@@ -137,7 +137,7 @@ class FluidModel(SystemSpec):
     )
     forces: list[ForceEntry] = key(
         "The forces on particles, on those of fluids too.",
-        [{"gravity": None}],
+        [{"gravity": None}, {"wind": {"velocity": [2, 0, 0], "drag": 0.01}}],
         default=[{"gravity": None}],
     )
     colliders: list[SystemColliderModel] = key(
@@ -182,10 +182,10 @@ class FluidModel(SystemSpec):
     @property
     def reads(self) -> list[str]:
         """What acts on it, in words."""
-        counts = [(self.fills, "fill"), (self.emitters, "emitter")]
-        counts.append((self.drains, "drain"))
-        named = [counted(len(of), what) for of, what in counts if of]
-        return [*named, *super().reads]
+        kinds = ("fill", "emitter", "drain")
+        numbers = (len(self.fills), len(self.emitters), len(self.drains))
+        parts = zip(numbers, kinds, strict=True)
+        return [*(counted(n, what) for n, what in parts if n), *super().reads]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -199,34 +199,31 @@ class FluidModel(SystemSpec):
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
         """Return which keys make no sense together (SIM064)."""
-        found = []
+        found: list[Fault] = []
+
+        def note(message: str, where: str, hint: str | None = None) -> None:
+            found.append(Fault("SIM064", message, where=where, hint=hint))
+
+        box = "shape: {box: {size: [1, 1, 1]}}"
         if not self.fills and not self.emitters:
-            message = "there is neither a fill nor an emitter, so it is never there"
-            hint = "fills: [{shape: {box: {size: [1, 1, 1]}}}]"
-            found.append(Fault("SIM064", message, where="fills", hint=hint))
+            why = "there is neither a fill nor an emitter, so it is never there"
+            note(why, "fills", f"fills: [{{{box}}}]")
         for fill in self.fills:
+            kind = next(iter(fill.shape)) if fill.shape else ""
             if (fill.shape is None) is (fill.points is None):
-                message = "a fill is a shape or points, one of both"
-                hint = "shape: {box: {size: [1, 1, 1]}}"
-                found.append(Fault("SIM064", message, where="fills", hint=hint))
+                note("a fill is a shape or points, one of both", "fills", box)
             elif fill.velocities is not None and fill.points is None:
-                message = "velocities are of points, and there are none"
-                found.append(Fault("SIM064", message, where="fills"))
-            elif fill.shape is not None and next(iter(fill.shape)) in ENDLESS:
-                message = f"a {next(iter(fill.shape))} has no volume to fill"
-                hint = "fill a box, a sphere, a capsule or a mesh"
-                found.append(Fault("SIM064", message, where="fills", hint=hint))
+                note("velocities are of points, and there are none", "fills")
+            elif kind in ENDLESS:
+                note(f"a {kind} has no volume to fill", "fills", box)
         for emitter in self.emitters:
             if (emitter.radius is None) is (emitter.size is None):
-                message = "a nozzle is round or rectangular: give radius or size"
-                found.append(Fault("SIM064", message, where="emitters"))
+                note("a nozzle is round or rectangular: radius or size", "emitters")
             for begin, end in emitter.opens:
                 if not begin <= end:
-                    message = f"the nozzle closes at {end:g} s, before {begin:g} s"
-                    found.append(Fault("SIM064", message, where="emitters"))
+                    note(f"it closes at {end:g} s, before {begin:g} s", "emitters")
         if self.color is not None and self.color.range[0] == self.color.range[1]:
-            message = "the first and the last color are of one value"
-            found.append(Fault("SIM064", message, where="color"))
+            note("the first and the last color are of one value", "color")
         return found
 
 

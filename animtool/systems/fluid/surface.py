@@ -12,7 +12,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.frames import MeshFrame
-from animtool.systems.fluid.spec import FluidModel, FluidSurfaceModel
+from animtool.systems.fluid.spec import FluidModel
 
 # Of the field within: a particle alone still has a surface.
 LEVEL = 0.35
@@ -57,24 +57,22 @@ def surface_of(
     radius = (1 + spec.surface.smoothing) * spec.spacing
     low = points.min(axis=0) - radius - 2 * cell
     sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
-    _check_cells(spec.surface, float(np.prod(sizes)), cell)
+    if np.prod(sizes) > spec.surface.max_cells:
+        message = f"its surface takes {np.prod(sizes):,.0f} cells of {cell:g} m, and "
+        message += f"{spec.surface.max_cells:,} are allowed: it is far spread"
+        hint = "drain what flew off, take larger cells, or raise max_cells"
+        raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in sizes)
     values = field(points, low, shape, cell, radius, spec.spacing)
     if not values.max() > LEVEL:
-        return surface_of_nothing(primvars)
+        own = {name: one[:0] for name, one in primvars.items()}
+        return _mesh(points[:0], points[:0], np.zeros((0, 3), np.int64), own)
     places, faces, _, _ = marching_cubes(values, LEVEL)
     # Wound so that the field falls outwards.
-    places = places.astype(np.float64) * cell + low
+    places, faces = places.astype(np.float64) * cell + low, faces[:, ::-1]
     _, nearest = cKDTree(points).query(places)
     own = {name: values[nearest] for name, values in primvars.items()}
     return _mesh(places, velocities[nearest], faces.astype(np.int64), own)
-
-
-def surface_of_nothing(primvars: Mapping[str, Any]) -> MeshFrame:
-    """Return a mesh without faces."""
-    none = np.zeros((0, 3))
-    own = {name: values[:0] for name, values in primvars.items()}
-    return _mesh(none, none, np.zeros((0, 3), np.int64), own)
 
 
 def _mesh(
@@ -84,14 +82,6 @@ def _mesh(
     return MeshFrame(
         points, velocities, counts, faces.reshape(-1), True, primvars, tears=True
     )
-
-
-def _check_cells(surface: FluidSurfaceModel, count: float, cell: float) -> None:
-    if count > surface.max_cells:
-        message = f"its surface takes {count:,.0f} cells of {cell:g} m, and "
-        message += f"{surface.max_cells:,} are allowed: it is far spread"
-        hint = "drain what flew off, take larger cells, or raise max_cells"
-        raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
 
 
 def field(

@@ -35,7 +35,7 @@ LAYERS = 2.0
 COHESION = 1.0
 
 
-class Parting:
+class Substeps:
     """Parts of steps, from speed, pressure and what the fluid is.
 
     Attributes:
@@ -61,7 +61,12 @@ class Parting:
         return math.sqrt(head * MEAN / self._spec.compression)
 
     def sound(
-        self, before: float, pressures: FloatArray, fastest: float, pull: float, dt: float
+        self,
+        before: float,
+        pressures: FloatArray,
+        fastest: float,
+        pull: float,
+        dt: float,
     ) -> float:
         """Return how fast pressure is to go in a step [m/s].
 

@@ -1,0 +1,252 @@
+"""Fluids as scenes have them: walls, bodies that float, nozzles, what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.simulated import Point, Simulator
+
+from animtool import _kernels
+from animtool.errors import AnimtoolError, ToleranceError
+from animtool.frames import MeshFrame
+from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
+from animtool.sim.colliders.shapes import bounds
+from animtool.systems.fluid.fluid import colored
+from animtool.systems.fluid.spec import ColorModel
+
+FRAMES = (np.arange(13) / 24).tolist()
+TANK = {
+    "name": "tank",
+    "shape": {"box": {"size": [0.6, 2, 0.6]}},
+    "at": [0.3, 1, 0.3],
+    "container": True,
+}
+POOL = {"shape": {"box": {"size": [0.6, 0.5, 0.6]}}, "at": [0.3, 0.25, 0.3]}
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Simulator:
+    return Simulator(tmp_path)
+
+
+def fluid(**keys: Any) -> list[dict[str, Any]]:
+    own = {"name": "it", "spacing": 0.1, "fills": [POOL], "colliders": [TANK]}
+    return [{"fluid": {**own, **keys}}]
+
+
+def refused(simulator: Simulator, **keys: Any) -> str:
+    with pytest.raises(AnimtoolError) as error:
+        simulator.simulate(fluid(**keys), FRAMES[:2])
+    (fault,) = error.value.faults[:1]
+    return f"{fault.code} {fault.message}"
+
+
+def lattice(*counts: int) -> np.ndarray:
+    axes = np.meshgrid(*(np.arange(n) + 0.5 for n in counts), indexing="ij")
+    return np.stack(axes, axis=-1).reshape(-1, 3) * 0.1
+
+
+def densities(points: np.ndarray, *colliders: Collider) -> np.ndarray:
+    arrays = Colliders(colliders).arrays(0.0, 0.0)
+    return _kernels.fluid_densities(arrays, points, 0.1)
+
+
+def test_a_lattice_is_as_dense_at_walls_edges_and_corners_as_within() -> None:
+    tank = Collider(Box((0.6, 2, 0.6)), Poses.fixed((0.3, 1, 0.3)), container=True)
+    found = densities(lattice(6, 8, 6), tank)
+    below = lattice(6, 8, 6)[:, 1] < 0.7
+    assert_allclose(found[below], 1.0, atol=6e-3)
+    assert (found[~below] < 0.95).all()
+    # Planes are the same walls.
+    walls = [Collider(Plane(normal)) for normal in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
+    near = lattice(6, 8, 6).max(axis=1) < 0.4
+    assert_allclose(densities(lattice(6, 8, 6), *walls)[near], 1.0, atol=6e-3)
+
+
+@pytest.mark.parametrize("shape", [Plane(), Box((1, 1, 1)), Sphere(0.4)])
+def test_walls_fade_smoothly_with_distance(shape: Any) -> None:
+    """By finite differences nothing jumps, within and outside."""
+    heights = np.linspace(-0.1, 0.3, 401)
+    begin = {Plane: 0.0, Box: 0.5, Sphere: 0.4}[type(shape)]
+    each = [
+        densities(np.array([[0.0, begin + h, 0.0]]), Collider(shape))[0]
+        for h in heights
+    ]
+    steps = np.diff(each)
+    assert (steps <= 1e-12).all()
+    assert np.abs(np.diff(steps)).max() < 5e-3
+    alone = densities(np.array([[0.0, 9.0, 0.0]]), Collider(shape))[0]
+    assert_allclose(each[-1], alone)
+
+
+def test_water_at_rest_stays_and_its_pressure_is_that_of_its_depth(
+    simulator: Simulator,
+) -> None:
+    """A line through multipliers over depth, as means over frames."""
+    own = fluid(primvars=["pressure"], viscosity=0.002, spacing=0.05)
+    rows = simulator.simulate(own, (np.arange(20) / 100 + 0.8).tolist())["it"]
+    y = np.concatenate([row.points[:, 1] for row in rows])
+    pressure = np.concatenate([row.primvars["pressure"] for row in rows])
+    assert abs(y.mean() - 0.25) < 0.05 * 0.25
+    low = y < 0.4
+    bottom, slope = np.polynomial.polynomial.polyfit(y[low], pressure[low], 1)
+    assert slope == pytest.approx(-9810, rel=0.05)
+    assert bottom == pytest.approx(9810 * 0.5, rel=0.05)
+
+
+def floated(simulator: Simulator, density: float) -> np.ndarray:
+    """Return how high a box of .3 m is over time, put in water .5 m deep."""
+    body = {
+        "name": "box",
+        "shape": {"box": {"size": [0.3, 0.3, 0.3]}},
+        "density": density,
+        "at": [0.3, 0.55, 0.3],
+    }
+    met = {"system": "boxes", "two_way": True}
+    systems = [
+        {"rigid": {"name": "boxes", "bodies": [body], "colliders": [TANK]}},
+        *fluid(spacing=0.05, viscosity=0.005, systems=[met]),
+    ]
+    rows = simulator.simulate(systems, (np.arange(40) / 20).tolist())["boxes"]
+    return np.array([row.points[0, 1] for row in rows])
+
+
+@pytest.mark.slow
+def test_half_as_dense_it_floats_half_sunk(simulator: Simulator) -> None:
+    """Within half a spacing: what is left is how near water comes to a face."""
+    count = 12 * 12 * 10 - 6 * 6 * 2
+    surface = (count * 0.05**3 + 0.5 * 0.3**3) / 0.6**2
+    heights = floated(simulator, 500.0)[-10:]
+    assert abs(heights.mean() - surface) < 0.025
+    assert np.ptp(heights) < 0.02
+
+
+@pytest.mark.slow
+def test_twice_as_dense_it_sinks(simulator: Simulator) -> None:
+    assert floated(simulator, 2000.0)[-1] < 0.25
+
+
+def test_nozzles_bring_as_much_as_their_speed_says(simulator: Simulator) -> None:
+    tap = {
+        "at": [0.3, 1.5, 0.3],
+        "rotate": [0, 1, 0, 0],
+        "size": [0.2, 0.2],
+        "speed": 2,
+    }
+    rows = simulator.simulate(fluid(emitters=[tap], fills=[]), FRAMES)["it"]
+    # Four a layer, twenty layers a second.
+    assert abs(len(rows[-1].ids) - 4 * 20 * FRAMES[-1]) <= 4
+    assert_array_equal(rows[-1].ids, np.arange(len(rows[-1].ids)))
+    drain = {"shape": {"plane": {"offset": 1.0}}}
+    less = simulator.simulate(fluid(emitters=[tap], fills=[], drains=[drain]), FRAMES)[
+        "it"
+    ]
+    assert (less[-1].points[:, 1] >= 1.0).all()
+    assert 0 < len(less[-1].ids) < len(rows[-1].ids)
+
+
+def test_fills_end_at_colliders_and_nothing_gets_in(simulator: Simulator) -> None:
+    """Even where a pillar goes through a pool."""
+    pillar = {
+        "shape": {"sphere": {"radius": 0.15}},
+        "at": [0.3, 0.2, 0.3],
+        "moves": [[0, 0, 0, 0], [1, 0, 0.3, 0.2]],
+    }
+    own = fluid(colliders=[TANK, pillar], spacing=0.05)
+    rows = simulator.simulate(own, FRAMES)["it"]
+    for t, row in zip(FRAMES, rows, strict=True):
+        middle = np.array([0.3, 0.2 + 0.3 * t, 0.3 + 0.2 * t])
+        assert np.linalg.norm(row.points - middle, axis=1).min() > 0.15 + 0.02
+        assert (np.abs(row.points - [0.3, 1, 0.3]) <= [0.3, 1, 0.3]).all()
+
+
+def test_viscosity_slows_shear_as_the_laplacian_says() -> None:
+    """A sine of velocities fades by exp(-nu k² t), where it is seen from all sides."""
+    points = lattice(16, 16, 16)
+    k = 2 * np.pi / 0.8
+    speeds = np.zeros_like(points)
+    speeds[:, 0] = 1e-3 * np.sin(k * points[:, 1])
+    step, nu = 0.01, 0.02
+    none = (np.zeros((0, 13)), np.stack([points, speeds]), np.zeros_like(points))
+    arrays = Colliders([]).arrays(0.0, step)
+    state, *_ = _kernels.fluid_steps(
+        arrays, np.zeros(0, np.int32), *none, 0.1, 1000.0, nu, 0.0, 5.0, step, 4
+    )
+    within = (np.abs(points - 0.8) < 0.5).all(axis=1)
+    before, after = speeds[within, 0], state[1][within, 0]
+    faded = (after @ before) / (before @ before)
+    assert -np.log(faded) / step == pytest.approx(nu * k * k, rel=0.1)
+
+
+def test_what_cannot_be_is_refused_by_name(simulator: Simulator) -> None:
+    two = np.array([[0.3, 0.3, 0.3], [0.3, 0.3, 0.3001]])
+    message = refused(simulator, fills=[{"name": "drop", "points": Point(two)}])
+    assert message.startswith("SIM064 particle 0 of 'drop' and particle 1 of 'drop'")
+    out = np.array([[0.3, 0.3, 0.3], [0.9, 0.3, 0.3]])
+    message = refused(simulator, fills=[{"points": Point(out)}])
+    assert "particle 1 of fill 0 begins 0.3 m outside the container 'tank'" in message
+    bad = np.array([[0.3, np.nan, 0.3]])
+    assert "not finite" in refused(simulator, fills=[{"points": Point(bad)}])
+    assert "SIM064" in refused(simulator, spacing=1e-6)
+    assert "are allowed" in refused(simulator, max_particles=10)
+    assert "no particle" in refused(simulator, fills=[{**POOL, "at": [9, 9, 9]}])
+    assert "SIM064" in refused(simulator, fills=[])
+    assert "SIM064" in refused(simulator, fills=[{"shape": {"plane": {}}}])
+    assert "round or rect" in refused(simulator, emitters=[{"at": [0.3, 1, 0.3]}])
+
+
+def test_what_is_squeezed_stops_by_name(simulator: Simulator) -> None:
+    """A lid that comes down on a full tank; numbers stay finite."""
+    lid = {
+        "shape": {"box": {"size": [2, 0.4, 2]}},
+        "at": [0.3, 0.8, 0.3],
+        "moves": [[0, 0, 0, 0], [0.5, 0, -0.4, 0]],
+    }
+    with pytest.raises(ToleranceError) as error:
+        simulator.simulate(fluid(colliders=[TANK, lid]), FRAMES)
+    assert error.value.faults[-1].code == "SIM108"
+
+
+def test_a_force_too_strong_for_the_step_says_so(simulator: Simulator) -> None:
+    pull = {"gravity": {"acceleration": [0, -1e9, 0]}}
+    with pytest.raises(ToleranceError) as error:
+        simulator.simulate(fluid(forces=[pull]), FRAMES)
+    assert error.value.faults[-1].code == "SIM102"
+    assert "parts" in error.value.faults[-1].message
+
+
+def test_a_blocked_nozzle_holds_back(simulator: Simulator) -> None:
+    tap = {"at": [0.3, 0.25, 0.3], "radius": 0.1, "speed": 0.5}
+    rows = simulator.simulate(fluid(emitters=[tap]), FRAMES[:4])["it"]
+    last = rows[-1].points
+    gaps = np.linalg.norm(last[:, None] - last[None], axis=2)
+    assert gaps[~np.eye(len(last), dtype=bool)].min() > 0.02
+
+
+def test_colors_go_through_their_stops() -> None:
+    color = ColorModel.model_validate(
+        {"by": "speed", "range": [0, 2], "colors": [[0, 0, 0], [1, 0, 0], [1, 1, 1]]}
+    )
+    found = colored(np.array([-1.0, 0.5, 1.0, 9.0]), color)
+    assert_allclose(found, [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [1, 1, 1]])
+
+
+def test_bounds_hold_shapes() -> None:
+    assert_allclose(bounds(Sphere(2.0, (1, 0, 0))), [[-1, -2, -2], [3, 2, 2]])
+    assert_allclose(bounds(Box((2, 4, 6))), [[-1, -2, -3], [1, 2, 3]])
+
+
+def test_a_surface_is_closed_and_has_the_volume(simulator: Simulator) -> None:
+    pytest.importorskip("skimage", reason="surfaces are made by scikit-image")
+    own = fluid(surface={}, fills=[{**POOL, "at": [0.3, 0.6, 0.3]}], colliders=[])
+    mesh = simulator.simulate(own, [0.0])["it"][0]
+    assert isinstance(mesh, MeshFrame)
+    a, b, c = mesh.points[mesh.indices.reshape(-1, 3)].swapaxes(0, 1)
+    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+    assert 0.9 < volume / (0.6 * 0.5 * 0.6) < 1.6
+    sides = np.sort(mesh.indices.reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
+    assert (np.unique(sides, axis=0, return_counts=True)[1] == 2).all()
