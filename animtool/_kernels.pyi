@@ -359,7 +359,7 @@ def curl_noise(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     Between whole times one field goes over into the next.
     """
 
-IK_GOAL_KINDS: tuple[str, ...] = ...
+IK_GOAL_KINDS: tuple[tuple[str, int, int, bool, bool], ...] = ...
 
 def place_ik_targets(targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')], frames: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], length: float) -> None:
     """

@@ -57,10 +57,12 @@ def stand_in(annotation: Any) -> Any:
     >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
     (1.0, [], 'm')
     """
-    shortest = 0
+    shortest, most = 0, 1.0
     if get_origin(annotation) is Annotated:
         annotation, *notes = get_args(annotation)
         shortest = max([getattr(note, "min_length", None) or 0 for note in notes])
+        bounds = [getattr(note, "le", None) for note in notes]
+        most = min([1.0, *(bound for bound in bounds if bound is not None)])
     models = models_of(annotation)
     if models:
         return _empty(min(models, key=lambda model: len(model.model_fields)))
@@ -73,7 +75,7 @@ def stand_in(annotation: Any) -> Any:
         return [stand_in(get_args(plain)[0])] * shortest
     if get_origin(plain) is dict:
         return {UNKNOWN: stand_in(get_args(plain)[1])} if shortest else {}
-    return {str: UNKNOWN, float: 1.0, int: 1, bool: False}.get(plain)
+    return {str: UNKNOWN, float: most, int: 1, bool: False}.get(plain)
 
 
 def takes_no_text(annotation: Any) -> bool:

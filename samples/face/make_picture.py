@@ -14,7 +14,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
 from labelled import save
-from matplotlib.figure import Figure
+from matplotlib import pyplot as plt
 
 from animtool import open_source
 from animtool.scene.face import FaceJob, solve_face
@@ -40,8 +40,7 @@ def main(out: Path) -> None:
             FaceJob(HERE / "helmet.npz", RIG, landmarks=landmarks, camera=camera)
         ).fit,
     ]
-    figure = Figure(figsize=(9, 7))
-    rows = figure.subplots(len(SHAPES), 1, sharex=True)
+    figure, rows = plt.subplots(len(SHAPES), 1, sharex=True, figsize=(9, 7))
     for row, name in zip(rows, SHAPES, strict=True):
         times = np.arange(len(keyed)) / 24
         row.plot(times, keyed[:, names.index(name)], color=KEYED, lw=4, label="clip")

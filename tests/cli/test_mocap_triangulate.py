@@ -55,7 +55,7 @@ def test_files_are_written_and_reported(capture: Path) -> None:
     ("more", "output", "code", "fault"),
     [
         (("--gate", "0"), "out.npz", 2, "CAM015"),
-        ((), "out.bvh", 2, "IO002"),
+        ((), "out.bvh", 2, "OUT004"),
         (("--cameras", "none.toml"), "out.npz", 3, "IO001"),
         (("--cameras", "stage.cameras.yaml"), "out.npz", 3, "CAM002"),
         (("--strict", "--noise", "0.01"), "out.npz", 1, "CAM1"),

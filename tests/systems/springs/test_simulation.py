@@ -751,8 +751,9 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     nothing, springs, particles = map(json.loads, lines)
     # Keys of the kinds, and those that they share, are part of the schema of scenes.
     keys = ["springs", "springs.records", "springs.spec", "springs.spec_parts"]
-    others = ["crowds", "crowds.spec", "fields", "flocks", "flocks.spec", "kinds"]
-    others += ["particles", "particles.spec", "rigid", "rigid.spec"]
+    others = ["colours", "crowds", "crowds.spec", "fields", "flocks", "flocks.spec"]
+    others += ["fluid", "fluid.spec", "kinds", "molecules", "molecules.spec", "nbody"]
+    others += ["nbody.spec", "particles", "particles.spec", "rigid", "rigid.spec"]
     assert nothing == [f"animtool.systems.{name}" for name in (*others, *keys)]
     assert "animtool.systems.springs.system" in springs
     assert "animtool.systems.particles.run" not in springs
