@@ -87,6 +87,13 @@ LIVELINK = Reader(
     ("rig", "fps", "remap", "dropped"),
 )
 
+MOT = Reader(
+    "OpenSim motion",
+    "animtool.formats.mot.read:read_mot_rig",
+    "animtool.formats.mot.read:read_mot",
+    ("rig", "fps"),
+)
+
 _OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
 _SOLVE = "animtool.mocap.solve.source:open_markers_source"
 C3D = Reader(
@@ -121,6 +128,8 @@ READERS: dict[str, Reader] = {
     ".c3d": C3D,
     ".trc": TRC,
     ".npz": ARRAYS,
+    ".mot": MOT,
+    ".sto": MOT,
 }
 
 # What OpenTimelineIO and its adapters read.

@@ -41,6 +41,8 @@ class Kind(StrEnum):
     REMAP = "remap"
     LIVELINK = "livelink"
     CAMERAS = "cameras"
+    TRAJECTORIES = "trajectories"
+    COORDINATES = "coordinates"
     BVH = "bvh"
     USD = "usd"
 

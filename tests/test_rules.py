@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support.broken_usd import BROKEN, NEAR
 from support.planted_layers import LAYERS as PLANTED_LAYERS
+from support.planted_markers import MARKERS as PLANTED_MARKERS
 from support.planted_takes import TAKES
 
 from animtool.errors import OptionError
@@ -41,6 +42,7 @@ EXAMPLES = {
     "usda": "usd/checks/test_pages.py::test_an_example_is_true",
 }
 PLANTED = "validation/motion/test_planted.py::test_a_planted_fault_is_found"
+MARKERS = "validation/rules/test_trajectories.py::test_a_planted_fault_is_found"
 LAYERS = "usd/checks/test_broken_layers.py::test_a_near_miss_has_no_finding"
 OTHERS = "usd/checks/test_usd_validators.py"
 VALIDATORS = {
@@ -64,6 +66,8 @@ def shown_in(code: str) -> list[str]:
         found.append(LAYERS)
     if code in {case.code for case in (*TAKES, *PLANTED_LAYERS)}:
         found.append(PLANTED)
+    if code in PLANTED_MARKERS:
+        found.append(MARKERS)
     if code in VALIDATORS:
         found.append(f"{OTHERS}::{VALIDATORS[code]}")
     return found

@@ -32,6 +32,8 @@ Examples:
   animtool convert walk.bvh walk.clip.yaml --reduce 0.5mm
   animtool convert shot.usda hero.bvh --prim-path /World/hero
   animtool convert take.csv face.clip.yaml
+  animtool convert walk.usdc walk.mot
+  animtool convert ik.mot walk.bvh --rig hero.rig.yaml
   animtool convert hero.rig.yaml hero.usda --physics
   animtool convert hero.usda hero.rig.yaml
   animtool convert capture.c3d capture.trc"""
@@ -42,7 +44,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@source_option("take", "dropped")
+@source_option("rig", "take", "dropped")
 @click.option(
     "--reduce",
     type=LENGTH,
@@ -68,7 +70,7 @@ Examples:
 @common_options
 @click.pass_obj
 def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
-    """Convert SOURCE to OUTPUT: BVH, USD, CSV or a clip to one of these.
+    """Convert SOURCE to OUTPUT: BVH, USD, CSV, MOT or a clip to one of these.
 
     A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
     it. Joints that came from a BVH get their channel order and names back.
@@ -98,7 +100,7 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         _rig(console, source, output, params)
         return
     options = source_options_record(
-        params, "take", "dropped", prim_path=params["prim_path"]
+        params, "rig", "take", "dropped", prim_path=params["prim_path"]
     )
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
@@ -139,7 +141,7 @@ def _markers(
 ) -> None:
     from animtool.cli.marker_files import run_on_markers
 
-    refused = ("prim_path", "take", "reduce", "reduce_at", "base", "physics")
+    refused = ("prim_path", "rig", "take", "reduce", "reduce_at", "base", "physics")
     for name in (name for name in refused if params[name]):
         option = f"--{name.replace('_', '-')}"
         raise click.UsageError(f"{option} is not for markers.")
@@ -154,7 +156,16 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
     from animtool.errors import counted
     from animtool.scene.convert_rig import convert_rig
 
-    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps", "take"):
+    for name in (
+        "reduce",
+        "reduce_at",
+        "base",
+        "units",
+        "up",
+        "source_fps",
+        "take",
+        "rig",
+    ):
         if params[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is for motion, not for a rig.")

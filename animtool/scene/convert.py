@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from animtool.clip.reduction import KEY_TOLERANCE
 from animtool.clock import Clock, FrameSpan
@@ -14,6 +14,7 @@ from animtool.documents.names import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
+from animtool.plugins import load_object
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -32,7 +33,16 @@ if TYPE_CHECKING:
     from animtool.clip.reduction.keys import Reduction
     from animtool.rig.surfaces import StoredArrays
 
-_WRITES = ".bvh, .clip.yaml, .csv, .usd, .usda, .usdc"
+_MOT = "animtool.formats.mot.write:mot_text"
+# What writes a take as text: ``module:object`` of a function from a take to its parts
+# and notices.
+_TEXTS = {
+    ".bvh": "animtool.formats.bvh.write:bvh_text",
+    ".csv": "animtool.formats.livelink.write:livelink_text",
+    ".mot": _MOT,
+    ".sto": _MOT,
+}
+_WRITES = ".bvh, .clip.yaml, .csv, .mot, .sto, .usd, .usda, .usdc"
 MAX_NAMES = 6
 
 
@@ -80,7 +90,8 @@ def convert(
 
     Args:
         source: BVH, USD or clip.
-        output: ``.bvh``, ``.csv`` (Live Link Face), ``.clip.yaml`` or a USD file.
+        output: ``.bvh``, ``.csv`` (Live Link Face), ``.mot`` or ``.sto`` (OpenSim),
+            ``.clip.yaml`` or a USD file.
         options: What the source is.
         overwrite: Replace outputs that exist.
         strict: Take warnings for errors.
@@ -133,21 +144,23 @@ def _to_text(
 ) -> ConvertReport:
     check_outputs([output], [source], overwrite=overwrite)
     from animtool.edit.resample import resampled
-    from animtool.formats.bvh.write import bvh_text
-    from animtool.formats.livelink.write import livelink_text
 
     stream = opener(source, options, progress=progress)
     take = stream.collect()
     if take.clock.step > 1:
         take = resampled(take, take.clock.fps)
-    text = bvh_text(take) if _is_bvh(output) else livelink_text(take)
+    writer = _TEXTS[output.suffix.lower()]
+    text = cast(Callable[[Take], Any], load_object(writer))(take)
     noted = [notice for notice in take.notices if notice not in stream.notices]
     notices = stream.notices + noted + text.notices
     refuse_warnings(notices, strict=strict)
     write_parts(output, text.parts)
     count = take.clock.count
-    # These files number no frames; whatever reads one begins with the first.
-    span = Clock(take.clock.rate, Fraction(1), Fraction(1), count).span
+    # Most of these files number no frames; whatever reads one begins with the first.
+    start = Fraction(1)
+    if writer == _MOT:
+        start += (take.clock.start - 1) / take.clock.step
+    span = Clock(take.clock.rate, start, Fraction(1), count).span
     joints = len(take.rig.joints)
     return ConvertReport(output, span, count, joints, notices, files=[output])
 
@@ -168,7 +181,7 @@ def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
 
 def _check_name(output: Path) -> None:
     """Refuse names of what is no take (OUT004)."""
-    if is_usd(output) or _is_bvh(output) or output.suffix.lower() == ".csv":
+    if is_usd(output) or output.suffix.lower() in _TEXTS:
         return
     if _is_clip(output):
         stated = Path(output.stem).suffix.lower().removeprefix(".")
@@ -179,10 +192,6 @@ def _check_name(output: Path) -> None:
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
     raise OptionError(Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}"))
-
-
-def _is_bvh(output: Path) -> bool:
-    return output.suffix.lower() == ".bvh"
 
 
 def _is_clip(output: Path) -> bool:

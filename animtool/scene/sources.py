@@ -86,7 +86,8 @@ class SourceOptions:
         None,
         "file",
         "--rig",
-        help="Rig of a clip, in place of the one that it names.",
+        help="Rig of a clip, in place of the one that it names; of a MOT, whose "
+        "coordinates its columns are.",
     )
     clamp: bool = option(
         False,

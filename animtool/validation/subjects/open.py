@@ -12,7 +12,17 @@ from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import unreadable
 from animtool.plugins import load_object
-from animtool.readers import BVH, DOCUMENT, LIVELINK, READERS, USD
+from animtool.readers import (
+    ARRAYS,
+    BVH,
+    C3D,
+    DOCUMENT,
+    LIVELINK,
+    MOT,
+    READERS,
+    TRC,
+    USD,
+)
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile
@@ -77,7 +87,8 @@ DOCUMENT_SUFFIXES = tuple(
     if reader is DOCUMENT
 )
 SUFFIXES = (
-    *(suffix for suffix, reader in READERS.items() if reader in (BVH, USD)),
+    # An npz or a CSV may be anything.
+    *(suffix for suffix, reader in READERS.items() if reader in (BVH, USD, C3D, TRC)),
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
@@ -94,16 +105,26 @@ _OPENERS = {
     Kind.CAMERAS: "animtool.validation.subjects.open:open_cameras",
     Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
+    Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
+    Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
+}
+# What files are that nobody writes by hand.
+_READ_AS = {
+    BVH: Kind.BVH,
+    USD: Kind.USD,
+    LIVELINK: Kind.LIVELINK,
+    C3D: Kind.TRAJECTORIES,
+    TRC: Kind.TRAJECTORIES,
+    ARRAYS: Kind.TRAJECTORIES,
+    MOT: Kind.COORDINATES,
 }
 
 
 def open_file(path: Path) -> CheckedFile:
     """Return a file as rules look at it, with every fault of its reader."""
     reader = READERS.get(path.suffix.lower())
-    if reader is BVH or reader is USD:
-        return _open(Kind.BVH if reader is BVH else Kind.USD, path)
-    if reader is LIVELINK:
-        return _open(Kind.LIVELINK, path)
+    if reader in _READ_AS:
+        return _open(_READ_AS[reader], path)
     if reader is None and not path.exists():
         raise unreadable(path, "does not exist")
     if reader is not DOCUMENT:

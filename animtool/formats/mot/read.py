@@ -1,0 +1,215 @@
+"""An OpenSim motion file as a take."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, OptionError, Severity, naming
+from animtool.formats.mot.coordinates import (
+    Coordinate,
+    own_rig,
+    plain_name,
+    rows_to_coordinates,
+    spellings,
+)
+from animtool.formats.mot.table import MotionTable, check_once, read_table
+from animtool.ik.sub_rig import following
+from animtool.motion import Channel, Motion
+from animtool.rates import (
+    HIGHEST_WRITTEN_RATE,
+    LOWEST_WRITTEN_RATE,
+    FractionLike,
+    rate_from_float,
+    rate_option,
+)
+from animtool.rig.joints import local_from_coordinates
+from animtool.rig.skeleton import Rig
+from animtool.similar import similar
+from animtool.take import TakeStream
+from animtool.units import unit_name
+
+# How far times may be off even ones, beside the rounding of their last place, as a
+# share of the time between rows: what adding up a step in float64 or float32 gives.
+EVEN = 1e-3
+# Frames that rows at uneven times may become, for each of them. More are gaps, and
+# filling these would be inventing motion.
+MOST_FRAMES = 10
+# Of a first frame beyond this number the time is no time of a take.
+LAST_START = 1e9
+
+
+def read_mot(
+    path: Path | str,
+    *,
+    rig: Path | str | None = None,
+    fps: FractionLike | None = None,
+) -> TakeStream:
+    """Open an OpenSim motion file (MOT, STO) as a take.
+
+    Columns are coordinates of a rig by name, see
+    `animtool.formats.mot.coordinates.spellings`: angles in degrees or radians, as the
+    header says, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
+    Rows at uneven times become even by straight lines between them.
+
+    Args:
+        path: The file.
+        rig: The rig that it is for; None is one of its own, a joint for each column.
+        fps: Rows a second, where the times are wrong; None is what the times say.
+
+    Raises:
+        FormatError: The file is malformed (MOF001 to MOF006).
+        OptionError: The rig has none of its coordinates (MOF007), or ``fps`` is no
+            rate (SCN022).
+    """
+    path = Path(path)
+    given = None if fps is None else rate_option(fps)
+    table = read_table(path)
+    notices = list(table.notices)
+    target = _own(table) if rig is None else Rig.load(Path(rig))
+    at, columns, lost = _matched(table, target)
+    if rig is None:
+        message = "has no rig: each coordinate became a joint of its own"
+        hint = "--rig names the rig whose coordinates they are"
+        notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
+    elif lost:
+        message = f"{len(lost)} columns are no coordinates of {target.name!r}: "
+        hint = "columns have the names of joints: knee.angle, lift.slide, hip_x"
+        warning = Severity.WARNING
+        notices.append(naming("MOF102", message, lost, str(path), hint, warning))
+    degrees = table.degrees
+    if degrees is None:
+        degrees = False
+        message = "does not say inDegrees: radians are assumed, as OpenSim does"
+        hint = "write inDegrees=yes or no in its header"
+        warning = Severity.WARNING
+        notices.append(Fault("MOF107", message, str(path), (), hint, warning))
+    values = _filled(table.values[:, at], table.times)
+    if not degrees:
+        turning = [one.turns for one in columns]
+        values[:, turning] = np.degrees(values[:, turning])
+    rate, values, odd = _even(table, values, given)
+    motion = _motion(target, columns, values)
+    details: dict[str, object] = {
+        "format": "OpenSim motion",
+        "columns": len(table.names),
+        "coordinates": len(columns),
+        "angles": "degrees" if degrees else "radians",
+        "first_time": float(table.times[0]),
+        "units": unit_name(target.meters_per_unit),
+    }
+    if rig is not None:
+        details["rig"] = str(rig)
+        notices = [*target.notices, *notices]
+    first = float(table.times[0]) * float(rate)
+    start = Fraction(round(first) + 1) if abs(first) < LAST_START else None
+    return TakeStream(
+        target, rate, start, Fraction(1), iter([motion]), [*notices, *odd], details
+    )
+
+
+def read_mot_rig(path: Path) -> Rig:
+    """Return a rig with a joint for each coordinate of a motion file."""
+    return _own(read_table(path))
+
+
+def _own(table: MotionTable) -> Rig:
+    names = dict.fromkeys(filter(None, map(plain_name, table.names)))
+    if not names:
+        message = "has no column that is a coordinate"
+        raise FormatError(Fault("MOF002", message, str(table.path)))
+    return own_rig(table.path.stem, list(names))
+
+
+def _matched(
+    table: MotionTable, rig: Rig
+) -> tuple[list[int], list[Coordinate], list[str]]:
+    """Return the columns that the rig has, what they are, and the names of others."""
+    known = spellings(rig)
+    at, columns, lost = [], [], []
+    for c, name in enumerate(table.names):
+        one = known.get(plain_name(name) or "")
+        if one is None:
+            lost.append(name)
+        else:
+            at.append(c)
+            columns.append(one)
+    if not columns:
+        message = f"{rig.name!r} has no coordinate of this file, such as {lost[0]!r}"
+        near = similar(lost[0], known)
+        hint = f"did you mean {near}?" if near else "columns have the names of joints"
+        raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
+    check_once(table.path, tuple(columns), tuple(table.names[c] for c in at), None)
+    return at, columns, lost
+
+
+def _filled(values: FloatArray, times: FloatArray) -> FloatArray:
+    """Return values ``(R, C)``, missing ones put in between; of none, 0."""
+    made = values.copy()
+    for column in made.T:
+        there = np.isfinite(column)
+        if not there.all():
+            found = there.any()
+            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
+    return made
+
+
+def _even(
+    table: MotionTable, values: FloatArray, given: Fraction | None
+) -> tuple[Fraction, FloatArray, list[Fault]]:
+    """Return the rate, and values at even times."""
+    times, path = table.times, str(table.path)
+    if given is not None:
+        return given, values, []
+    if len(times) == 1:
+        message, hint = "has one row, which has no rate", "--source-fps gives the rate"
+        raise FormatError(Fault("MOF006", message, path, (), hint))
+    span = float(times[-1] - times[0])
+    step = span / (len(times) - 1)
+    rounding = 0.5 * 10.0**-table.decimals
+    line = times[0] + step * np.arange(len(times))
+    off = float(np.abs(times - line).max())
+    if off <= EVEN * step + 3 * rounding:
+        return _rate(path, step, rounding, len(times)), values, []
+    steps = np.sort(np.diff(times))
+    usual = float(steps[(len(steps) - 1) // 2])
+    rate = _rate(path, usual, rounding, 2)
+    count = span * float(rate) + 1
+    if count > MOST_FRAMES * len(times):
+        message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
+        hint = "--source-fps takes the rows as they come"
+        raise FormatError(Fault("MOF006", message, path, (), hint))
+    at = times[0] + np.arange(int(count + EVEN)) / float(rate)
+    made = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
+    message = (
+        f"times are uneven, up to {off:.3g} s off: read at {float(rate):g} fps, with "
+        "straight lines between rows"
+    )
+    hint = "--source-fps takes the rows as they come"
+    return rate, made, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
+
+
+def _rate(path: str, step: float, rounding: float, rows: int) -> Fraction:
+    """Return the rate of a step [s] whose times are rounded."""
+    rate = 1.0 / step if step > 0 else np.inf
+    if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
+        message = f"has a row every {step:g} s"
+        hint = "--source-fps gives the rate"
+        raise FormatError(Fault("MOF006", message, path, (), hint))
+    # The nearest whole rate that the printed times leave open.
+    whole = round(rate)
+    if whole and abs(1.0 / whole - step) <= 2 * rounding / (rows - 1):
+        return Fraction(whole)
+    return rate_from_float(rate)
+
+
+def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
+    made = rows_to_coordinates(rig, columns, values)
+    moved = {rig.joints[one.joint].name for one in columns}
+    local = local_from_coordinates(rig, following(rig, made, moved))
+    return Motion(
+        Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
+    )

@@ -1,0 +1,168 @@
+"""A take as an OpenSim motion file (MOT, STO)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, Severity, listed, naming
+from animtool.formats.mot.coordinates import (
+    Coordinate,
+    column_names,
+    coordinates_of,
+    rows_of_coordinates,
+    rows_to_coordinates,
+)
+from animtool.maths import so3
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinates_from_local,
+    local_from_coordinates,
+)
+from animtool.rig.skeleton import Rig
+from animtool.take import Take
+
+# A nanometre, and 2e-11 radians.
+DECIMALS = 9
+ROWS_AT_ONCE = 4096
+# What joints may lose [m, rad]: a micrometre, or one on a bone of a metre.
+LOST = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class MotText:
+    """The parts of a motion file."""
+
+    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
+    notices: list[Fault]  # what the format cannot hold
+
+
+def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
+    """Write a take as an OpenSim motion file; see `mot_text`.
+
+    Args:
+        take: What to write.
+        path: ``.mot`` or ``.sto``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold.
+
+    Raises:
+        OptionError: The rig has no joint that moves (MOF008), or the file exists
+            (OUT001).
+        OutputError: The file cannot be written (OUT002).
+    """
+    from animtool.output import check_outputs, write_parts
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    text = mot_text(take)
+    write_parts(path, text.parts)
+    return text.notices
+
+
+def mot_text(take: Take) -> MotText:
+    """Return a take as joint coordinates over time, in degrees and metres.
+
+    A pin or prismatic joint has a column of its name. A ball has ``hip_x``, ``hip_y``
+    and ``hip_z``: turns about X, then the new Y, then the new Z. A free joint has
+    ``hip_tx``, ``hip_ty`` and ``hip_tz`` too, unless it never leaves its rest offset.
+    Frame 1 is time 0.
+    """
+    rig = take.rig
+    columns = coordinates_of(rig)
+    if not columns:
+        message = f"{rig.name!r} has no joint that moves, and a MOT holds coordinates"
+        raise OptionError(Fault("MOF008", message))
+    translations, rotations, scales = take.motion.dense()
+    local = LocalTransforms(translations, rotations)
+    made = coordinates_from_local(rig, local)
+    values = rows_of_coordinates(rig, columns, made)
+    still = {
+        j
+        for j in {one.joint for one in columns if one.part == "translation"}
+        if not np.round(values[:, _translations(columns, j)], DECIMALS).any()
+    }
+    kept = [
+        c
+        for c, one in enumerate(columns)
+        if one.part != "translation" or one.joint not in still
+    ]
+    columns = [columns[c] for c in kept]
+    values = values[:, kept]
+    notices = _lost(take, columns, values, local, scales)
+    rate = float(take.clock.rate)
+    begin = float((take.clock.start - 1) / take.clock.fps)
+    times = begin + np.arange(take.clock.count) / rate
+    return MotText(_parts(rig, columns, times, values), notices)
+
+
+def _translations(columns: list[Coordinate], joint: int) -> list[int]:
+    return [
+        c
+        for c, one in enumerate(columns)
+        if one.joint == joint and one.part == "translation"
+    ]
+
+
+def _parts(
+    rig: Rig, columns: list[Coordinate], times: FloatArray, values: FloatArray
+) -> Iterator[bytes]:
+    names = [
+        "_".join(name.replace(",", " ").split()) for name in column_names(rig, columns)
+    ]
+    head = [
+        "Coordinates",
+        "version=1",
+        f"nRows={len(times)}",
+        f"nColumns={len(names) + 1}",
+        "inDegrees=yes",
+        "endheader",
+        "\t".join(["time", *names]),
+    ]
+    yield ("\n".join(head) + "\n").encode()
+    places = np.full(len(names) + 1, DECIMALS, np.int64)
+    for begin in range(0, len(times), ROWS_AT_ONCE):
+        part = slice(begin, begin + ROWS_AT_ONCE)
+        rows = np.ascontiguousarray(np.column_stack([times[part], values[part]]))
+        yield _kernels.format_bvh_rows(rows, places).replace(b" ", b"\t")
+
+
+def _lost(
+    take: Take,
+    columns: list[Coordinate],
+    values: FloatArray,
+    local: LocalTransforms,
+    scales: FloatArray | None,
+) -> list[Fault]:
+    """Return warnings of what the file has no place for."""
+    rig, warning = take.rig, Severity.WARNING
+    again = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
+    shift = np.abs(again.translations - local.translations).max(axis=(0, 2), initial=0)
+    turn = so3.multiply(so3.conjugate(again.rotations), local.rotations)
+    angle = 2 * np.abs(turn[..., :3]).max(axis=(0, 2), initial=0)
+    bent = [rig.joints[j].name for j in np.flatnonzero(np.maximum(shift, angle) > LOST)]
+    notices = []
+    if bent:
+        message = "joints do what their type cannot, which is left out: "
+        hint = "free joints in the rig hold all that a joint does"
+        notices.append(naming("MOF108", message, bent, None, hint, warning))
+    lost = []
+    if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOST:
+        lost.append("scales")
+    weights = take.motion.weights
+    if weights is not None and (weights.rest.any() or weights.values.any()):
+        lost.append("weights of shapes")
+    lost += [track.path for track in take.tracks]
+    lost += list(take.motion.points)
+    if lost:
+        message = f"a MOT has no place for {listed(lost)}: left out"
+        hint = "write USD too, which holds them"
+        notices.append(Fault("MOF109", message, None, (), hint, warning))
+    return notices

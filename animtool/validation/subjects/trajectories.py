@@ -1,0 +1,41 @@
+"""Files of markers and of joint coordinates as their rules see them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from animtool.errors import Fault
+from animtool.markers import Markers
+from animtool.rules import Kind
+from animtool.validation.subjects.subject import CheckedFile
+
+
+@dataclass(frozen=True, eq=False)
+class MarkersSubject:
+    """Markers, and the file that they were read from."""
+
+    path: Path  # the file
+    markers: Markers  # all of it
+
+    def fault(
+        self, code: str, message: str, hint: str | None = None, where: str | None = None
+    ) -> Fault:
+        """Return a fault of the file, or of a marker of it."""
+        return Fault(code, message, str(self.path), (), hint, where=where)
+
+
+def open_trajectories(path: Path) -> CheckedFile:
+    """Return a C3D, TRC or npz file of markers, every frame read."""
+    from animtool.formats.marker_files import open_markers
+
+    markers = open_markers(path)
+    faults = [f if f.path else replace(f, path=str(path)) for f in markers.notices]
+    return CheckedFile(Kind.TRAJECTORIES, faults, MarkersSubject(path, markers))
+
+
+def open_coordinates(path: Path) -> CheckedFile:
+    """Return what is wrong with a MOT or STO file."""
+    from animtool.scene.sources import open_source
+
+    return CheckedFile(Kind.COORDINATES, list(open_source(path).notices))
