@@ -19,27 +19,76 @@ from animtool.mocap.markers.fill_options import FillOptions
 Examples:
   animtool mocap fill take.c3d -o whole.c3d
   animtool mocap fill take.trc -o whole.npz --longest 0.5
+  animtool mocap fill take.c3d -o whole.c3d --template ann.markers.yaml
+      --static tpose.c3d
   animtool mocap fill take.c3d -o clean.c3d --gaps keep --format json"""
 )
 @click.argument("markers", type=INPUT)
 @output_option
+@click.option(
+    "--template",
+    type=INPUT,
+    metavar="FILE",
+    help="Fill gaps by the skeleton: where the markers are on its rig (.markers.yaml), "
+    "to a few centimetres.",
+)
+@click.option(
+    "--rig",
+    type=INPUT,
+    metavar="RIG",
+    help="That rig, of about the subject's build: a rig file, USD file or BVH.  "
+    "[default: the template's]",
+)
+@click.option(
+    "--static",
+    type=INPUT,
+    metavar="FILE",
+    help="Of the skeleton: markers of the subject standing in about the rest pose.",
+)
 @record_option(FillOptions)
 @marker_options
 @click.pass_obj
-def fill(console: Console, /, markers: Path, output: Path, **given: Any) -> None:
+def fill(
+    console: Console,
+    /,
+    markers: Path,
+    output: Path,
+    template: Path | None,
+    rig: Path | None,
+    static: Path | None,
+    **given: Any,
+) -> None:
     """Repair swapped names and spikes of MARKERS, and fill gaps.
 
-    MARKERS is a C3D, TRC or npz file with named markers. Gaps up to 50 ms are filled by
-    a curve, longer ones by the other markers; a last position is never held. What was
-    filled is marked in C3D and npz files.
+    MARKERS is a C3D, TRC or npz file with named markers. With a template, gaps are
+    filled by the skeleton, whose bones and poses are fitted to the take. Without, those
+    up to 50 ms are filled by a curve, longer ones by the other markers. A last position
+    is never held. What was filled is marked in C3D and npz files.
     """
+    for option, path in (("--rig", rig), ("--static", static)):
+        if path is not None and template is None:
+            raise click.UsageError(f"{option} is of a skeleton: give --template too.")
 
-    def work(read: Any) -> tuple[Any, Any]:
+    def work(read: Any, still: Any = None) -> tuple[Any, Any]:
         from animtool.mocap.markers.fill import fill as run_fill
 
-        return run_fill(read, FillOptions(**read_values(FillOptions, given)))
+        options = FillOptions(**read_values(FillOptions, given))
+        if template is None:
+            return run_fill(read, options)
+        from animtool.mocap.markers.skeleton import Subject
+        from animtool.mocap.solve.source import at_file, named_rig
+        from animtool.mocap.template.file import load_template
+        from animtool.scene.onto_rig import open_rig
 
-    run_on_markers(console, "fill", (markers,), output, given, work, _said)
+        loaded = load_template(template)
+        wearer, notices = open_rig(named_rig(loaded, rig, template))
+        subject = Subject(wearer, loaded, still)
+        made, report = at_file(markers, lambda: run_fill(read, options, subject))
+        report.notices[:0] = notices
+        return made, report
+
+    sources = (markers,) if static is None else (markers, static)
+    run_on_markers(console, "fill", sources, output, given, work, _said)
 
 
 def _said(report: Any) -> list[str]:
@@ -56,7 +105,12 @@ def _said(report: Any) -> list[str]:
             f"  spike: {spike.marker} by {1000 * spike.size:.0f} mm in {where}"
         )
     methods = Counter(gap.method for gap in report.gaps)
-    words = {"curve": "by a curve", "markers": "by other markers", "": "left"}
+    words = {
+        "skeleton": "by the skeleton",
+        "curve": "by a curve",
+        "markers": "by other markers",
+        "": "left",
+    }
     parts = [f"{methods[m]} {words[m]}" for m in words if methods[m]]
     gaps = counted(len(report.gaps), "gap")
     lines.append(f"  {gaps}" + (f": {', '.join(parts)}" if parts else ""))

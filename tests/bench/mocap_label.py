@@ -8,18 +8,24 @@ CPU seconds of one thread; a row a cloud in ``results/mocap_label.csv``.
 from __future__ import annotations
 
 import csv
+import json
 import os
 import platform
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from support.mocap_skeleton import rig_of, template_of
+
 from animtool.formats.marker_files import open_markers
 from animtool.mocap.markers.fill import fill
 from animtool.mocap.markers.label import label
+from animtool.mocap.markers.skeleton import Subject
 
-RESULTS = Path(__file__).with_name("results") / "mocap_label.csv"
+RESULTS = Path(__file__).parent / "results" / "mocap_label.csv"
 ROUNDS = 3
 
 
@@ -30,12 +36,15 @@ def main() -> None:
         Path(os.environ["ANIMTOOL_DATA"], "mocap").glob("cloud_*.truth.npz")
     ):
         path = truth.with_name(truth.name.replace(".truth", ""))
+        generic = json.loads(path.with_name("template_skeleton.json").read_text())
         cloud, static, named = (
             open_markers(f"{path}#{name}")
             for name in ("unlabelled_mm", "static_mm", "markers_mm")
         )
         labelling = best(lambda c=cloud, s=static: label(c, s))
         filling = best(lambda m=named: fill(m))
+        subject = Subject(rig_of(generic, "generic"), template_of(generic), static)
+        solved = best(lambda m=named, s=subject: fill(m, subject=s))
         rows.append(
             {
                 "cloud": path.stem,
@@ -44,6 +53,8 @@ def main() -> None:
                 "label_frames_s": round(len(cloud) / labelling),
                 "fill_cpu_s": round(filling, 3),
                 "fill_frames_s": round(len(named) / filling),
+                "skeleton_cpu_s": round(solved, 3),
+                "skeleton_frames_s": round(len(named) / solved),
                 "machine": platform.processor() or platform.machine(),
                 "numpy": np.__version__,
             }

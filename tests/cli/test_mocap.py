@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.cli import animtool
+from support.marked import FIGURE, TEMPLATE, captured, column, moving
 
 from animtool import open_source
 from animtool.clock import Clock
+from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.template.template import template_text
 from animtool.passes import find_pass
+from animtool.rig.write import rig_text
 from animtool.scene.passed import convert_passed
 
 WALK = "samples/walk/walk.bvh"
@@ -104,6 +109,46 @@ def test_gaps_are_filled_and_listed(tmp_path: Path) -> None:
     again = animtool("mocap", "fill", source, "-o", output)
     assert again.code == 2
     assert "OUT001" in again.stderr
+
+
+def test_gaps_are_filled_by_a_skeleton(tmp_path: Path) -> None:
+    (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
+    text = template_text(TEMPLATE, "all", "f.rig.yaml")
+    (tmp_path / "f.markers.yaml").write_text(text, "utf-8")
+    markers = captured(moving(150, 100, 3), 100).markers
+    markers.positions[60:90, column("LWRA")] = np.nan
+    write_marker_arrays(markers, tmp_path / "take.npz")
+    command = ("mocap", "fill", "take.npz", "-o", "whole.c3d")
+    done = animtool(*command, "--template", "f.markers.yaml", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "1 gap: 1 by the skeleton" in done.stderr
+    assert open_markers(tmp_path / "whole.c3d").seen.all()
+    for option in ("--rig", "--static"):
+        done = animtool(*command, option, "take.npz", cwd=tmp_path)
+        assert done.code == 2
+        assert "give --template too" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("rig", "names", "code"), [("", None, "SOL008"), ("f.rig.yaml", "Q{}", "SOL001")]
+)
+def test_a_skeleton_that_does_not_fit(
+    tmp_path: Path, rig: str, names: str | None, code: str
+) -> None:
+    (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
+    text = template_text(TEMPLATE, "all", rig or None)
+    (tmp_path / "f.markers.yaml").write_text(text, "utf-8")
+    markers = captured(moving(60, 100, 3), 100).markers
+    markers.positions[20:40, 3] = np.nan
+    if names is not None:
+        renamed = tuple(names.format(i) for i in range(len(markers.names)))
+        markers = replace(markers, names=renamed)
+    write_marker_arrays(markers, tmp_path / "take.npz")
+    command = ("mocap", "fill", "take.npz", "-o", "a.npz", "--template")
+    done = animtool(*command, "f.markers.yaml", cwd=tmp_path)
+    assert done.code == 2
+    assert code in done.stderr
+    assert not (tmp_path / "a.npz").exists()
 
 
 def test_points_are_named_by_the_command(tmp_path: Path) -> None:

@@ -11,23 +11,31 @@ import numpy as np
 import pytest
 from support.c3d_bytes import read_points
 from support.data import data_files
+from support.mocap_skeleton import rig_of, template_of
 
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
 from animtool.mocap.markers.fill import FillReport, fill
 from animtool.mocap.markers.label import label
+from animtool.mocap.markers.skeleton import Subject
 
 # Recall and precision of names; of spikes, and of frames with swapped names.
 NAMED, FOUND = 0.995, 0.95
-# RMS of filled positions by kind of gap that is aimed at [mm]. Takes that do not repeat
-# themselves, without a skeleton, come to several times as much.
+# RMS of filled positions by kind of gap that is aimed at [mm].
 TARGETS = {"short": 1.2, "medium": 5.0, "long": 10.0, "segment": 3.0}
-WORST = 5.5
+# What it comes to, by skeleton and without, and a tenth. The short gaps that miss 1.2
+# with a skeleton are in the midst of a long gap of the same marker. Without one, takes
+# that do not repeat themselves say little of a marker that is alone.
+WITH = TARGETS | {"short": 1.43}
+WITHOUT = {"short": 3.0, "medium": 14.3, "long": 13.2, "segment": 17.3}
 
 
 Record = Callable[[str, object], None]
 NAMES = "Labelling: cloud, precision, recall, runs, points rejected"
-GAPS = "Filling: cloud, RMS by kind of gap and its target [mm], precision and recall"
+GAPS = (
+    "Filling: cloud, predictor, RMS by kind of gap and its target [mm], precision and "
+    "recall"
+)
 
 
 def clouds() -> list[Any]:
@@ -81,23 +89,33 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     assert min(precision, recall) >= NAMED
 
 
-@pytest.mark.slow(seconds=6)
+@pytest.mark.slow(seconds=8)
+@pytest.mark.parametrize("predictor", ["skeleton", "markers"])
 @pytest.mark.parametrize("truth", clouds())
-def test_swaps_spikes_and_gaps(truth: Path, record_property: Record) -> None:
+def test_swaps_spikes_and_gaps(
+    truth: Path, predictor: str, record_property: Record
+) -> None:
     path = cloud_of(truth)
     markers = open_markers(path)
-    whole, report = fill(markers)
+    subject, most = None, WITHOUT
+    if predictor == "skeleton":
+        generic = truth.with_name("template_skeleton.json").read_text("utf-8")
+        joints = json.loads(generic)
+        static = open_markers(f"{path}#static_mm")
+        subject = Subject(rig_of(joints, "generic"), template_of(joints), static)
+        most = WITH
+    whole, report = fill(markers, subject=subject)
     known = json.loads(truth.with_suffix(".json").read_text())
     found = {"swaps": _swaps(report, known, markers), "spikes": _spikes(report, known,
              markers)}  # fmt: skip
     errors = _errors(whole, known, np.load(truth)["markers_mm"])
     text = ", ".join(f"{kind} {rms:.2f}/{TARGETS[kind]} mm" for kind, rms in errors)
     shares = " ".join(f"{k} {p:.3f} {r:.3f}" for k, (p, r) in found.items())
-    record_property(GAPS, f"  {path.stem:20} {text}; {shares}")
+    record_property(GAPS, f"  {path.stem:14} {predictor:8} {text}; {shares}")
     for precision, recall in found.values():
         assert min(precision, recall) >= FOUND
     for kind, rms in errors:
-        assert rms <= WORST * TARGETS[kind], kind
+        assert rms <= most[kind], kind
     held = whole.filled
     assert held is not None
     assert held.any(axis=0).any()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +12,12 @@ from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.markers.fill_options import FillOptions
 from animtool.mocap.markers.geometry import distances
-from animtool.mocap.markers.predict import predict
+from animtool.mocap.markers.predict import follow, predict
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
+
+if TYPE_CHECKING:
+    from animtool.mocap.markers.skeleton import Carried, Subject
 
 # Up to this long a curve through the frames around is as good as anything [s].
 CURVE_SECONDS = 0.05
@@ -31,8 +34,8 @@ class FilledGap:
         marker: Its name.
         first: First frame without a position, from 0.
         last: Last frame.
-        method: ``curve`` by the frames around, ``markers`` by the other markers, or
-            empty where it was left.
+        method: ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by
+            the other markers, or empty where it was left.
     """
 
     marker: str
@@ -77,22 +80,32 @@ class FillReport:
 
 
 def fill(
-    markers: Markers, options: FillOptions | None = None
+    markers: Markers,
+    options: FillOptions | None = None,
+    subject: Subject | None = None,
 ) -> tuple[Markers, FillReport]:
     """Return markers without swaps, spikes and gaps, as far as they can be told.
 
-    Gaps up to 50 ms are filled by a curve through the frames around them. Longer ones
-    are filled by the other markers: where those most rigid with a marker are, and how
-    it moves with their pose in the frames in which it is seen. A gap in which fewer
+    With a subject, gaps are filled by its skeleton: where that has the marker, and how
+    far it is off there before the gap and behind. The other gaps, and all without a
+    subject, are filled by a curve through the frames around them, up to 50 ms. Longer
+    ones are filled by the other markers: where those most rigid with a marker are, and
+    how it moves with their pose in the frames in which it is seen. A gap in which fewer
     than three other markers are seen, or one at an end of the take without enough to
     learn from, is left; a last position is never held.
 
     Each gap is filled from the frames within six seconds of it. Which markers are most
-    rigid with each other is taken from the whole take, and so are swaps.
+    rigid with each other is taken from the whole take, and so are swaps and skeleton.
 
     Args:
         markers: Named trajectories; points without a label stay as they are.
         options: What to repair.
+        subject: Who wears the markers; its template says which of them the skeleton
+            tells. In frames with fewer than three it tells nothing.
+
+    Raises:
+        OptionError: The markers do not fit the subject, as of
+            `animtool.mocap.solve.calibrate`.
 
     >>> from animtool.clock import Clock
     >>> path = np.zeros((9, 1, 3)) + np.arange(9.0)[:, None, None]
@@ -111,8 +124,16 @@ def fill(
         markers = without_spikes(markers, spikes)
     positions = markers.positions
     gaps: list[FilledGap] = []
+    notices: list[Fault] = []
+    labelled = [not name.startswith("*") for name in markers.names]
     if not options.keep_gaps:
-        positions, gaps = _filled(markers, options.longest)
+        skeleton = None
+        if subject is not None and not markers.seen[:, labelled].all():
+            from animtool.mocap.markers.skeleton import carried
+
+            skeleton = carried(markers, subject)
+            notices += skeleton.notices
+        positions, gaps = _filled(markers, options.longest, skeleton)
     was_seen = markers.seen
     now = np.asarray(np.isfinite(positions).all(axis=-1))
     filled = now & ~was_seen
@@ -121,9 +142,7 @@ def fill(
     made = replace(
         markers, positions=positions, filled=filled if filled.any() else None
     )
-    labelled = [not name.startswith("*") for name in markers.names]
     left = int((~now[:, labelled]).sum())
-    notices = []
     if left and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
@@ -137,11 +156,12 @@ def fill(
 
 
 def _filled(
-    markers: Markers, longest: float | None
+    markers: Markers, longest: float | None, skeleton: Carried | None
 ) -> tuple[FloatArray, list[FilledGap]]:
     """Return positions without gaps, shorter gaps filled first, and the gaps."""
     positions = markers.positions.copy()
-    seen = np.asarray(np.isfinite(positions).all(axis=-1))
+    measured = np.asarray(np.isfinite(positions).all(axis=-1))
+    seen = measured.copy()
     rate = float(markers.clock.rate)
     spread = distances(positions).spread
     found = []
@@ -150,11 +170,12 @@ def _filled(
         path: FloatArray | None = None
         method = ""
         if longest is None or length <= longest * rate:
-            if length <= CURVE_SECONDS * rate + 1e-9:
-                path, method = (
-                    _curve(positions[:, marker], seen[:, marker], gap),
-                    "curve",
-                )
+            if skeleton is not None and skeleton.tells(marker, gap):
+                method = "skeleton"
+                path = follow(skeleton, positions, measured, marker, gap, rate)
+            elif length <= CURVE_SECONDS * rate + 1e-9:
+                method = "curve"
+                path = _curve(positions[:, marker], seen[:, marker], gap)
             if path is None:
                 made = predict(positions, seen, marker, gap, spread[marker], rate)
                 path = None if made is None else made.positions

@@ -1,4 +1,4 @@
-"""Where a marker is that was not seen, by the markers around it and their pose.
+"""Where a marker is that was not seen: by the markers around it, or by a skeleton.
 
 References:
     Rasmussen, C. E. and Williams, C. K. I., "Gaussian Processes for Machine Learning",
@@ -12,11 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.mocap.markers.geometry import fitted, mean_shape
+
+if TYPE_CHECKING:
+    from animtool.mocap.markers.skeleton import Carried
 
 # Frames on either side of a gap that show how a marker moves with the others [s].
 WINDOW = 6.0
@@ -29,6 +33,8 @@ FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 NOISE = 0.0005
 # How a marker strays from where the pose has it [m], and for how long [s].
 STRAYS = ((0.004, 0.12), (0.03, 0.35))
+# The same of where a skeleton has it: not at all, or as skin moves.
+SKIN = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # How much of the pose changes before what was learnt is forgotten, of its spread [1];
 # 0 is never: a marker moves with the pose in straight lines.
 REACHES = (0.0, 1.0, 3.0)
@@ -92,6 +98,42 @@ def predict(
                     best = (off, back(found))
     assert best is not None
     return Prediction(best[1], near)
+
+
+def follow(
+    skeleton: Carried,
+    positions: FloatArray,
+    seen: BoolArray,
+    marker: int,
+    gap: slice,
+    rate: float,
+) -> FloatArray:
+    """Return where a marker is in a gap that a skeleton tells ``(G, 3)`` [m].
+
+    That is where the skeleton has it, and what the marker is off there: a Gaussian
+    process over time, in the frame of its joint, that joins the ends. How far and how
+    fast skin strays is what predicts spans best that are left out.
+
+    positions: ``(F, M, 3)`` [m]. seen: Measured ones ``(F, M)``. rate: [frame/s].
+    """
+    training = _training(seen, marker, gap, np.zeros(0, np.int64), rate)
+    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
+    turns, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
+    places, known = points[:, marker], len(training)
+    off = np.einsum(
+        "fji,fj->fi", turns[:known], positions[training, marker] - places[:known]
+    )
+    found = np.zeros((gap.stop - gap.start, 3))
+    least = np.inf
+    nothing = np.zeros((len(frames), 0))
+    for stray, time in SKIN if known >= MIN_TRAINING else ():
+        kernel = _kernel(nothing, frames / rate, REACHES[0], stray, time, off)
+        missed, made = _regressed(off, kernel, frames, gap)
+        if missed < least:
+            least, found = missed, made
+    return np.asarray(
+        places[known:] + np.einsum("fij,fj->fi", turns[known:], found), np.float64
+    )
 
 
 def _near(seen: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:

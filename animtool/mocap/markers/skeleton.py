@@ -1,0 +1,92 @@
+"""Where markers would be if they were fixed to a skeleton that is solved to a take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
+from animtool.markers import Markers
+from animtool.maths import so3
+from animtool.mocap.solve import SolveOptions, calibrate, solve_markers
+from animtool.mocap.template.template import MarkerTemplate
+from animtool.rig.skeleton import Rig
+from animtool.units import up_from_up
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Who wears the markers.
+
+    Attributes:
+        rig: A rig of about the subject's build.
+        template: Where the markers are on it, to a few centimetres.
+        static: A take of the subject standing in about the rest pose, if there is one.
+        options: How to solve.
+    """
+
+    rig: Rig
+    template: MarkerTemplate
+    static: Markers | None = None
+    options: SolveOptions = field(default_factory=SolveOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """The M markers of F frames, as the joints of a skeleton carry them.
+
+    Attributes:
+        positions: ``(F, M, 3)`` [m], in the world of the take; NaN for markers that
+            the template lacks.
+        rotations: Of the joints that carry them ``(F, M, 3, 3)``.
+        known: Frames with markers enough to tell the pose ``(F,)``.
+        notices: What calibration and solve say.
+    """
+
+    positions: FloatArray
+    rotations: FloatArray
+    known: BoolArray
+    notices: tuple[Fault, ...]
+
+    def tells(self, marker: int, frames: slice) -> bool:
+        """Return whether the skeleton says where a marker is in all of some frames."""
+        has = np.isfinite(self.positions[frames, marker]).all()
+        return bool(has and self.known[frames].all())
+
+
+def carried(markers: Markers, subject: Subject) -> Carried:
+    """Return the markers of a take on the skeleton of a subject.
+
+    Bones and offsets are calibrated to the take, and then its poses are solved.
+
+    Raises:
+        OptionError: As of `animtool.mocap.solve.calibrate`.
+    """
+    found = calibrate(
+        markers,
+        subject.rig,
+        subject.template,
+        static=subject.static,
+        options=subject.options,
+    )
+    solve = solve_markers(markers, found.rig, found.template, subject.options)
+    take = solve.take()
+    world, model = take.world(), solve.model
+    turned = np.einsum("feij,ej->fei", world.linear[:, model.joints], model.offsets)
+    points = world.positions[:, model.joints] + turned
+    rotations = world.rotations[:, model.joints]
+    turn = up_from_up(model.rig.up, markers.up)
+    if turn is not None:
+        back = so3.conjugate(np.array(turn))
+        points, rotations = so3.rotate(back, points), so3.multiply(back, rotations)
+    shape = len(markers), len(markers.names)
+    positions = np.full((*shape, 3), np.nan)
+    matrices = np.full((*shape, 3, 3), np.nan)
+    positions[:, model.columns] = points
+    matrices[:, model.columns] = so3.to_matrix(rotations)
+    known = np.ones(len(markers), np.bool_)
+    known[solve.score.sparse] = False
+    notices = (*found.notices, *solve.notices)
+    return Carried(positions, matrices, known, notices)
