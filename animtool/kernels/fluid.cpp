@@ -439,7 +439,6 @@ class Steps {
 
   // How dense it is at each, which way that rises, and what moves particles beside it.
   void look(double h) {
-    const double volume = rule_.spacing * rule_.spacing * rule_.spacing;
     const double inverse = 1 / radius_, scale = 1 / lattice_;
     // Of the slope of a weight over the distance, over the distance.
     const double steep = scale * inverse * inverse * -20;
@@ -447,14 +446,14 @@ class Steps {
     const bool viscous = rule_.viscosity > 0 && h > 0, pulls = rule_.cohesion > 0 && h > 0;
     const double drag = -2 * rule_.viscosity * h * h;
     const double cohesion = rule_.cohesion * h * h / rule_.mass();
-    (void)volume;
     sums_.assign(count_, {});
+    virial_.assign(count_, 0);
     for (Row& one : moved_) one = {};
     for (std::size_t i = 0; i < count_; ++i) dense_[i] = 0;
     for (std::size_t i = 0; i < count_; ++i) {
       const Row here = place_[i];
       Row slope;  // and the sum of squares
-      double dense = 0;
+      double dense = 0, virial = 0;
       for (std::size_t k = first_[i]; k < first_[i + 1]; ++k) {
         const std::size_t j = static_cast<std::size_t>(seen_[k]);
         const double x = here.x - place_[j].x, y = here.y - place_[j].y, z = here.z - place_[j].z;
@@ -463,7 +462,8 @@ class Steps {
         const double cubed = left * left * left, weight = cubed * left * (4 * q + 1);
         const double factor = steep * cubed;
         factor_[k] = factor;
-        const double square = factor * factor * squared;
+        const double reach = factor * squared, square = factor * reach;
+        virial += reach, virial_[j] += reach;
         dense += weight;
         dense_[j] += weight;
         slope.x += factor * x, slope.y += factor * y, slope.z += factor * z, slope.w += square;
@@ -480,14 +480,19 @@ class Steps {
         }
       }
       dense_[i] += dense;
+      virial_[i] += virial;
       sums_[i].x += slope.x, sums_[i].y += slope.y, sums_[i].z += slope.z, sums_[i].w += slope.w;
     }
+    const double whole = Walls::virial() / (1 - scale);
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
       double dense = (dense_[i] + 1) * scale - 1;
       Row slope = sums_[i];
-      dense += look_at_colliders(i, scale, slope);
+      const double beyond = look_at_colliders(i, scale, slope);
+      dense += beyond;
       dense_[i] = dense;
+      // What a wall is in place of presses as a lattice would that is as dense.
+      virial_[i] = whole * beyond - virial_[i] / 3;
       const double over = std::max(dense, 0.0);
       sum += over;
       const double steepness =
@@ -539,9 +544,9 @@ class Steps {
       }
       moved_[i].x += sum.x, moved_[i].y += sum.y, moved_[i].z += sum.z;
     }
-    const double per = Walls::virial() * rule_.density / (h * h);
+    const double per = rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
-      pressure_[i] -= place_[i].w * per;
+      pressure_[i] -= place_[i].w * virial_[i] * per;
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         // The wall presses as what is before it does.
@@ -652,7 +657,7 @@ class Steps {
   // All in the order of the grid; `order_` says which each is.
   std::vector<std::int32_t> order_, seen_;
   std::vector<std::size_t> first_, near_first_;
-  std::vector<double> factor_, dense_, pressure_;
+  std::vector<double> factor_, dense_, pressure_, virial_;
   std::vector<Row> place_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
   std::vector<Near> near_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;

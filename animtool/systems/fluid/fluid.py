@@ -20,8 +20,9 @@ from animtool.sim.colliders.bodies import (
     pushed_rows,
 )
 from animtool.sim.system import Energy
+from animtool.systems.colours import Colouring, Quantities
 from animtool.systems.fluid.filling import Nozzle, filled, has_room
-from animtool.systems.fluid.spec import ColorModel, FluidModel, Quantity
+from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.simulation import (
@@ -98,6 +99,7 @@ class Fluid:
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._said: set[str] = set()
+        self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Nothing brings energy in, so that there is none but what there was.
         still = not self._colliders.bodies and not self._colliders.sheets
         self._closed = still and all(len(c.poses.moments) == 1 for c in self._colliders)
@@ -360,29 +362,24 @@ class Fluid:
             state = replace(grown, energy=state.energy + gained) if count else state
         return state
 
-    def _quantity(self, which: Quantity, state: FluidState, t: float) -> FloatArray:
-        """Return a quantity of each particle ``(N,)``."""
-        match which:
-            case "age":
-                return t - state.births
-            case "pressure":
-                return state.pressures
-            case "speed":
-                return np.asarray(np.linalg.norm(state.motion[1], axis=1))
-        arrays = self._solid(t).arrays(t, t)
-        return _kernels.fluid_densities(
-            arrays, np.ascontiguousarray(state.motion[0]), self._spec.spacing
-        )
+    def _quantities(self, state: FluidState, t: float) -> Quantities:
+        points = np.ascontiguousarray(state.motion[0])
+        return {
+            "age": lambda: t - state.births,
+            "density": lambda: _kernels.fluid_densities(
+                self._solid(t).arrays(t, t), points, self._spec.spacing
+            ),
+            "pressure": lambda: state.pressures,
+            "speed": lambda: np.linalg.norm(state.motion[1], axis=1),
+        }
 
     def frame(self, state: FluidState, t: float) -> PointsFrame | MeshFrame:
         """Return the particles, or the surface about them."""
         spec, (points, velocities) = self._spec, state.motion
-        primvars: dict[str, Any] = {
-            name: self._quantity(name, state, t) for name in spec.primvars
-        }
-        if spec.color is not None:
-            values = self._quantity(spec.color.by, state, t)
-            primvars["displayColor"] = colored(values, spec.color)
+        quantities = self._quantities(state, t)
+        primvars: dict[str, Any] = {one: quantities[one]() for one in spec.primvars}
+        if self._colouring is not None:
+            primvars["displayColor"] = self._colouring.colours(quantities)
         if spec.surface is not None:
             from animtool.systems.fluid.surface import surface_of
 
@@ -419,12 +416,3 @@ class Pressed:
     pressures: FloatArray  # (N,) [Pa]
     compression: float
     wrenches: Sequence[Wrenches]  # on bodies of each system
-
-
-def colored(values: FloatArray, color: ColorModel) -> FloatArray:
-    """Return colors of values ``(N,)``: red, green and blue ``(N, 3)``."""
-    low, high = color.range
-    shares = np.clip((values - low) / (high - low), 0.0, 1.0)
-    marks = np.linspace(0.0, 1.0, len(color.colors))
-    channels = np.array(color.colors).T
-    return np.stack([np.interp(shares, marks, one) for one in channels], axis=1)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Pair, Real, Vector, Whole, key
 from animtool.errors import Fault, counted
+from animtool.systems.colours import ColourModel
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
@@ -24,10 +25,7 @@ from animtool.systems.fields import (
 
 Positive = Annotated[Real, Gt(0)]
 NotNegative = Annotated[Real, Ge(0)]
-Share = Annotated[Real, Ge(0), Le(1)]
-
-
-# What particles can be written with and colored by.
+# What particles can be written with and coloured by.
 Quantity = Literal["age", "density", "pressure", "speed"]
 
 
@@ -67,20 +65,6 @@ class FluidEmitterModel(PlacedModel):
         "Spans of seconds from the first frame on that it runs in. Not given: all.",
         [[0, 1.5], [2, 3]],
         default=[],
-    )
-
-
-class ColorModel(FileModel):
-    """Colors of particles by a quantity."""
-
-    by: Quantity = key("Which: `age`, `density`, `pressure` or `speed`.", "speed")
-    range: Annotated[list[Real], Len(2, 2)] = key(
-        "Values of the first and of the last color.", [0, 4]
-    )
-    colors: Annotated[list[Annotated[list[Share], Len(3, 3)]], Len(2, 16)] = key(
-        "Colors that it goes through evenly: red, green and blue from 0 to 1.",
-        [[0, 0.1, 0.6], [1, 1, 1]],
-        default=[[0.02, 0.15, 0.5], [0.2, 0.6, 0.9], [0.95, 0.98, 1.0]],
     )
 
 
@@ -167,8 +151,10 @@ class FluidModel(SystemSpec):
         ["pressure"],
         default=[],
     )
-    color: ColorModel | None = key(
-        "What they are colored by.", {"by": "speed", "range": [0, 4]}, default=None
+    colour: ColourModel | None = key(
+        "Colours by one of these. It needs a `range`: fluid begins at rest.",
+        {"by": "speed", "range": [0, 4]},
+        default=None,
     )
     surface: FluidSurfaceModel | None = key(
         "A mesh in place of points; needs `pip install 'animtool[surface]'`.",
@@ -222,8 +208,10 @@ class FluidModel(SystemSpec):
             for begin, end in emitter.opens:
                 if not begin <= end:
                     note(f"it closes at {end:g} s, before {begin:g} s", "emitters")
-        if self.color is not None and self.color.range[0] == self.color.range[1]:
-            note("the first and the last color are of one value", "color")
+        if self.colour is not None:
+            found += self.colour.faults(get_args(Quantity), "SIM064")
+            if self.colour.range is None:
+                note("colours have no range", "colour", "range: [0, 4]")
         return found
 
 

@@ -33,6 +33,8 @@ MAX_PARTS = 4096
 LAYERS = 2.0
 # Of the force between particles, which sums to a tension of 1 [N/m]: see `tension`.
 COHESION = 1.0
+# Pressure of a lattice that this force brings, over its strength by the spacing squared.
+PULLED = 0.059
 
 
 class Substeps:
@@ -47,13 +49,14 @@ class Substeps:
         self.most = MAX_PARTS
         self._spec = spec
         self.cohesion = COHESION * spec.tension * spec.spacing
+        self._pulled = PULLED * self.cohesion / (spec.density * spec.spacing**2)
 
     def first_sound(self, points: FloatArray, pull: FloatArray) -> float:
         """Return how fast pressure goes in a fluid that begins [m/s]."""
         if not len(points):
             return 0.0
         along = points @ pull.mean(axis=0)
-        head = float(along.max() - along.min())
+        head = max(float(along.max() - along.min()), self._pulled)
         return self._sound(head) if math.isfinite(head) else 0.0
 
     def _sound(self, head: float) -> float:
@@ -79,10 +82,13 @@ class Substeps:
         """
         few = len(pressures) - 1 - int(FEW * len(pressures))
         head = float(np.partition(pressures, few)[few]) / self._spec.density
-        head = max(head, LAYERS * self._spec.spacing * pull) + fastest**2 / 2
+        layers = LAYERS * self._spec.spacing * pull
+        head = max(head, layers, self._pulled) + fastest**2 / 2
         slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         needed = self._sound(head)
-        return max(slower, min(needed, faster) if before else needed)
+        sound = max(slower, min(needed, faster) if before else needed)
+        # Where nothing presses, one part is as stiff as it can be.
+        return sound or self._spec.spacing / dt
 
     def parts(self, dt: float, fastest: float, sound: float) -> float:
         """Return how many parts a step is to have; infinite beyond all numbers."""

@@ -15,8 +15,6 @@ from animtool.errors import AnimtoolError, ToleranceError
 from animtool.frames import MeshFrame
 from animtool.sim.colliders import Box, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import bounds
-from animtool.systems.fluid.fluid import colored
-from animtool.systems.fluid.spec import ColorModel
 
 FRAMES = (np.arange(13) / 24).tolist()
 TANK = {
@@ -227,12 +225,19 @@ def test_a_blocked_nozzle_holds_back(simulator: Simulator) -> None:
     assert gaps[~np.eye(len(last), dtype=bool)].min() > 0.02
 
 
-def test_colors_go_through_their_stops() -> None:
-    color = ColorModel.model_validate(
-        {"by": "speed", "range": [0, 2], "colors": [[0, 0, 0], [1, 0, 0], [1, 1, 1]]}
-    )
-    found = colored(np.array([-1.0, 0.5, 1.0, 9.0]), color)
-    assert_allclose(found, [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [1, 1, 1]])
+def test_colours_are_those_of_a_quantity(simulator: Simulator) -> None:
+    ramp = [[0, 0, 0], [1, 0, 0], [1, 1, 1]]
+    colour = {"by": "speed", "range": [0, 2], "ramp": ramp}
+    rows = simulator.simulate(fluid(colour=colour, colliders=[]), FRAMES[:9])["it"]
+    for row in rows:
+        speed = np.linalg.norm(row.velocities, axis=1)
+        found = row.primvars["displayColor"]
+        assert_allclose(found[:, 0], np.clip(speed, 0, 1))
+        assert_allclose(found[:, 1], np.clip(speed - 1, 0, 1))
+    assert found[:, 1].max() > 0
+    wrong = {"by": "taste", "range": [0, 2]}
+    assert "no quantity is named" in refused(simulator, colour=wrong)
+    assert "no range" in refused(simulator, colour={"by": "speed"})
 
 
 def test_bounds_hold_shapes() -> None:
