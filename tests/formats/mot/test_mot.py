@@ -284,7 +284,8 @@ def test_commands_read_and_write_it(
         done = animtool(*words, cwd=tmp_path)
         assert done.code == 0, done.stderr
     table = (tmp_path / "again.mot").read_text().splitlines()
-    assert table[:6] == HEAD.splitlines()[:3] + [
+    assert table[:6] == [
+        *HEAD.splitlines()[:3],
         f"nColumns={len(table[6].split())}",
         "inDegrees=yes",
         "endheader",
