@@ -32,7 +32,8 @@ def test_real_files(
     with capsys.disabled():
         print(  # noqa: T201 - the score table
             f"\n{path.name}: {len(take)} frames at {float(take.fps):g} fps, {count} "
-            f"coordinates; written and read again {off:.1e} rad, {np.abs(slid).max():.1e} m"
+            f"coordinates; written and read again {off:.1e} rad, "
+            f"{np.abs(slid).max():.1e} m"
         )
     assert off < 1e-9
     assert np.abs(slid).max() < 1e-8

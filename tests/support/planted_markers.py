@@ -78,7 +78,7 @@ def _short_gap(p: np.ndarray) -> None:
 
 
 def _fast(p: np.ndarray) -> None:
-    p[80:100, 1] += 0.08 * np.sin(np.linspace(0, np.pi, 20))[:, None] ** 2
+    p[60:100, 1] += 0.08 * np.sin(np.linspace(0, np.pi, 40))[:, None] ** 2
 
 
 def _hall(p: np.ndarray) -> None:

@@ -183,7 +183,12 @@ class _Rows:
             cells = line.strip(b" ").split(self._separator)
             while len(cells) > self._width and not cells[-1].strip():
                 cells.pop()
-            cells = [cell.strip() or b"nan" for cell in cells]
+            if (
+                self._separator * 2 in line
+                or b" " in line
+                or not (cells[0] and cells[-1])
+            ):
+                cells = [cell.strip() or b"nan" for cell in cells]
         if len(cells) != self._width:
             message = f"has {len(cells)} values and not {self._width}"
             if last and self._unended and len(cells) < self._width and self._lines:

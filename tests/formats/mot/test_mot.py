@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.cli import animtool
 
 from animtool.clock import Clock
 from animtool.errors import AnimtoolError
@@ -267,6 +268,35 @@ def test_what_is_written_is_read_again(
     back = found.world().positions
     assert back == pytest.approx(take.world().positions, abs=1e-8)
     write_mot(replace(found, rig=RIG), folder / "b.mot")
+
+
+def test_commands_read_and_write_it(
+    write: Callable[[str], Path], rig_file: Path, tmp_path: Path
+) -> None:
+    path = write(HEAD + ROWS)
+    rig = ["--rig", str(rig_file)]
+    for words in (
+        ["bake", str(path), *rig, "-o", "ik.usda"],
+        ["convert", str(path), *rig, "again.mot"],
+        ["convert", "ik.usda", "usd.mot"],
+        ["info", str(path)],
+    ):
+        done = animtool(*words, cwd=tmp_path)
+        assert done.code == 0, done.stderr
+    table = (tmp_path / "again.mot").read_text().splitlines()
+    assert table[:6] == [
+        *HEAD.splitlines()[:3],
+        f"nColumns={len(table[6].split())}",
+        "inDegrees=yes",
+        "endheader",
+    ]
+    knee = table[6].split().index("knee")
+    assert [line.split()[knee] for line in table[7:]] == ["10", "20", "30"]
+    (tmp_path / "bad.mot").write_text(HEAD)
+    done = animtool("convert", "bad.mot", "bad.usda", cwd=tmp_path)
+    assert done.code != 0
+    assert "MOF002" in done.stderr
+    assert not (tmp_path / "bad.usda").exists()
 
 
 def test_names_that_clash_are_spelled_out() -> None:
