@@ -17,7 +17,7 @@ from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
 
 if TYPE_CHECKING:
-    from animtool.mocap.markers.skeleton import Carried, Subject
+    from animtool.mocap.markers.skeleton import SkeletonMarkers, Subject
 
 # Up to this long a curve through the frames around is as good as anything [s].
 CURVE_SECONDS = 0.05
@@ -129,9 +129,9 @@ def fill(
     if not options.keep_gaps:
         skeleton = None
         if subject is not None and not markers.seen[:, labelled].all():
-            from animtool.mocap.markers.skeleton import carried
+            from animtool.mocap.markers.skeleton import skeleton_markers
 
-            skeleton = carried(markers, subject)
+            skeleton = skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _filled(markers, options.longest, skeleton)
     was_seen = markers.seen
@@ -156,7 +156,7 @@ def fill(
 
 
 def _filled(
-    markers: Markers, longest: float | None, skeleton: Carried | None
+    markers: Markers, longest: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
     """Return positions without gaps, shorter gaps filled first, and the gaps."""
     positions = markers.positions.copy()

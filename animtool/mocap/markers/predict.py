@@ -20,7 +20,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.mocap.markers.geometry import fitted, mean_shape
 
 if TYPE_CHECKING:
-    from animtool.mocap.markers.skeleton import Carried
+    from animtool.mocap.markers.skeleton import SkeletonMarkers
 
 # Frames on either side of a gap that show how a marker moves with the others [s].
 WINDOW = 6.0
@@ -101,7 +101,7 @@ def predict(
 
 
 def follow(
-    skeleton: Carried,
+    skeleton: SkeletonMarkers,
     positions: FloatArray,
     seen: BoolArray,
     marker: int,

@@ -34,7 +34,7 @@ class Subject:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class SkeletonMarkers:
     """The M markers of F frames, as the joints of a skeleton carry them.
 
     Attributes:
@@ -56,7 +56,7 @@ class Carried:
         return bool(has and self.known[frames].all())
 
 
-def carried(markers: Markers, subject: Subject) -> Carried:
+def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:
     """Return the markers of a take on the skeleton of a subject.
 
     Bones and offsets are calibrated to the take, and then its poses are solved.
@@ -89,4 +89,4 @@ def carried(markers: Markers, subject: Subject) -> Carried:
     known = np.ones(len(markers), np.bool_)
     known[solve.score.sparse] = False
     notices = (*found.notices, *solve.notices)
-    return Carried(positions, matrices, known, notices)
+    return SkeletonMarkers(positions, matrices, known, notices)
