@@ -10,6 +10,7 @@ import pytest
 from adapters.nbody import _Context
 from numpy.testing import assert_allclose, assert_array_equal
 from support.simulated import Simulator
+from support.suite import nightly
 
 from animtool.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
@@ -98,7 +99,7 @@ def test_energy_stays() -> None:
     assert drift(1500) < 1e-4
 
 
-@pytest.mark.slow(seconds=60)
+@nightly
 def test_energy_stays_for_a_hundred_thousand_steps() -> None:
     assert drift(100_000) < 1e-4
 
@@ -148,7 +149,7 @@ def radial(
     return (edges[1:] + edges[:-1]) / 2, counts / (len(states) * count * shells)
 
 
-@pytest.mark.slow(seconds=12)
+@nightly
 def test_liquid_argon_has_its_neighbours_where_rahman_found_them() -> None:
     """A. Rahman, Physical Review 136, 1964: 864 atoms, 94.4 K, 1.374 g/cm³.
 
