@@ -31,9 +31,9 @@ PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
 # Pressure of this many layers is always reckoned with.
 LAYERS = 2.0
-# Of the force between particles, which sums to a tension of 1 [N/m]: see `tension`.
-COHESION = 1.0
-# Pressure of a lattice that this force brings, over its strength by the spacing squared.
+# Of the force between particles: drops of six to ten spacings swing about right.
+COHESION = 7.0
+# Pressure of a lattice by this force, over its strength by the spacing squared.
 PULLED = 0.059
 
 
