@@ -111,8 +111,8 @@ class FluidModel(SystemSpec):
         default=1e-6,
     )
     tension: NotNegative = key(
-        "How strongly the surface contracts: about as a surface tension in N/m, of "
-        "which drops swing with 0.3 to 1.1.",
+        "How strongly the surface contracts: of the order of a surface tension in N/m, "
+        "but not calibrated.",
         0.072,
         default=0.0,
     )

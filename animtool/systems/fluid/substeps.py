@@ -31,7 +31,7 @@ PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
 # Pressure of this many layers is always reckoned with.
 LAYERS = 2.0
-# Of the force between particles: drops of six to ten spacings swing about right.
+# Of the force between particles: the tension of drops is of the order of what is given.
 COHESION = 7.0
 # Pressure of a lattice by this force, over its strength by the spacing squared.
 PULLED = 0.059
