@@ -77,13 +77,13 @@ double Walls::lattice() { return lattice_beyond(0); }
 double Walls::virial() {
   const int far = static_cast<int>(std::ceil(REACH));
   double sum = 0;
-  for (int x = -far; x <= far; ++x)
+  for (int x = -far; x < 0; ++x)
     for (int y = -far; y <= far; ++y)
       for (int z = -far; z <= far; ++z) {
         const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
         if (q < 1) sum -= Weight::slope(q) * q / 3;
       }
-  return sum / lattice();
+  return sum / lattice_beyond(1);
 }
 
 Walls::Walls() {
@@ -447,13 +447,13 @@ class Steps {
     const double drag = -2 * rule_.viscosity * h * h;
     const double cohesion = rule_.cohesion * h * h / rule_.mass();
     sums_.assign(count_, {});
-    virial_.assign(count_, 0);
+    virial_.resize(count_);
     for (Row& one : moved_) one = {};
     for (std::size_t i = 0; i < count_; ++i) dense_[i] = 0;
     for (std::size_t i = 0; i < count_; ++i) {
       const Row here = place_[i];
       Row slope;  // and the sum of squares
-      double dense = 0, virial = 0;
+      double dense = 0;
       for (std::size_t k = first_[i]; k < first_[i + 1]; ++k) {
         const std::size_t j = static_cast<std::size_t>(seen_[k]);
         const double x = here.x - place_[j].x, y = here.y - place_[j].y, z = here.z - place_[j].z;
@@ -462,8 +462,7 @@ class Steps {
         const double cubed = left * left * left, weight = cubed * left * (4 * q + 1);
         const double factor = steep * cubed;
         factor_[k] = factor;
-        const double reach = factor * squared, square = factor * reach;
-        virial += reach, virial_[j] += reach;
+        const double square = factor * factor * squared;
         dense += weight;
         dense_[j] += weight;
         slope.x += factor * x, slope.y += factor * y, slope.z += factor * z, slope.w += square;
@@ -480,10 +479,9 @@ class Steps {
         }
       }
       dense_[i] += dense;
-      virial_[i] += virial;
       sums_[i].x += slope.x, sums_[i].y += slope.y, sums_[i].z += slope.z, sums_[i].w += slope.w;
     }
-    const double whole = Walls::virial() / (1 - scale);
+    const double per_wall = Walls::virial();
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
       double dense = (dense_[i] + 1) * scale - 1;
@@ -491,13 +489,13 @@ class Steps {
       const double beyond = look_at_colliders(i, scale, slope);
       dense += beyond;
       dense_[i] = dense;
-      // What a wall is in place of presses as a lattice would that is as dense.
-      virial_[i] = whole * beyond - virial_[i] / 3;
       const double over = std::max(dense, 0.0);
       sum += over;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
       place_[i].w = over > 0 ? -relaxed_ * over / std::max(steepness, LEAST * inverse * inverse) : 0.0;
+      // A wall presses as the layers of a lattice would that it is in place of.
+      virial_[i] = -per_wall * beyond * place_[i].w;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
@@ -528,7 +526,8 @@ class Steps {
     return whole * (1 - open);
   }
 
-  // Moves all apart that are dense.
+  // Moves all apart that are dense. Half of what a pair presses, by the way between them, is
+  // the virial of each.
   void press(double h) {
     for (std::size_t i = 0; i < count_; ++i) {
       const Row here = place_[i];
@@ -537,16 +536,19 @@ class Steps {
         const std::size_t j = static_cast<std::size_t>(seen_[k]);
         const Row there = place_[j];
         const double push = (here.w + there.w) * factor_[k];
-        const double x = push * (here.x - there.x), y = push * (here.y - there.y),
-                     z = push * (here.z - there.z);
-        sum.x += x, sum.y += y, sum.z += z;
+        const double ax = here.x - there.x, ay = here.y - there.y, az = here.z - there.z;
+        const double x = push * ax, y = push * ay, z = push * az;
+        const double virial = (x * ax + y * ay + z * az) * (0.5 / 3);
+        virial_[j] += virial;
+        sum.x += x, sum.y += y, sum.z += z, sum.w += virial;
         moved_[j].x -= x, moved_[j].y -= y, moved_[j].z -= z;
       }
       moved_[i].x += sum.x, moved_[i].y += sum.y, moved_[i].z += sum.z;
+      virial_[i] += sum.w;
     }
     const double per = rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
-      pressure_[i] -= place_[i].w * virial_[i] * per;
+      pressure_[i] += virial_[i] * per;
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         // The wall presses as what is before it does.

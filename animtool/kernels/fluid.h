@@ -48,8 +48,8 @@ class Walls {
   // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
   void share(double distance, double curvature, double& value, double& slope) const;
 
-  // Pressure of a lattice between its particles, over that of their constraints: the sum of
-  // what pairs press by the way between them (R. Clausius's virial).
+  // Pressure of the layers that a wall is in place of, by the way to them, over what they add
+  // to the density and the multiplier (R. Clausius's virial).
   static double virial();
 
   // What all of it would add, in sums of weights.

@@ -55,10 +55,11 @@ def compression(points: np.ndarray, spacing: float) -> float:
     return float(np.maximum((1 + sums) / weights(lattice).sum() - 1, 0.0).mean())
 
 
-def write(path: Path, count: int, seconds: float) -> tuple[float, int]:
+def write(path: Path, count: int, seconds: float, fps: float = 24) -> tuple[float, int]:
     """Write the dam of a count; return its spacing, and how many there are."""
     x, spacing, tank = dam(count)
-    np.savez(path, x=x, tank=tank, spacing=spacing, seconds=seconds, compression=0.01)
+    keys = {"seconds": seconds, "fps": fps, "compression": 0.01}
+    np.savez(path, x=x, tank=tank, spacing=spacing, **keys)
     return spacing, len(x)
 
 
@@ -105,7 +106,9 @@ def growth(options: argparse.Namespace, folder: Path) -> list[Row]:
     rows, costs = [], []
     for count in options.counts:
         source = folder / f"{count}.npz"
-        _, there = write(source, count, 2 / 24)
+        # A frame that is shorter where particles are finer has as many parts.
+        fps = 24 * (count / 1000) ** (1 / 3)
+        _, there = write(source, count, 1 / fps, fps)
         report = run_peer(
             sys.executable, "fluid_animtool.py", source, options.runs, folder / "x.npy"
         )

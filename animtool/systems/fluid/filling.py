@@ -68,8 +68,7 @@ def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
     """Return points and velocities of arrays ``(2, N, 3)``."""
     points, velocities = own["points"], own.get("velocities")
     if velocities is None:
-        velocities = np.broadcast_to(np.asarray(fill.velocity, np.float64), (1, 3))
-        velocities = np.broadcast_to(velocities, (len(points), 3))
+        velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
     for what, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array.shape != shape:
@@ -208,17 +207,13 @@ class Nozzle:
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
         """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
-        turns = np.repeat(now[:, 3:], len(self._opening), axis=0)
+        size, own = len(self._opening), (now[:, :3] - before[:, :3]) / BRIEF
+        turns, own = np.repeat(now[:, 3:], size, axis=0), np.repeat(own, size, axis=0)
         places = np.tile(self._opening, (len(times), 1))
-        own = np.repeat(
-            (now[:, :3] - before[:, :3]) / BRIEF, len(self._opening), axis=0
-        )
         ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
-        x = so3.rotate(turns, places) + np.repeat(
-            now[:, :3], len(self._opening), axis=0
-        )
+        x = so3.rotate(turns, places) + np.repeat(now[:, :3], size, axis=0)
         v = so3.rotate(turns, ways) + own
-        since = np.repeat(until - times, len(self._opening))[:, None]
+        since = np.repeat(until - times, size)[:, None]
         return np.stack([x + since * (v + since / 2 * pull), v + since * pull])
 
 

@@ -47,33 +47,19 @@ _NONE = np.zeros((2, 0, 3))
 
 @dataclass(frozen=True, slots=True)
 class FluidState:
-    """N particles at the end of a step.
+    """N particles at the end of a step."""
 
-    Attributes:
-        ids: Of each its own, ascending ``(N,)``.
-        motion: Positions [m], then velocities [m/s] ``(2, N, 3)``.
-        births: When each came ``(N,)`` [s].
-        pressures: Means over the last step ``(N,)`` [Pa].
-        made: How many came so far.
-        held: How many did not, for want of room.
-        sound: How fast pressure went [m/s].
-        energy: Most that there may be of kinetic and potential energy [J].
-        compression: How much denser than at rest it was, in the mean [1].
-        densest: The most that it ever was [1].
-        parts: Into how many the last step was parted.
-    """
-
-    ids: IntArray = field(metadata=growing())
-    motion: FloatArray = field(metadata=growing(1))
-    births: FloatArray = field(metadata=growing())
-    pressures: FloatArray = field(metadata=growing())
-    made: int = 0
-    held: int = 0
-    sound: float = 0.0
-    energy: float = 0.0
-    compression: float = 0.0
-    densest: float = 0.0
-    parts: int = 0
+    ids: IntArray = field(metadata=growing())  # ascending (N,)
+    motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
+    births: FloatArray = field(metadata=growing())  # when each came (N,) [s]
+    pressures: FloatArray = field(metadata=growing())  # means of the step (N,) [Pa]
+    made: int = 0  # how many came so far
+    held: int = 0  # how many did not, for want of room
+    sound: float = 0.0  # how fast pressure went [m/s]
+    energy: float = 0.0  # most that there may be, kinetic and potential [J]
+    compression: float = 0.0  # how much denser than at rest in the mean [1]
+    densest: float = 0.0  # the most that it ever was [1]
+    parts: int = 0  # into how many the last step was parted
 
 
 class Fluid:

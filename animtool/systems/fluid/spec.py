@@ -111,7 +111,10 @@ class FluidModel(SystemSpec):
         default=1e-6,
     )
     tension: NotNegative = key(
-        "Surface tension [N/m]: 0.072 of water.", 0.072, default=0.0
+        "How strongly the surface contracts: of the order of a surface tension in N/m, "
+        "but not calibrated.",
+        0.072,
+        default=0.0,
     )
     compression: Annotated[Real, Gt(0), Le(0.2)] = key(
         "Most that it is denser than at rest, in the mean: steps are parted as this "

@@ -31,23 +31,19 @@ PIECE, MAX_PIECES = 0.5, 32
 MAX_PARTS = 4096
 # Pressure of this many layers is always reckoned with.
 LAYERS = 2.0
-# Of the force between particles, which sums to a tension of 1 [N/m]: see `tension`.
-COHESION = 1.0
-# Pressure of a lattice that this force brings, over its strength by the spacing squared.
+# Of the force between particles: the tension of drops is of the order of what is given.
+COHESION = 7.0
+# Pressure of a lattice by this force, over its strength by the spacing squared.
 PULLED = 0.059
 
 
 class Substeps:
-    """Parts of steps, from speed, pressure and what the fluid is.
-
-    Attributes:
-        most: Parts that a step may have.
-        cohesion: Strength of the force between particles [N].
-    """
+    """Parts of steps, from speed, pressure and what the fluid is."""
 
     def __init__(self, spec: FluidModel) -> None:
-        self.most = MAX_PARTS
+        self.most = MAX_PARTS  # parts that a step may have
         self._spec = spec
+        # Strength of the force between particles [N].
         self.cohesion = COHESION * spec.tension * spec.spacing
         self._pulled = PULLED * self.cohesion / (spec.density * spec.spacing**2)
 
@@ -73,12 +69,8 @@ class Substeps:
     ) -> float:
         """Return how fast pressure is to go in a step [m/s].
 
-        Args:
-            before: In the last step [m/s]: it slows down gradually.
-            pressures: Of particles then ``(N,)`` [Pa].
-            fastest: Of anything in the step [m/s].
-            pull: Most acceleration [m/s²].
-            dt: The step [s].
+        ``before`` it was as fast, with pressures ``(N,)`` [Pa]; nothing goes or pulls
+        by more than ``fastest`` [m/s] and ``pull`` [m/s²].
         """
         few = len(pressures) - 1 - int(FEW * len(pressures))
         head = float(np.partition(pressures, few)[few]) / self._spec.density

@@ -1,7 +1,7 @@
 """A dam break by animtool. Prints its seconds and what became of it as JSON.
 
 ``source`` is an npz: points ``(N, 3)`` at rest (y up), the sides of the tank, the
-spacing, the seconds to simulate and the compression that is allowed.
+spacing, the seconds to simulate, frames a second and the compression that is allowed.
 """
 
 import json
@@ -16,7 +16,7 @@ from animtool.systems.fluid.fluid import Fluid
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.particles.forces import find_force
 
-FPS, STEPS = 24, 4
+STEPS = 4
 
 
 def main(source: str, runs: str, output: str) -> None:
@@ -37,7 +37,8 @@ def main(source: str, runs: str, output: str) -> None:
             "max_particles": 10_000_000,
         }
     )
-    step, count = 1 / FPS / STEPS, round(float(arrays["seconds"]) * FPS)
+    fps = float(arrays["fps"])
+    step, count = 1 / fps / STEPS, round(float(arrays["seconds"]) * fps)
     shown: list[np.ndarray] = []
     parted = [0]
 

@@ -40,6 +40,16 @@ DUST = """\
     characters: [CHARACTER]
 """
 
+WATER = """\
+- fluid:
+    name: water
+    spacing: 0.1
+    fills: [{shape: {box: {size: [1, 0.5, 1.6]}}, at: [0, 0.25, 0.4]}]
+    colliders:
+    - {shape: {box: {size: [1, 3, 1.6]}}, at: [0, 1.5, 0.4], container: true}
+    characters: [CHARACTER]
+"""
+
 
 @pytest.fixture
 def clip(root: Path) -> Path:
@@ -111,6 +121,23 @@ def test_particles_run_into_a_mesh_too(root: Path, clip: Path, tmp_path: Path) -
     given = dust.simulation.setup  # type: ignore[attr-defined]
     assert [sheet.name for sheet in given.sheets] == ["body"]
     assert not given.colliders
+
+
+@pytest.mark.slow
+def test_a_character_wades_through_a_fluid(
+    root: Path, clip: Path, stride: CharacterMotion, tmp_path: Path
+) -> None:
+    """Nothing gets into it, nor out of the tank; what is in its way is pushed."""
+    character = f"{{file: {str(clip)!r}, mesh: body, margin: 0.005, closed: true}}"
+    (water,) = open_systems(scene(tmp_path, root, WATER, character).systems, 1.0)
+    skin = SkinMotion(stride, "body")
+    for t in np.arange(1, 11) / 24:
+        frame = water.at(float(t))
+        points = np.array(frame.points, np.float64)
+        seen = Colliders([Collider(Mesh(skin.points(t), skin.triangles(t)))])
+        assert seen.sample(points, 0.0).distances.min() > 0
+        assert (np.abs(points - [0, 1.5, 0.4]) <= [0.5, 1.5, 0.8]).all()
+    assert np.linalg.norm(frame.velocities, axis=1).max() > 0.5
 
 
 def test_a_mesh_of_the_scenes_own_character(root: Path, tmp_path: Path) -> None:
