@@ -61,6 +61,8 @@ def _numbers(rng: np.random.Generator, kind: Any, count: int) -> Any:
     if np.issubdtype(kind, np.floating):
         with np.errstate(over="ignore"):
             return rng.choice(np.array(_FLOATS), count).astype(kind)
+    if np.issubdtype(kind, np.bool_):
+        return rng.integers(0, 2, count).astype(kind)
     bounds = np.iinfo(kind)
     held = [n for n in _INTEGERS if bounds.min <= n <= bounds.max]
     return np.array([held[rng.integers(len(held))] for _ in range(count)], kind)
