@@ -12,6 +12,7 @@ import pytest
 from support.c3d_bytes import read_points
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
+from support.suite import is_full
 
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
@@ -30,6 +31,14 @@ WITH = TARGETS | {"short": 1.43}
 WITHOUT = {"short": 3.0, "medium": 14.3, "long": 13.2, "segment": 17.3}
 
 
+# Without a skeleton only in the full profile: ten seconds each.
+PREDICTORS = [
+    "skeleton",
+    pytest.param(
+        "markers",
+        marks=pytest.mark.skipif(not is_full(), reason="for --hypothesis-profile=full"),
+    ),
+]
 Record = Callable[[str, object], None]
 NAMES = "Labelling: cloud, precision, recall, runs, points rejected"
 GAPS = (
@@ -90,7 +99,7 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
 
 
 @pytest.mark.slow(seconds=8)
-@pytest.mark.parametrize("predictor", ["skeleton", "markers"])
+@pytest.mark.parametrize("predictor", PREDICTORS)
 @pytest.mark.parametrize("truth", clouds())
 def test_swaps_spikes_and_gaps(
     truth: Path, predictor: str, record_property: Record

@@ -18,7 +18,7 @@ def _cameras(rng: Rng, count: int) -> np.ndarray:
     for row in rows:
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         row[13:22] = turn.ravel()
-        row[22:25] = rng.normal(size=3) + [0, 0, 4]
+        row[22:25] = np.add(rng.normal(size=3), (0, 0, 4))
     return rows
 
 
