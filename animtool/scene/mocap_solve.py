@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,26 +11,26 @@ from typing import TYPE_CHECKING, Any
 from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.files import seen_from
+from animtool.formats.marker_files import file_of, open_markers
 from animtool.mocap.solve.calibration import Calibration, calibrate
 from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.solve.source import (
     at_file,
     named_rig,
-    read_marker_file,
     solve_stream,
 )
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
-from animtool.motion import Motion
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.placing import output_error
-from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert import ConvertReport, convert_outputs
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions, is_usd
+from animtool.scene.written import timed, write_take
 from animtool.take import TakeStream
 
 if TYPE_CHECKING:
@@ -111,7 +110,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     template = load_template(job.template)
     rig_path = named_rig(template, job.rig, job.template)
     named = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    inputs = [Path(str(path).partition("#")[0]) for path in named if path is not None]
+    inputs = [file_of(path) for path in named if path is not None]
     if outputs:
         check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
     made: list[MocapSolveResult] = []
@@ -130,7 +129,14 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
             result.notices += [n for n in stream.notices if n not in result.notices]
             refuse_warnings(result.notices, strict=job.bake.strict)
         else:
-            written = _written(job, solved, progress)
+            written = write_take(
+                job.source,
+                job.output,
+                job.bake,
+                rig_file=_named_rig(job),
+                opener=solved,
+                progress=progress,
+            )
             result = made[0]
             result.written = written
             result.notices += [n for n in written.notices if n not in result.notices]
@@ -178,26 +184,6 @@ def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
     return made
 
 
-def _written(
-    job: MocapSolveJob, opener: Any, progress: Progress
-) -> BakeReport | ConvertReport:
-    if job.to_stdout or (job.output is not None and is_usd(job.output)):
-        from animtool.scene.bake import bake
-
-        return bake(job.source, job.output, job.bake, progress=progress, opener=opener)
-    assert job.output is not None
-    return convert(
-        job.source,
-        job.output,
-        overwrite=job.bake.overwrite,
-        strict=job.bake.strict,
-        reduce=job.bake.reduce,
-        rig_file=_named_rig(job),
-        progress=progress,
-        opener=opener,
-    )
-
-
 def _solved(
     job: MocapSolveJob,
     template: Any,
@@ -211,11 +197,13 @@ def _solved(
     found: Calibration | None = None
     with sparing_inputs(outputs):
         rig, notices = open_rig(rig_path)
-        markers = read_marker_file(job.source, **reading)
+        markers = open_markers(job.source, **reading)
         seconds["read"] = time.perf_counter() - began
         if job.calibrate:
             static = job.static
-            still = None if static is None else read_marker_file(static, **reading)
+            still = None
+            if static is not None:
+                still = open_markers(static, **reading)
             found = at_file(
                 job.source,
                 lambda: calibrate(
@@ -231,19 +219,8 @@ def _solved(
         )
     stream = solve_stream(solve, job.source, progress)
     stream.notices = [*notices, *stream.notices]
-    stream.blocks = _timed(stream.blocks, seconds)
+    stream.blocks = timed(stream.blocks, seconds, "solve")
     result = MocapSolveResult(
         job.source, rig_path, solve, found, list(stream.notices), seconds
     )
     return stream, result
-
-
-def _timed(blocks: Iterator[Motion], seconds: dict[str, float]) -> Iterator[Motion]:
-    """Yield blocks, and count the time that they take."""
-    while True:
-        began = time.perf_counter()
-        block = next(blocks, None)
-        seconds["solve"] += time.perf_counter() - began
-        if block is None:
-            return
-        yield block

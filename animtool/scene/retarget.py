@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,15 +15,15 @@ from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
-from animtool.motion import Motion
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.rig.skeleton import Rig
-from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert import ConvertReport, convert_outputs
 from animtool.scene.ik import naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.scene.written import timed, write_take
 from animtool.take import TakeStream
 from animtool.units import unit_name
 
@@ -127,7 +126,14 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             report = results[0]
             refuse_warnings(report.notices, strict=job.bake.strict)
         else:
-            written = _written(job, solve, progress)
+            written = write_take(
+                job.source,
+                job.output,
+                job.bake,
+                rig_file=_named_rig(job),
+                opener=solve,
+                progress=progress,
+            )
             report = results[0]
             report.written = written
             report.notices += [n for n in written.notices if n not in report.notices]
@@ -139,26 +145,6 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     return report
 
 
-def _written(
-    job: RetargetJob, opener: Any, progress: Progress
-) -> BakeReport | ConvertReport:
-    if job.to_stdout or (job.output is not None and is_usd(job.output)):
-        from animtool.scene.bake import bake
-
-        return bake(job.source, job.output, job.bake, progress=progress, opener=opener)
-    assert job.output is not None
-    return convert(
-        job.source,
-        job.output,
-        overwrite=job.bake.overwrite,
-        strict=job.bake.strict,
-        reduce=job.bake.reduce,
-        rig_file=_named_rig(job),
-        progress=progress,
-        opener=opener,
-    )
-
-
 def _retargeted(
     job: RetargetJob, outputs: list[Path], progress: Progress
 ) -> tuple[TakeStream, RetargetResult]:
@@ -168,7 +154,7 @@ def _retargeted(
         rig, notices = open_rig(job.rig)
         stream = open_source(job.source, job.reading, progress=progress)
         seconds["read"] = time.perf_counter() - began
-        stream.blocks = _timed(stream.blocks, seconds, "read")
+        stream.blocks = timed(stream.blocks, seconds, "read")
         with naming(job.source):
             going, found, odd = onto_rig(stream, rig, job.options)
     seconds["solve"] = time.perf_counter() - began - seconds["read"]
@@ -181,7 +167,7 @@ def _retargeted(
     mapped = replace(
         stream,
         rig=rig,
-        blocks=_timed(blocks, seconds, "solve"),
+        blocks=timed(blocks, seconds, "solve"),
         notices=notices,
         curve=None,
         count=0,
@@ -191,16 +177,3 @@ def _retargeted(
         job.source, job.rig, going, found, stream.rig, rig, notices, seconds
     )
     return mapped, result
-
-
-def _timed(
-    blocks: Iterator[Motion], seconds: dict[str, float], stage: str
-) -> Iterator[Motion]:
-    """Yield blocks, and count the time that they take."""
-    while True:
-        began = time.perf_counter()
-        block = next(blocks, None)
-        seconds[stage] += time.perf_counter() - began
-        if block is None:
-            return
-        yield block

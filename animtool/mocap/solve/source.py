@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from animtool.errors import Fault, FormatError, OptionError, Severity, counted
+from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
 from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.motion import Motion
-from animtool.readers import find_reader
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import TakeStream
@@ -55,7 +55,7 @@ def open_markers_source(
             do not fit them, as of `animtool.mocap.solve.solve_markers`.
     """
     if cameras is None:
-        markers = read_marker_file(path, unit=unit, up=up, fps=fps)
+        markers = open_markers(path, unit=unit, up=up, fps=fps)
     else:
         markers = triangulated(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
@@ -81,27 +81,6 @@ def named_rig(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
     message = "names no rig"
     hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
     raise OptionError(Fault("SOL008", message, str(path), (), hint))
-
-
-def read_marker_file(
-    path: Path,
-    *,
-    unit: LengthUnit | None = None,
-    up: UpAxis | None = None,
-    fps: Any = None,
-) -> Markers:
-    """Return the markers of a file, ``take.npz#array`` of one of its arrays.
-
-    Raises:
-        FormatError: It cannot be read.
-        OptionError: It is of a format without markers (IO002).
-    """
-    bare = Path(str(path).partition("#")[0])
-    opener = find_reader(bare).markers_opener(bare)
-    given = {"unit": unit, "up": up, "fps": fps}
-    found = opener(path, **{k: v for k, v in given.items() if v is not None})
-    assert isinstance(found, Markers)
-    return found
 
 
 def triangulated(

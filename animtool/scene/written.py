@@ -1,0 +1,67 @@
+"""Writing a take that a command makes: to USD, or to another format."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, MutableMapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.motion import Motion
+from animtool.scene.convert import ConvertReport, convert
+from animtool.scene.options import BakeOptions
+from animtool.scene.progress import Progress
+from animtool.scene.sources import is_usd
+from animtool.take import TakeStream
+
+if TYPE_CHECKING:
+    from animtool.scene.prims import BakeReport
+
+
+def write_take(
+    source: Path,
+    output: Path | None,
+    options: BakeOptions,
+    *,
+    rig_file: Path | None,
+    opener: Callable[..., TakeStream],
+    progress: Progress,
+) -> BakeReport | ConvertReport:
+    """Write the take that an opener makes of a source.
+
+    Args:
+        source: What the take is made of.
+        output: USD file, ``.clip.yaml`` or ``.bvh``; None writes usda to stdout.
+        options: How USD is written; other formats use ``overwrite``, ``strict`` and
+            ``reduce`` of them.
+        rig_file: Rig file that a clip names; None writes one beside it.
+        opener: Called as the readers of sources are.
+        progress: Called with the share done, 0 to 1.
+    """
+    if output is None or is_usd(output):
+        from animtool.scene.bake import bake
+
+        return bake(source, output, options, progress=progress, opener=opener)
+    return convert(
+        source,
+        output,
+        overwrite=options.overwrite,
+        strict=options.strict,
+        reduce=options.reduce,
+        rig_file=rig_file,
+        progress=progress,
+        opener=opener,
+    )
+
+
+def timed(
+    blocks: Iterator[Motion], seconds: MutableMapping[str, float], stage: str
+) -> Iterator[Motion]:
+    """Yield blocks, and count the time that they take as a stage's."""
+    while True:
+        began = time.perf_counter()
+        block = next(blocks, None)
+        seconds[stage] += time.perf_counter() - began
+        if block is None:
+            return
+        yield block
