@@ -65,6 +65,7 @@ class BakeOptions:
             meshes without.
         chunk: Samples of point caches, and of systems, in each of several files; None
             is one file.
+        keep_stopped: Where a simulation stops, write the frames before, and raise then.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
 
@@ -351,6 +352,18 @@ class BakeOptions:
         least=1,
         help="Of --deform and of a scene's systems, for long takes, a file for every N "
         "samples, joined as value clips; memory holds two or three of them.",
+    )
+    keep_stopped: bool = option(
+        False,
+        "switch",
+        "--keep-stopped",
+        scene=Key(
+            "Where a system stops before the last frame: write the frames before that. "
+            "The bake fails all the same.",
+            True,
+        ),
+        help="Where a scene's system blows up, write the frames before that too; the "
+        "exit code stays 4.",
     )
     strict: bool = option(
         False, "switch", "--strict", batch=Key("Take warnings for errors.", True)

@@ -67,6 +67,8 @@ def bake_scene(
             (OUT007).
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
+        ToleranceError: A system stopped before the last frame. With ``keep_stopped``
+            it is the reports' ``stopped``, and the frames before are in the outputs.
     """
     given = options or BakeOptions()
     _check(scene, given)
@@ -84,6 +86,13 @@ def bake_scene(
             if shown is not None:
                 shown(1.0)
     return reports
+
+
+def raise_stopped(reports: Sequence[OutputReport]) -> None:
+    """Raise why a system stopped, where frames before that were kept."""
+    for report in reports:
+        if isinstance(report, BakeReport) and report.stopped is not None:
+            raise report.stopped
 
 
 def _plans(

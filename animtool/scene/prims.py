@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from animtool._types import FloatArray
 from animtool.clock import FrameSpan
-from animtool.errors import Fault
+from animtool.errors import Fault, ToleranceError
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, TimedTake, timed_blocks
@@ -83,6 +83,8 @@ class BakeReport:
     # Wall time by stage; ``read`` runs beside ``author``.
     seconds: dict[str, float] = field(default_factory=dict)
     shot: Shot | None = None  # the shot that was written; None is no shot
+    # Why a system ended before the last frame, where the frames before were to be kept.
+    stopped: ToleranceError | None = None
 
     @property
     def span(self) -> FrameSpan:

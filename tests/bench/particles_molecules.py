@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
-from measuring import begin, on_one_thread, parser, run_peer, taken_of
+from measuring import begin, draw, on_one_thread, parser, run_peer, taken_of
 
 # Of the melt that LAMMPS is measured by: density, temperature, cut-off, skin and step.
 DENSITY, TEMPERATURE, CUTOFF, SKIN, STEP = 0.8442, 1.44, 2.5, 0.3, 0.005
@@ -138,6 +138,7 @@ def main() -> None:
     if len(options.counts) > 1:
         rows += growth(rows, options.counts)
     session.finish(options.csv, rows)
+    draw(sys.executable, options.csv, "drift of energy")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from clock import Taken
 from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
-from measuring import HERE, begin, floors, parser, run, run_peer, taken_of
+from measuring import begin, draw, floors, parser, run_peer, taken_of
 
 from animtool.systems.springs import Family, Pins, SpringSystem, sheet
 
@@ -280,17 +279,6 @@ def rows(size: int, every: list[Found]) -> list[Row]:
     return made
 
 
-def draw(python: str, source: Path) -> None:
-    """Draw the curves, where the interpreter has matplotlib."""
-    known = [python, "-c", "import matplotlib"]
-    if subprocess.run(known, capture_output=True, check=False).returncode:
-        print(f"no plot was drawn: {python} has no matplotlib", file=sys.stderr)
-        return
-    script = str(HERE / "peers" / "springs_plot.py")
-    plot = str(source.with_suffix(".svg"))
-    run([python, script, str(source), plot], report=False)
-
-
 def main() -> None:
     """Measure, print the tables, write the CSV."""
     made = parser(__doc__, "sim_springs.csv", runs=3)
@@ -314,7 +302,7 @@ def main() -> None:
             every += rows(size, bench.run())
             session.about += [f"{n}, {r}/s, did not run" for n, r in bench.lost]
     session.finish(options.csv, every)
-    draw(options.plot_python, options.csv)
+    draw(options.plot_python, options.csv, "RMS at ")
 
 
 if __name__ == "__main__":
