@@ -184,7 +184,7 @@ class SystemSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that are read along with the scene."""
-        characters = (one.file for one in self.around.characters)
+        characters = (Path(one.file) for one in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 
