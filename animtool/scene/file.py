@@ -246,11 +246,11 @@ class _SceneReader:
             file,
             model.prim,
             path,
-            None if model.frame is None else Fraction(repr(model.frame)),
-            model.retimed,
             tuple(model.attributes),
             shown,
-            self._place(at),
+            frame=None if model.frame is None else Fraction(repr(model.frame)),
+            retimed=model.retimed,
+            place=self._place(at),
         )
 
     def _preroll(self) -> Preroll | None:

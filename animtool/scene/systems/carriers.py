@@ -20,6 +20,7 @@ from animtool.scene.systems.character_motion import (
     no_mesh,
 )
 from animtool.sim.colliders import Poses, joint_poses
+from animtool.transforms import PropRequest
 from animtool.units import UpAxis
 
 # Between two of these a prim goes straight, whatever turns it [1/s].
@@ -106,7 +107,7 @@ class OnPrim:
 
     def over_time(self) -> Poses:
         """Return where it is over time, the frame of 0 s among its times."""
-        from animtool.usd.props import PropRequest, open_prop
+        from animtool.usd.props import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
         codes, start = np.zeros(1), 0.0

@@ -46,6 +46,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
+from animtool.transforms import PropRequest
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
@@ -319,7 +320,7 @@ class PartReader(EntryReader):
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
         """Return a prim that carries others."""
-        from animtool.usd.props import PropRequest, open_prop
+        from animtool.usd.props import open_prop
 
         path = self.input((*at, "file"), model.file)
         if path is None:
