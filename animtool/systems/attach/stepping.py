@@ -23,6 +23,7 @@ from animtool.systems.springs.body import (
 )
 from animtool.systems.springs.motion import Through
 from animtool.systems.springs.records import SelfContact
+from animtool.systems.simulation import growing
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
@@ -57,7 +58,7 @@ class State:
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=nowhere)
+    passages: IntArray = field(default_factory=nowhere, metadata=growing())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
