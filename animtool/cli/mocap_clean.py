@@ -20,7 +20,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
-from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.options import CleanOptions
 
 
 @click.command(

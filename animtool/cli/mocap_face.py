@@ -22,7 +22,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
 from animtool.errors import counted, listed
-from animtool.mocap.face.options import FaceOptions
+from animtool.mocap.options import FaceOptions
 from animtool.quantities import length_text
 
 if TYPE_CHECKING:

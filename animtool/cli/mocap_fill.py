@@ -11,7 +11,7 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
-from animtool.mocap.markers.fill_options import FillOptions
+from animtool.mocap.options import FillOptions
 
 
 @click.command(

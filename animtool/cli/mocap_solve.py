@@ -28,7 +28,7 @@ from animtool.cli.outputs import (
     written_options_record,
 )
 from animtool.errors import counted, listed, percent
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.quantities import duration_text, length_text
 
 if TYPE_CHECKING:

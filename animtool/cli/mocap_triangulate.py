@@ -19,7 +19,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
-from animtool.mocap.cameras.options import TriangulateOptions
+from animtool.mocap.options import TriangulateOptions
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from animtool.cli.outputs import (
     written_options_record,
 )
 from animtool.errors import counted, listed, percent
-from animtool.mocap.retarget.options import RetargetOptions
+from animtool.mocap.options import RetargetOptions
 from animtool.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:

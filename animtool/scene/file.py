@@ -36,10 +36,15 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import Value, option_keys
 from animtool.scene.retime import Preroll
 from animtool.scene.scene import Scene
-from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
+from animtool.scene.schema import (
+    OutputModel,
+    PropModel,
+    SceneModel,
+    SourceModel,
+    SystemModel,
+)
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links, check_names
-from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.shot import FrameRange, Shot
 from animtool.systems.fields import SystemColliderModel

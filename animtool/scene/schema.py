@@ -5,10 +5,10 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Len
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag, create_model
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -20,10 +20,11 @@ from animtool.documents.fields import (
     check_numbers,
     key,
 )
+from animtool.plugins import load_object
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import with_keys
 from animtool.scene.sources import SourceOptions
-from animtool.scene.systems.schema import SystemModel
+from animtool.systems.kinds import SYSTEM_KINDS
 
 
 class TracksModel(FileModel):
@@ -103,6 +104,34 @@ class PropModel(FileModel):
         "the default prim of another file.",
         True,
         default=False,
+    )
+
+
+class _SystemModel(FileModel):
+    """One simulation, of one kind."""
+
+
+if TYPE_CHECKING:
+    SystemModel = _SystemModel
+else:
+    # Of an entry's kinds one is given; that one may not be nothing.
+    _NOT_GIVEN: Any = None
+    SystemModel = create_model(
+        "SystemModel",
+        __base__=_SystemModel,
+        __module__=__name__,
+        __doc__=_SystemModel.__doc__,
+        **{
+            name: (
+                load_object(kind.spec),
+                Field(
+                    default=_NOT_GIVEN,
+                    description=kind.description,
+                    examples=[kind.example],
+                ),
+            )
+            for name, kind in SYSTEM_KINDS.items()
+        },
     )
 
 

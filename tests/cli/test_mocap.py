@@ -17,7 +17,7 @@ from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.markers import Markers
 from animtool.maths import so3
-from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.options import CleanOptions
 from animtool.mocap.template.template import template_text
 from animtool.passes import find_pass
 from animtool.rig.write import rig_text

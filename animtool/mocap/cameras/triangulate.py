@@ -18,7 +18,7 @@ from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import measured_noise
 from animtool.mocap.cameras.observations import Observations, matched
-from animtool.mocap.cameras.options import TriangulateOptions
+from animtool.mocap.options import TriangulateOptions
 from animtool.mocap.cameras.report import (
     Tallies,
     Triangulation,

@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
-from animtool.mocap.markers.fill_options import FillOptions
+from animtool.mocap.options import FillOptions
 from animtool.mocap.markers.geometry import distances
 from animtool.mocap.markers.predict import follow, predict
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes

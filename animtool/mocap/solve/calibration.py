@@ -25,7 +25,7 @@ from animtool.mocap.solve.model import (
     marker_model,
     seen_markers,
 )
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.run import check_units, in_world_of
 from animtool.mocap.solve.sampling import (
     ROBUST,

@@ -19,7 +19,7 @@ from animtool.mocap.solve.model import (
     marker_model,
     seen_markers,
 )
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.report import SolveScore
 from animtool.mocap.solve.sampling import (
     ROBUST,

@@ -12,7 +12,7 @@ import numpy as np
 from animtool.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate

@@ -13,7 +13,7 @@ from animtool.errors import OptionError
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.markers.fill import fill
-from animtool.mocap.markers.fill_options import FillOptions
+from animtool.mocap.options import FillOptions
 from animtool.mocap.markers.label import label
 
 FRAMES, RATE = 300, 120
