@@ -67,8 +67,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     Filters have no lag. What was removed, and at which frequencies, is said.
     """
     from animtool.passes import find_pass
-    from animtool.scene.convert import convert_outputs
-    from animtool.scene.passed import convert_passed
+    from animtool.scene.convert import convert_outputs, convert_with_passes
 
     if skipped(console, "mocap clean", params, output, lambda: convert_outputs(output)):
         return
@@ -81,7 +80,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     for name in (name for name, on in settings.items() if on):
         passes.append((find_pass(name), find_pass(name).options()))
     with all_named(), console.progress(f"clean {source.name}") as progress:
-        report = convert_passed(
+        report = convert_with_passes(
             source,
             output,
             passes,

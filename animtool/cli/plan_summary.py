@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.progress import StageCost
-    from animtool.scene.steps import Step
+    from animtool.scene.plan_steps import Step
 
 
 def mesh_text(take: TakeReport) -> list[str]:

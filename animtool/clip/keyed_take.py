@@ -23,7 +23,7 @@ from animtool.clip.coordinates import (
     joint_tracks,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
-from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
 from animtool.clip.reduction.points import (
     SHELL,

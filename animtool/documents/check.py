@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from animtool.documents.document import Document, Location
-from animtool.documents.mend import (
+from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
     fields_of,

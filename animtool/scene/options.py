@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from animtool.clip.reduction import KEY_TOLERANCE
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.options import Key, option
 from animtool.rates import (

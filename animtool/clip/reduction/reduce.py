@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clip.reduction import WEIGHT_TOLERANCE
+from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
     SHELL,

@@ -36,7 +36,7 @@ from animtool.systems.fields import (
 )
 
 if TYPE_CHECKING:
-    from animtool.systems.particles.forces.force import Force
+    from animtool.systems.particles.forces.base import Force
 
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}

@@ -16,7 +16,7 @@ from animtool.report.describe_scene import describe_scene
 from animtool.scene import outputs as scene_outputs
 from animtool.scene.file import load_scene
 from animtool.scene.options import BakeOptions
-from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.systems import simulation
 
 HEAD = "scene: animtool/1\nfps: 24\n"
