@@ -163,7 +163,7 @@ class FillOptions:
         help="Whether names that were exchanged are put right, or kept.  "
         "[default: repair]",
     )
-    longest: Annotated[float | None, or_more(0, "MKR022", finite=True)] = option(
+    longest: Annotated[float | None, or_more(0, "CAP001", finite=True)] = option(
         None,
         "amount",
         "--longest",

@@ -69,7 +69,7 @@ class BakeOptions:
         overwrite: Replace outputs that exist.
 
     Raises:
-        OptionError: fps is no rate (SCN022), or start no frame (SCN026).
+        OptionError: fps is no rate (SCN022), or start no frame (SCN033).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -377,7 +377,7 @@ def _frame_option(start: FractionLike) -> Fraction:
     try:
         return parse_frame(start)
     except ValueError as error:
-        raise OptionError(Fault("SCN026", f"start: {error}")) from error
+        raise OptionError(Fault("SCN033", f"start: {error}")) from error
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:

@@ -234,7 +234,7 @@ def simulate(
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
             SKIN001 to SKIN006), or a file of states is none (SIM035).
         OptionError: An option makes no sense, with every such fault (SCN014, SCN015,
-            SCN025, SIM030 to SIM032), the rig does not fit (SIM030, SIM033), or a
+            SCN025, SIM004, SIM030, SIM032), the rig does not fit (SIM030, SIM033), or a
             file of states does not (SIM035).
     """
     _check(options)

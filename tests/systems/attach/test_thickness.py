@@ -109,4 +109,4 @@ def test_only_cloth_has_a_thickness() -> None:
 def test_a_thickness_that_makes_no_sense(thickness: str) -> None:
     with pytest.raises(OptionError) as caught:
         simulated(take_of(RIG, 24, 0.1), thickness=thickness)
-    assert [fault.code for fault in caught.value.faults] == ["SIM031"]
+    assert [fault.code for fault in caught.value.faults] == ["SIM004"]
