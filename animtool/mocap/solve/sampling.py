@@ -16,8 +16,6 @@ MEDIAN_LENGTH = 1.538
 ROBUST = 8.0
 # A marker that is seen in fewer frames is as far off as the others.
 FEW = 5
-# Poses of frames by themselves have no time between them.
-NO_TIME = FitOptions(1.0, math.inf)
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -122,6 +121,3 @@ class OnPrim:
         found = prop.track.sample(codes)
         times = (codes - start) / float(prop.fps)
         return Poses(times, found.translations, so3.align_signs(found.rotations))
-
-
-Carrier: TypeAlias = OnJoint | OnVertex | OnPrim
