@@ -390,10 +390,7 @@ class _SceneReader:
         keys = option_keys(SourceOptions, model, "scene", at, self)
         tracks = None
         if model.tracks is not None:
-            chosen = model.tracks
-            tracks = TrackNames(
-                tuple(chosen.joints), tuple(chosen.shapes), tuple(chosen.controls)
-            )
+            tracks = TrackNames(**{name: tuple(of) for name, of in model.tracks})
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
