@@ -113,7 +113,8 @@ class SavedStates:
         if not (math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)):
             message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
             message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
-            raise other(message, "keep the step and the pre-roll that it was saved with")
+            hint = "keep the step and the pre-roll that it was saved with"
+            raise other(message, hint)
         like, marks = _arrays(start.state), _Marks()
         _mark(start.state, marks)
         held = archives.text(path, f"{above}state")
@@ -124,21 +125,22 @@ class SavedStates:
         lengths = set()
         for key in names:
             values = found[key] = archives.stored(path, f"{above}state/{key}")
-            rows, axis = like.get(key, values), marks.axes.get(key)
-            shape = list(rows.shape)
-            if axis is not None and values.ndim == rows.ndim:
+            mine, axis = like.get(key, values), marks.axes.get(key)
+            shape = list(mine.shape)
+            if axis is not None and values.ndim == mine.ndim:
                 shape[axis] = values.shape[axis]
                 lengths.add(shape[axis])
-            if values.shape != (*shape,) or values.dtype.kind != rows.dtype.kind:
-                message = f"{key} is {values.dtype} of shape {values.shape}, and in the "
-                raise other(f"{message}scene {rows.dtype} of shape {rows.shape}")
+            if values.shape != (*shape,) or values.dtype.kind != mine.dtype.kind:
+                message = f"{key} is {values.dtype} of shape {values.shape}, and in "
+                raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
             # Who lives for ever has a death that is infinite.
             sound = np.isfinite(values) if axis is None else ~np.isnan(values)
-            if rows.dtype.kind == "f" and not sound.all():
+            if mine.dtype.kind == "f" and not sound.all():
                 raise other(f"{key} holds a value that is not finite")
-            found[key] = values.astype(rows.dtype)
+            found[key] = values.astype(mine.dtype)
         if len(lengths) > 1:
-            raise other(f"its arrays have {listed(sorted(lengths))} rows, not all the same")
+            rows = listed(sorted(lengths))
+            raise other(f"its arrays have {rows} rows, not all the same")
         try:
             return Reached(int(steps), _restored(start.state, found, marks))
         except TypeError as error:

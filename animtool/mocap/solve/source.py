@@ -95,8 +95,8 @@ def triangulated(
 
     Raises:
         FormatError: A file cannot be read.
-        OptionError: Cameras and observations do not fit each other (CAM011 to CAM014), or
-            an option is out of range (CAP001).
+        OptionError: Cameras and observations do not fit each other (CAM011 to
+            CAM014), or an option is out of range (CAP001).
     """
     from animtool.mocap.cameras.file import load_all_cameras
     from animtool.mocap.cameras.observations import read_observations

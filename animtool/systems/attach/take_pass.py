@@ -284,7 +284,8 @@ def _resumed(
         # Of a system that is saved the one state has no name.
         frames = [float(name.partition("/")[0]) for name in saved.names if name]
         if not frames:
-            raise OptionError(Fault("SIM035", "it has no state of any frame", str(path)))
+            message = "it has no state of any frame"
+            raise OptionError(Fault("SIM035", message, str(path)))
         frame = max(frames)
         for body in bodies:
             count = body.network.count
