@@ -92,7 +92,9 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def solve(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
+def solve(
+    console: Console, /, source: Path, output: Path | None, **params: Any
+) -> None:
     """Solve the motion of a rig from MARKERS: a C3D, TRC or npz file with labels.
 
     Markers that are missing, far off or mixed up are told from those that fit; limits

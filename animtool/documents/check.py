@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from animtool.documents.document import Document, Location
+from animtool.documents.names import KINDS, nearest
 from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
@@ -18,7 +19,6 @@ from animtool.documents.placeholders import (
     replaced,
     stand_in,
 )
-from animtool.documents.names import KINDS, nearest
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar

@@ -16,8 +16,8 @@ from animtool.maths.so3 import multiply, rotate
 from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
 from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.mocap.face.model import FaceModel
-from animtool.mocap.options import FaceOptions
 from animtool.mocap.face.solve import FaceFit, fit_face
+from animtool.mocap.options import FaceOptions
 from animtool.motion import Channel, Motion
 from animtool.output import check_outputs
 from animtool.rig.head import HEAD, head_joints, local_rotations

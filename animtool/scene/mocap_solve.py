@@ -12,8 +12,8 @@ from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.files import seen_from
 from animtool.formats.marker_files import file_of, open_markers
-from animtool.mocap.solve.calibration import Calibration, calibrate
 from animtool.mocap.options import SolveOptions
+from animtool.mocap.solve.calibration import Calibration, calibrate
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.solve.source import (
     at_file,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
-from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.output import check_outputs, replacing, sparing_inputs, together

@@ -183,8 +183,9 @@ class SourceOptions:
         "--template",
         reason="is for files of markers, and this is none",
         scene=Key(
-            "Of a file of markers: the marker template that says where they are. They are "
-            "solved on the rig of the scene, or on the one that the template names.",
+            "Of a file of markers: the marker template that says where they are. They "
+            "are solved on the rig of the scene, or on the one that the template "
+            "names.",
             "ann.markers.yaml",
         ),
         help="Of a file of markers: the template that says where they are "

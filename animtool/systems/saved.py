@@ -110,7 +110,9 @@ class SavedStates:
         if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
             raise other("its clock is no begin, step and count of steps")
         begin, step, steps = clock.tolist()
-        if not (math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)):
+        if not (
+            math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)
+        ):
             message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
             message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
             hint = "keep the step and the pre-roll that it was saved with"

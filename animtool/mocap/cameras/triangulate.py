@@ -18,7 +18,6 @@ from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import measured_noise
 from animtool.mocap.cameras.observations import Observations, matched
-from animtool.mocap.options import TriangulateOptions
 from animtool.mocap.cameras.report import (
     Tallies,
     Triangulation,
@@ -26,6 +25,7 @@ from animtool.mocap.cameras.report import (
     gap_notices,
 )
 from animtool.mocap.cameras.stale import Moved, PoseChange, moved_ranges, pose_change
+from animtool.mocap.options import TriangulateOptions
 
 # Observations that are worked on at once: what they take stays below 50 MB.
 BLOCK = 500_000

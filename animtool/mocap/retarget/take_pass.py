@@ -12,10 +12,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity
+from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.legs import leg_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
-from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of

@@ -124,7 +124,9 @@ class MarkerProblem:
         return _built(rig, replace(self.template, markers=markers), self.columns)
 
 
-def marker_model(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProblem:
+def marker_model(
+    rig: Rig, template: MarkerTemplate, columns: IntArray
+) -> MarkerProblem:
     """Return the model of the markers that a capture has.
 
     Args:

@@ -13,13 +13,13 @@ from animtool.errors import Fault, OptionError, Severity, counted, listed
 from animtool.ik.fit import FitOptions, fit
 from animtool.markers import Markers
 from animtool.maths import so3
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
     marker_model,
     seen_markers,
 )
-from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.report import SolveScore
 from animtool.mocap.solve.sampling import (
     ROBUST,

@@ -13,6 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
+from animtool.systems.simulation import growing
 from animtool.systems.springs.body import (
     Draws,
     Paths,
@@ -23,7 +24,6 @@ from animtool.systems.springs.body import (
 )
 from animtool.systems.springs.motion import Through
 from animtool.systems.springs.records import SelfContact
-from animtool.systems.simulation import growing
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0

@@ -16,7 +16,6 @@ from animtool.sim.colliders.shapes import Mesh
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
-
 class _Checked:
     """A place whose fields declare their ranges."""
 
