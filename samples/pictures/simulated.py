@@ -10,12 +10,10 @@ import argparse
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from bodies import View, draw_frames
 from clouds import draw_clouds
-
-from animtool import bake
+from labelled import make_picture
 
 SAMPLES = Path(__file__).parents[1]
 # By the name of a sample, what draws a bake of its scene.
@@ -62,17 +60,10 @@ DRAWN: dict[str, Callable[[Path, Path], None]] = {
 }
 
 
-def main(name: str, out: Path) -> None:
-    """Bake the scene of a sample and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / f"{name}.usdc"
-        bake(SAMPLES / name / f"{name}.scene.yaml", baked)
-        DRAWN[name](baked, out)
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("name", choices=DRAWN)
     parser.add_argument("out", type=Path, nargs="?")
     options = parser.parse_args()
-    main(options.name, options.out or SAMPLES / options.name / f"{options.name}.png")
+    scene = SAMPLES / options.name / f"{options.name}.scene.yaml"
+    make_picture(scene, DRAWN[options.name], options.out)

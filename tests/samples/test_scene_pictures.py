@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from typing import Any
@@ -55,30 +56,29 @@ def test_the_committed_picture_is_what_is_drawn(
     assert np.abs(drawn - committed).mean() < SAME
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_script_bakes_and_draws_its_scene(
+@pytest.mark.parametrize("name", [*NAMES, "dam"])
+def test_a_script_draws_its_scene(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:
-    main = script_of(name)["main"]
-    calls: list[tuple[Path, ...]] = []
-    for step in ("bake", "draw"):
-        monkeypatch.setitem(main.__globals__, step, lambda *paths: calls.append(paths))
-    main(tmp_path / "a.png")
-    (scene, baked), (drawn, out) = calls
+    monkeypatch.setattr(sys, "path", [str(ROOT / "samples/pictures"), *sys.path])
+    labelled, calls = import_module("labelled"), []
+    monkeypatch.setattr(labelled, "make_picture", lambda *given: calls.append(given))
+    monkeypatch.setattr(sys, "argv", ["make_picture.py", str(tmp_path / "a.png")])
+    script = ROOT / f"samples/{name}/make_picture.py"
+    run_path(str(script), run_name="__main__")
+    ((scene, draw, out),) = calls
     assert scene == ROOT / f"samples/{name}/{name}.scene.yaml"
-    assert drawn == baked
-    assert out == tmp_path / "a.png"
+    assert (draw.__name__, out) == ("draw", tmp_path / "a.png")
 
 
-def test_one_script_bakes_and_draws_simulated_scenes(
-    monkeypatch: pytest.MonkeyPatch, simulated: dict[str, Any], tmp_path: Path
+def test_a_scene_is_baked_and_drawn(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, simulated: dict[str, Any]
 ) -> None:
     assert sorted(simulated["DRAWN"]) == sorted(SIMULATED)
-    main, calls = simulated["main"], []
-    kept = lambda *paths: calls.append(paths)  # noqa: E731
-    monkeypatch.setitem(main.__globals__, "bake", kept)
-    monkeypatch.setitem(simulated["DRAWN"], "argon", kept)
-    main("argon", tmp_path / "a.png")
-    (scene, baked), (drawn, out) = calls
-    assert scene == ROOT / "samples/argon/argon.scene.yaml"
-    assert (drawn, out) == (baked, tmp_path / "a.png")
+    make, calls = simulated["make_picture"], []
+    monkeypatch.setitem(make.__globals__, "bake", lambda *paths: calls.append(paths))
+    scene = tmp_path / "argon" / "melt.scene.yaml"
+    make(scene, lambda *paths: calls.append(paths))
+    (baked_of, baked), (drawn, out) = calls
+    assert (baked_of, baked.name, drawn) == (scene, "melt.usdc", baked)
+    assert out == tmp_path / "argon/argon.png"
