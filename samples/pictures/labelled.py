@@ -65,7 +65,7 @@ def save(figure: Any, out: Path) -> None:
 def make_picture(
     scene: Path, draw: Callable[[Path, Path], object], out: Path | None = None
 ) -> None:
-    """Bake a scene and write its picture; named as its folder where no name is given."""
+    """Bake a scene and write its picture: `out`, or named as the folder it is in."""
     with TemporaryDirectory() as folder:
         baked = Path(folder) / f"{scene.name.partition('.')[0]}.usdc"
         bake(scene, baked)
