@@ -99,10 +99,11 @@ class SavedStates:
         above = f"{name}/" if name else ""
 
         def other(message: str, hint: str | None = None) -> OptionError:
-            return OptionError(Fault("SIM035", message, str(path), (), hint))
+            text = f"{name}: {message}" if name else message
+            return OptionError(Fault("SIM035", text, str(path), (), hint))
 
         if name and not archives.has(path, f"{above}kind"):
-            raise other(f"it has no state of {name}")
+            raise other("there is no such state")
         kind = archives.text(path, f"{above}kind")
         if kind != clocked.kind:
             raise other(f"it has the state of {kind}, not of {clocked.kind}")
