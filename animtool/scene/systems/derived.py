@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -54,53 +53,57 @@ if TYPE_CHECKING:
     from animtool.usd.prims import StillMesh
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
-Meshes: TypeAlias = Callable[[], tuple[MeshFrame, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Prototype:
+    """A mesh, and the phases of its cycle; those that are equal are shown by one."""
+
+    path: Path
+    prim: str | None  # of a USD file
+    mesh: str | None  # of a rig
+    samples: int  # phases of what moves
+
+    def __call__(self) -> tuple[MeshFrame, ...]:
+        """Return its mesh at each phase; of what does not move there is one.
+
+        Raises:
+            OptionError: There is no such mesh (SIM051, SIM053).
+            FormatError: The file cannot be read.
+        """
+        at, span = self._of_rig() if self.prim is None else self._of_stage()
+        shares = [0.0] if span is None else np.arange(self.samples) / self.samples
+        first, last = span or (0.0, 0.0)
+        return tuple(at(first + (last - first) * float(share)) for share in shares)
+
+    def _of_stage(self) -> _Moving:
+        from animtool.usd.prims import open_mesh
+
+        assert self.prim is not None
+        source = open_mesh(self.path, self.prim, UpAxis.Y)
+
+        def at(code: float) -> MeshFrame:
+            found = source.at(None if source.span is None else code)
+            return _frame(found.points, found.counts, found.indices)
+
+        return at, source.span
+
+    def _of_rig(self) -> _Moving:
+        from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
+
+        assert self.mesh is not None
+        character = CharacterMotions().of(self.path)
+        motion = SkinMotion(character, self.mesh)
+        counts, indices = motion.faces
+
+        def at(t: float) -> MeshFrame:
+            return _frame(motion.points(t), counts, indices)
+
+        first, last = character.times[[0, -1]].tolist()
+        return at, (first, last) if last > first else None
 
 
 _Moving = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
-
-
-def prototype_meshes(path: Path, model: PrototypeModel) -> tuple[MeshFrame, ...]:
-    """Return a mesh of a file at each phase; of what does not move there is one.
-
-    Raises:
-        OptionError: There is no such mesh (SIM051, SIM053).
-        FormatError: The file cannot be read.
-    """
-    if model.prim is None:
-        assert model.mesh is not None
-        at, span = _of_rig(path, model.mesh)
-    else:
-        at, span = _of_stage(path, model.prim)
-    shares = [0.0] if span is None else np.arange(model.samples) / model.samples
-    first, last = span or (0.0, 0.0)
-    return tuple(at(first + (last - first) * float(share)) for share in shares)
-
-
-def _of_stage(path: Path, prim: str) -> _Moving:
-    from animtool.usd.prims import open_mesh
-
-    source = open_mesh(path, prim, UpAxis.Y)
-
-    def at(code: float) -> MeshFrame:
-        found = source.at(None if source.span is None else code)
-        return _frame(found.points, found.counts, found.indices)
-
-    return at, source.span
-
-
-def _of_rig(path: Path, mesh: str) -> _Moving:
-    from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
-
-    character = CharacterMotions().of(path)
-    motion = SkinMotion(character, mesh)
-    counts, indices = motion.faces
-
-    def at(t: float) -> MeshFrame:
-        return _frame(motion.points(t), counts, indices)
-
-    first, last = character.times[[0, -1]].tolist()
-    return at, (first, last) if last > first else None
 
 
 def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame:
@@ -207,7 +210,7 @@ class PartReader(EntryReader):
         inner = (self._reader(one, check=check) for one in get_args(annotation))
         return next((read for read in inner if read is not None), None)
 
-    def prototype(self, at: Location, model: PrototypeModel) -> Meshes | None:
+    def prototype(self, at: Location, model: PrototypeModel) -> Prototype | None:
         """Return a mesh that copies are made of; a USD file is looked at now."""
         if (model.prim is None) is (model.mesh is None):
             message = "it is the prim of a USD file, or the mesh of a rig"
@@ -218,7 +221,7 @@ class PartReader(EntryReader):
         if path is None:
             return None
         self.files.append(path)
-        made = partial(prototype_meshes, path, model)
+        made = Prototype(path, model.prim, model.mesh, model.samples)
         if model.prim is not None:
             try:
                 made()
