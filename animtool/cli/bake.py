@@ -177,7 +177,7 @@ def _plan(
 ) -> None:
     """Print what a bake would do."""
     from animtool.cli.plan_summary import steps_json, steps_text
-    from animtool.scene.steps import bake_steps
+    from animtool.scene.plan_steps import bake_steps
 
     scene = only_scene(opened)
     if output is None and (scene is None or scene.output is None):

@@ -13,9 +13,9 @@ from animtool.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
+    from animtool.scene.plan_steps import Step
     from animtool.scene.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.progress import StageCost
-    from animtool.scene.steps import Step
 
 
 def mesh_text(take: TakeReport) -> list[str]:

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from animtool.clip.reduction import KEY_TOLERANCE
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.options import Key, option
 from animtool.rates import (
@@ -70,7 +70,7 @@ class BakeOptions:
         overwrite: Replace outputs that exist.
 
     Raises:
-        OptionError: fps is no rate (SCN022), or start no frame (SCN026).
+        OptionError: fps is no rate (SCN022), or start no frame (SCN033).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -390,7 +390,7 @@ def _frame_option(start: FractionLike) -> Fraction:
     try:
         return parse_frame(start)
     except ValueError as error:
-        raise OptionError(Fault("SCN026", f"start: {error}")) from error
+        raise OptionError(Fault("SCN033", f"start: {error}")) from error
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.motion import Motion
-from animtool.scene.convert import ConvertReport, convert
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
 from animtool.scene.sources import is_usd
@@ -52,6 +52,19 @@ def write_take(
         progress=progress,
         opener=opener,
     )
+
+
+def take_outputs(
+    source: Path, output: Path | None, options: BakeOptions, rig_file: Path | None
+) -> list[Path]:
+    """Return the files that `write_take` writes; of a clip the output last."""
+    if output is None:
+        return []
+    if is_usd(output):
+        from animtool.scene.reading import bake_outputs
+
+        return bake_outputs([source], output, options)
+    return convert_outputs(output, rig_file)
 
 
 def timed(

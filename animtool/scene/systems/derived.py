@@ -27,7 +27,7 @@ from animtool.scene.entries import SystemSetup
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.surroundings import Surroundings
+from animtool.scene.systems.surroundings import AROUND, Surroundings
 from animtool.systems.fields import (
     CarryingJointModel,
     CarryingPrimModel,
@@ -45,6 +45,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
+from animtool.transforms import PropRequest
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ Reader: TypeAlias = Callable[[Location, Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Prototype:
-    """A mesh, and the phases of its cycle."""
+    """A mesh, and the phases of its cycle; those that are equal are shown by one."""
 
     path: Path
     prim: str | None  # of a USD file
@@ -322,7 +323,7 @@ class PartReader(EntryReader):
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
         """Return a prim that carries others."""
-        from animtool.usd.props import PropRequest, open_prop
+        from animtool.usd.props import open_prop
 
         path = self.input((*at, "file"), model.file)
         if path is None:
@@ -341,9 +342,6 @@ class PartReader(EntryReader):
         for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
         return part
-
-
-AROUND = ("colliders", "characters", "systems", "meshes")
 
 
 def read_spec(
@@ -375,9 +373,7 @@ def read_spec(
     if record is None and (faults or not (sound and reader.sound)):
         return None
     followed = (*outside.files, *reader.files)
-    colliders, characters, surfaces, meshes = (
-        tuple(met.get(key, ())) for key in AROUND
-    )
-    around = Surroundings(colliders, characters, surfaces, meshes, followed)
+    read = {key: tuple(parts) for key, parts in met.items()}
+    around = Surroundings(**read, followed=followed, at=at)
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, around, parts, record, at, carriers, resume)

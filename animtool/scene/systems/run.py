@@ -19,12 +19,12 @@ from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
-from animtool.scene.systems.saved import Clocked, write_state
 from animtool.scene.systems.simulation import (
     SystemProgress,
     located_systems,
     open_systems,
 )
+from animtool.systems.saved import Clocked, write_states
 from animtool.systems.simulation import ON_STEP, EntryRun, Reached, SeenAhead
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
@@ -237,7 +237,7 @@ class SystemRun:
             system, run = self.systems[i], self._open[i].run
             clocked = Clocked(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
-                write_state(folder / name, clocked, state)
+                write_states(folder / name, {"": (clocked, state)})
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()

@@ -13,6 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
+from animtool.systems.simulation import growing
 from animtool.systems.springs.body import (
     Draws,
     Loads,
@@ -57,7 +58,7 @@ class State:
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=nowhere)
+    passages: IntArray = field(default_factory=nowhere, metadata=growing())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
-from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.systems.simulation import open_systems
 
 SCENE = """\
