@@ -105,7 +105,7 @@ class ItemBuilder:
         return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
 
     def _made(self, item: Item, began: float) -> Outcome:
-        from animtool.scene.outputs import raise_stopped
+        from animtool.scene.prims import raise_stopped
 
         with recorded_inputs() as inputs:
             note_input(item.file.path)

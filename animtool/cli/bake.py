@@ -251,7 +251,7 @@ def _say_reports(
     """
     from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import bake_details, output_json, output_text
-    from animtool.scene.outputs import raise_stopped
+    from animtool.scene.prims import raise_stopped
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.

@@ -88,13 +88,6 @@ def bake_scene(
     return reports
 
 
-def raise_stopped(reports: Sequence[OutputReport]) -> None:
-    """Raise why a system stopped, where frames before that were kept."""
-    for report in reports:
-        if isinstance(report, BakeReport) and report.stopped is not None:
-            raise report.stopped
-
-
 def _plans(
     scene: Scene, options: BakeOptions, progress: Progress
 ) -> list[BakePlan | TakePlan]:

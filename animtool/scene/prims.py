@@ -117,6 +117,13 @@ class BakeReport:
         return sum(take.source_bytes for take in self.takes)
 
 
+def raise_stopped(reports: Sequence[object]) -> None:
+    """Raise why a system stopped, where frames before that were kept."""
+    for report in reports:
+        if isinstance(report, BakeReport) and report.stopped is not None:
+            raise report.stopped
+
+
 # Writes a layer to a file, or as text to stdout; returns the bytes.
 Save: TypeAlias = Callable[[Any, Path | None], int]
 

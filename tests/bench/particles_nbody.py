@@ -140,9 +140,9 @@ def methods() -> list[Row]:
     steps = [
         f"{method}:{step}"
         for method in ("symplectic_euler", "midpoint", "velocity_verlet", "rk4")
-        for step in (0.04, 0.02, 0.01)
+        for step in (0.01, 0.005, 0.0025)
     ]
-    found = run_peer(sys.executable, "nbody_methods.py", 2, *steps, "rk4:0.0025")
+    found = run_peer(sys.executable, "nbody_methods.py", 2, *steps, "rk4:0.000625")
     rows = []
     for one in found["found"][:-1]:
         tool = one["setting"].replace(":", ", ")
