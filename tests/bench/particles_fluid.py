@@ -78,9 +78,7 @@ def collapse(options: argparse.Namespace, folder: Path) -> list[Row]:
                 options.peer_python, "fluid_splishsplash.py", source, found, ERRORS
             )
         frames = np.load(found)
-        # At rest a particle may be less than the cube of the spacing.
-        rest = spacing * report.get("volume", 1.0) ** (1 / 3)
-        worst[name] = max(compression(one, rest) for one in frames)
+        worst[name] = max(compression(one, spacing) for one in frames)
         beyond = np.abs(frames - TANK / 2) > TANK / 2 + spacing / 2
         outside[name] = int(beyond.any(axis=2).sum(axis=1).max())
         return taken_of(report)[0]
