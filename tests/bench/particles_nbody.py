@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from clock import Taken
-from figures import Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, draw, on_one_thread, parser, run_peer
 
 SEED, SAMPLE = 5, 200
@@ -29,7 +29,7 @@ ANGLES = {
     MONOPOLE: ("nbody_pytreegrav.py", ("monopole",), ("0.7", "0.4", "0.25")),
     QUADRUPOLE: ("nbody_pytreegrav.py", ("quadrupole",), ("1", "0.7", "0.5")),
 }
-FASTER, DIRECT = (PropRequest(at_least=True, bound=b) for b in (1.5, 10.0))
+FASTER, DIRECT = (Bound(at_least=True, bound=b) for b in (1.5, 10.0))
 # Bodies up to which direct sums are timed.
 FEW = 20_000
 # Bodies from which on the next count has just the settings around the error.
