@@ -26,8 +26,8 @@ AT = 2e-4
 ACCURACIES = ("3e-3", "1e-3", "3e-4", "1e-4", "3e-5")
 ANGLES = {
     REBOUND: ("nbody_rebound.py", (), ("0.7", "0.5", "0.3", "0.2")),
-    MONOPOLE: ("nbody_pytreegrav.py", ("monopole",), ("0.7", "0.4", "0.25")),
-    QUADRUPOLE: ("nbody_pytreegrav.py", ("quadrupole",), ("1", "0.7", "0.5")),
+    MONOPOLE: ("nbody_pytreegrav.py", ("monopole",), ("0.7", "0.4", "0.25", "0.2")),
+    QUADRUPOLE: ("nbody_pytreegrav.py", ("quadrupole",), ("1", "0.7", "0.5", "0.4")),
 }
 FASTER, DIRECT = (Bound(at_least=True, bound=b) for b in (1.5, 10.0))
 # Bodies up to which direct sums are timed.
@@ -59,7 +59,10 @@ def exact(x: np.ndarray, masses: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def around(found: list[dict[str, Any]], error: float) -> tuple[str, ...]:
-    """Return the settings whose errors are next above and below an error."""
+    """Return the settings whose errors are next above and below an error.
+
+    Of a tool that stays above it, that is the setting with the least error.
+    """
     by_error = sorted(found, key=lambda one: one["error"])
     above = [one["setting"] for one in by_error if one["error"] >= error][:1]
     below = [one["setting"] for one in by_error if one["error"] < error][-1:]
@@ -117,7 +120,7 @@ def measure(
     for name, (script, more, _) in ANGLES.items():
         found = run(name, script, *more, *settings[name])
         theirs = at_error(found, AT)
-        if count >= MANY and theirs is not None:
+        if count >= MANY:
             settings[name] = around(found, AT)
         if theirs is None or ours is None:
             continue
@@ -130,7 +133,8 @@ def measure(
     if count <= FEW and ours is not None:
         (direct,) = run("rebound, direct", "nbody_rebound.py", "0")
         taken = [Taken(*pair) for pair in direct["taken"]]
-        rows += ratio_rows(section, "rebound, direct", taken, [ours], wanted=DIRECT)
+        wanted = DIRECT if count >= MANY else None
+        rows += ratio_rows(section, "rebound, direct", taken, [ours], wanted=wanted)
         run(OWN, "nbody_animtool.py", "0")
     return rows
 

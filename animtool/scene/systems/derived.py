@@ -125,6 +125,8 @@ class PartReader(EntryReader):
     def __init__(self, document: Document, roots: Sequence[Path]) -> None:
         super().__init__(document, roots)
         self.carriers: list[Path] = []
+        # Populations often share their gaits, which take long to read.
+        self._gaits: dict[GaitsSource, GaitsSource] = {}
 
     def parts(
         self, at: Location, model: FileModel, keys: Collection[str] | None = None
@@ -230,7 +232,7 @@ class PartReader(EntryReader):
         return made
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return clips of a rig; they are looked at now."""
+        """Return clips of a rig; they are looked at now, once for all of one rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.input((*at, "rig"), model.rig)
@@ -242,6 +244,7 @@ class PartReader(EntryReader):
         if rig is None or len(found) < 1 + len(clips):
             return None
         made = GaitsSource(rig, tuple(found[1:]))
+        made = self._gaits.setdefault(made, made)
         try:
             made()
         except AnimtoolError as error:
