@@ -34,7 +34,7 @@ FASTER, DIRECT = (Bound(at_least=True, bound=b) for b in (1.5, 10.0))
 FEW = 20_000
 # Bodies from which on the next count has just the settings around the error.
 MANY = 10_000
-# A peer that takes longer for a sum [s] is left out of the next count, and that is said.
+# A peer that takes longer for a sum [s] is left out of the next count, and says so.
 LONG = 20.0
 
 Settings = dict[str, tuple[str, ...]]
