@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from animtool.cli.plan_summary import stats_json
+from animtool.cli.plan_summary import mesh_text, stats_json
 
 
 def report(*outputs: str) -> Any:
@@ -32,3 +32,30 @@ def report(*outputs: str) -> Any:
 def test_the_last_file_names_an_output(outputs: tuple[str, ...], named: str) -> None:
     rows = stats_json([], [report(*outputs)])
     assert [row["output"] for row in rows if "output" in row] == [named]
+
+
+def test_characters_have_lines_of_their_own() -> None:
+    characters = SimpleNamespace(
+        own=2, shared=1, samples=5, frames=20, error=0.002, slide=0.0
+    )
+    written = SimpleNamespace(
+        error=0.0, samples=10, bytes=0, vertices=3, characters=characters
+    )
+    mesh = SimpleNamespace(
+        name="people",
+        written=written,
+        seconds=0.1,
+        frames=10,
+        kind="crowds",
+        simulated=True,
+    )
+    take: Any = SimpleNamespace(
+        meshes=[mesh], meshes_of="", source=Path("square.scene.yaml")
+    )
+    assert mesh_text(take) == [
+        "  1 system of square.scene.yaml, simulated",
+        "    people: 3 agents, 10 frames, 10 ms a frame",
+        "      2 with an animation of their own, 25% of poses written: "
+        "joints within 2 mm, standing feet 0 mm",
+        "      1 with a part in an animation of who stands",
+    ]
