@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,9 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError
-from animtool.sim.colliders import Poses
-from animtool.systems.matter import StepSystem
-from animtool.systems.molecules.atoms import COULOMB, Atoms, Placing, mixed
-from animtool.systems.molecules.spec import MoleculesModel
+from animtool.systems.interacting import Law
+from animtool.systems.molecules.atoms import COULOMB, Atoms, Box, mixed
+from animtool.systems.molecules.spec import MoleculesModel, TrapModel
 
 # Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
 MOST_EACH = 5000
@@ -29,32 +28,27 @@ class Acting:
     virial: float  # sum of forces times distances [kJ/mol]
 
 
-@dataclass(frozen=True, slots=True)
-class Trap:
-    """A place that draws atoms in."""
+class Interactions(Law[tuple[Acting, FloatArray]]):
+    """How atoms act on each other; the list that was made last is kept.
 
-    stiffness: float  # [kJ/(mol nm²)]
-    radius: float  # [nm]
-    poses: Poses
-
-
-class Interactions:
-    """How atoms act on each other; the list that was made last is kept."""
+    Time is in ps. What is summed goes with the places of the list ``(N, 3)`` [nm].
+    """
 
     def __init__(
         self,
         spec: MoleculesModel,
         atoms: Atoms,
-        placing: Placing,
-        traps: Sequence[Trap],
+        box: Box,
+        traps: Sequence[Mapping[str, Any]],
     ) -> None:
-        self._atoms, self._placing, self.traps = atoms, placing, traps
+        super().__init__(spec.traps, traps)
+        self._atoms, self._box, self._pace = atoms, box, spec.pace
         self._laws = mixed(spec)
-        self._cutoff = min(spec.reach, placing.size.min() / 2)
+        self._cutoff = min(spec.reach, box.size.min() / 2)
         self._from = min(
             0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
         )
-        self._skin = max(min(spec.skin, placing.size.min() / 2 - self._cutoff), 0.0)
+        self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         charged = bool(atoms.charges.any())
         self._charges = atoms.charges * np.sqrt(COULOMB) if charged else None
         self._damping = spec.damping
@@ -70,10 +64,23 @@ class Interactions:
         share = screened + self._damping / np.sqrt(np.pi)
         return -float(share * (self._charges**2).sum())
 
-    def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the places whose list holds at points: those before, or these."""
-        squares = ((x - before) ** 2).sum(axis=1)
-        return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
+    def summed(
+        self, x: FloatArray, before: tuple[Acting, FloatArray]
+    ) -> tuple[Acting, FloatArray]:
+        """Return what atoms at points do, by the list from before as long as it holds."""
+        squares = ((x - before[1]) ** 2).sum(axis=1)
+        near = squares.max(initial=0.0) <= (self._skin / 2) ** 2
+        reference = before[1] if near else x
+        return self.acting(x, reference), reference
+
+    def accelerated(
+        self, t: float, x: FloatArray, sums: tuple[Acting, FloatArray]
+    ) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [nm/ps²]."""
+        forces = sums[0].forces
+        if self.placed:
+            forces = forces + self.outside(t / self._pace, x)[0]
+        return np.asarray(forces / self._atoms.masses[:, None])
 
     def acting(self, x: FloatArray, reference: FloatArray) -> Acting:
         """Return what atoms at points ``(N, 3)`` [nm] do, by the list of other places.
@@ -85,7 +92,7 @@ class Interactions:
             most = MOST_EACH * len(x)
             try:
                 pairs = _kernels.molecule_pairs(
-                    reference, self._placing.size, self._cutoff + self._skin, most
+                    reference, self._box.size, self._cutoff + self._skin, most
                 )
             except ValueError as error:
                 message = f"atoms fell together: {error}"
@@ -93,54 +100,18 @@ class Interactions:
             self._listed = reference, pairs
         order, starts, partners = self._listed[1]
         found = _kernels.molecule_forces(
-            x, order, starts, partners, self._placing.size, self._atoms.kinds,
+            x, order, starts, partners, self._box.size, self._atoms.kinds,
             self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
         return Acting(*found)
 
-    def trapped(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` and energies ``(N,)`` of traps at a time [s]."""
-        forces, energies = np.zeros_like(x), np.zeros(len(x))
-        size = self._placing.size
-        for trap in self.traps:
-            off = self._placing.inwards(trap.poses.at(t)[:3]) - x
-            off -= size * np.round(off / size)
-            near = np.maximum(1 - (off * off).sum(axis=1) / trap.radius**2, 0.0)
-            forces += (trap.stiffness * near**2)[:, None] * off
-            energies -= trap.stiffness * trap.radius**2 / 6 * near**3
-        return forces, energies
-
-
-class MoleculeSystem(StepSystem[Acting]):
-    """Atoms for one step; time is in ps.
-
-    Attributes:
-        reference: Places of the list of neighbours ``(N, 3)`` [nm].
-    """
-
-    def __init__(
-        self,
-        interactions: Interactions,
-        masses: FloatArray,
-        pace: float,
-        motion: FloatArray,
-        acting: Acting,
-        reference: FloatArray,
-    ) -> None:
-        super().__init__(motion, acting)
-        self._interactions, self._masses, self._pace = interactions, masses, pace
-        self.reference = reference
-
-    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Return accelerations ``(N, 3)`` [nm/ps²]."""
-        if not np.isfinite(x).all():
-            return np.full_like(x, np.nan)
-        forces = self.at(x).forces
-        if self._interactions.traps:
-            forces = forces + self._interactions.trapped(t / self._pace, x)[0]
-        return np.asarray(forces / self._masses[:, None])
-
-    def summed(self, x: FloatArray) -> Acting:
-        """Return what atoms at points do."""
-        self.reference = self._interactions.reference(x, self.reference)
-        return self._interactions.acting(x, self.reference)
+    def from_placed(
+        self, one: TrapModel, at: FloatArray, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
+        size = self._box.size
+        off = self._box.inwards(at) - x
+        off -= size * np.round(off / size)
+        near = np.maximum(1 - (off * off).sum(axis=1) / one.radius**2, 0.0)
+        force = (one.stiffness * near**2)[:, None] * off
+        return force, -(one.stiffness * one.radius**2 / 6 * near**3)

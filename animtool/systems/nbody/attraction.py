@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.sim.colliders import Poses
-from animtool.systems.matter import StepSystem
+from animtool.systems.interacting import Law
+from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
 # Bodies from which on a tree is faster than a direct sum, at an accuracy; cells that
 # it looks at go with the accuracy to about this power.
@@ -33,68 +34,84 @@ class Pulls:
 class TooCloseError(Exception):
     """Two bodies came too close for a step."""
 
-    def __init__(self, t: float, points: FloatArray, rates: FloatArray) -> None:
+    def __init__(self, t: float, points: FloatArray, pulls: Pulls) -> None:
         super().__init__()
-        self.t, self.points, self.rates = t, points, rates
+        self.t, self.points, self.rates = t, points, pulls.rates
 
 
-@dataclass(frozen=True, slots=True)
-class Attractor:
-    """A mass that attracts and goes where it is put."""
+def check_close(limit: float, t: float, x: FloatArray, pulls: Pulls) -> None:
+    """Raise where a pair circles faster than a squared frequency [1/s²].
 
-    mass: float  # [kg]
-    softening: float  # [m]
-    poses: Poses
+    Raises:
+        TooCloseError: Two do.
+    """
+    if len(x) and pulls.rates.max() > limit:
+        raise TooCloseError(t, x, pulls)
 
 
-@dataclass(frozen=True)
-class Gravity:
-    """The law by which bodies of some masses attract each other."""
+class Gravity(Law[Pulls]):
+    """The law by which bodies of some masses attract each other.
 
-    masses: FloatArray  # (N,) [kg]
-    constant: float  # [m³/(kg s²)]
-    softening: float  # [m]
-    accuracy: float  # [1]
-    attractors: Sequence[Attractor]
+    Attributes:
+        masses: ``(N,)`` [kg].
+        tree: Whether a tree is faster than a direct sum, and as accurate as is asked.
+    """
 
-    @property
-    def tree(self) -> bool:
-        """Whether a tree is faster than a direct sum, and as accurate as is asked."""
-        if self.accuracy < FINEST_TREE:
-            return False
-        share = (CROSSOVER_ACCURACY / self.accuracy) ** CROSSOVER_POWER
-        return bool(len(self.masses) > CROSSOVER * share)
+    def __init__(
+        self,
+        spec: NbodyModel,
+        masses: FloatArray,
+        attractors: Sequence[Mapping[str, Any]],
+    ) -> None:
+        super().__init__(spec.attractors, attractors)
+        self.masses = masses
+        self._constant, self._softening = spec.gravity_constant, spec.softening
+        share = CROSSOVER_ACCURACY / max(spec.accuracy, FINEST_TREE)
+        many = len(masses) > CROSSOVER * share**CROSSOVER_POWER
+        self.tree = spec.accuracy >= FINEST_TREE and many
+        self._accuracy = spec.accuracy if self.tree else 0.0
 
     def pulls(self, x: FloatArray) -> Pulls:
         """Return how bodies at points ``(N, 3)`` [m] attract each other."""
-        accuracy = self.accuracy if self.tree else 0.0
         return Pulls(
             *_kernels.gravity(
-                x,
-                self.masses,
-                self.constant,
-                self.softening,
-                accuracy,
+                x, self.masses, self._constant, self._softening, self._accuracy
             )
         )
 
-    def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return accelerations and potentials by attractors ``(N, 3)`` and ``(N,)``."""
-        made, potentials = np.zeros_like(x), np.zeros(len(x))
-        for one in self.attractors:
-            off = one.poses.at(t)[:3] - x
-            reach = np.sqrt((off * off).sum(axis=1) + one.softening**2)
-            pull = self.constant * one.mass / np.maximum(reach, 1e-300)
-            potentials -= pull
-            made += (pull / np.maximum(reach, 1e-300) ** 2)[:, None] * off
-        return made, potentials
+    def summed(self, x: FloatArray, before: Pulls) -> Pulls:  # noqa: ARG002
+        """Return how bodies at points ``(N, 3)`` [m] attract each other."""
+        return self.pulls(x)
+
+    def accelerated(self, t: float, x: FloatArray, sums: Pulls) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²]."""
+        if not self.placed:
+            return sums.accelerations
+        return np.asarray(sums.accelerations + self.outside(t, x)[0])
+
+    def from_placed(
+        self, one: AttractorModel, at: FloatArray, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return accelerations ``(N, 3)`` [m/s²] and potentials ``(N,)`` [J/kg]."""
+        off = at - x
+        reach = np.sqrt((off * off).sum(axis=1) + one.softening**2)
+        reach = np.maximum(reach, 1e-300)
+        pull = self._constant * one.mass / reach
+        return (pull / reach**2)[:, None] * off, -pull
+
+    def suspect(self, x: FloatArray, sums: Pulls) -> str:
+        """Return which two are closest."""
+        if len(x) < 2:
+            return ""
+        i, j, distance = self.closest(x, sums.rates)
+        return f"bodies {i} and {j} are {distance:.3g} m apart"
 
     def closest(self, x: FloatArray, rates: FloatArray) -> tuple[int, int, float]:
         """Return the pair that circles fastest, and its distance [m]."""
         i = int(np.argmax(rates))
         off = x - x[i]
         squares = (off * off).sum(axis=1)
-        reach = np.maximum(squares + self.softening**2, 1e-200) ** 1.5
+        reach = np.maximum(squares + self._softening**2, 1e-200) ** 1.5
         each = (self.masses + self.masses[i]) / reach
         each[i] = -1.0
         j = int(np.argmax(each))
@@ -106,49 +123,6 @@ class Gravity:
         for k, i in enumerate(rows):
             off = x - x[i]
             squares = (off * off).sum(axis=1)
-            reach = np.where(squares > 0, squares + self.softening**2, np.inf)
-            found[k] = self.constant * (self.masses / (reach * np.sqrt(reach))) @ off
+            reach = np.where(squares > 0, squares + self._softening**2, np.inf)
+            found[k] = self._constant * (self.masses / (reach * np.sqrt(reach))) @ off
         return found
-
-
-class GravitySystem(StepSystem[Pulls]):
-    """Bodies under gravity for one step.
-
-    Args:
-        gravity: How they attract each other.
-        motion: Where they are, and how fast ``(2, N, 3)``.
-        pulls: How they attract each other there.
-        limit: Squared frequency of a pair from which on it is too close [1/s²].
-    """
-
-    def __init__(
-        self, gravity: Gravity, motion: FloatArray, pulls: Pulls, limit: float
-    ) -> None:
-        super().__init__(motion, pulls)
-        self._gravity, self._limit = gravity, limit
-
-    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Return accelerations ``(N, 3)`` [m/s²].
-
-        Raises:
-            TooCloseError: Two are too close for the step.
-        """
-        if not np.isfinite(x).all():
-            return np.full_like(x, np.nan)
-        pulls = self.at(x)
-        if len(x) and pulls.rates.max() > self._limit:
-            raise TooCloseError(t, x, pulls.rates)
-        if not self._gravity.attractors:
-            return pulls.accelerations
-        return np.asarray(pulls.accelerations + self._gravity.outside(t, x)[0])
-
-    def summed(self, x: FloatArray) -> Pulls:
-        """Return how bodies at points attract each other."""
-        return self._gravity.pulls(x)
-
-    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which two are closest."""
-        if not np.isfinite(state).all() or len(state[0]) < 2:
-            return ""
-        i, j, distance = self._gravity.closest(state[0], self.at(state[0]).rates)
-        return f"bodies {i} and {j} are {distance:.3g} m apart"

@@ -13,13 +13,14 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.systems.matter import directions, normals, unit_quaternion
+from animtool.systems.matter import Bodies, directions, normals, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,
@@ -36,32 +37,6 @@ BOUND = 0.95
 TOOMRE = 3.36
 # Radial dispersions are no larger than this share of the circular velocity.
 WARMEST = 0.7
-
-
-@dataclass(frozen=True, slots=True)
-class Bodies:
-    """N bodies at a time."""
-
-    points: FloatArray  # (N, 3) [m]
-    velocities: FloatArray  # (N, 3) [m/s]
-    masses: FloatArray  # (N,) [kg]
-
-    @staticmethod
-    def joined(parts: list[Bodies]) -> Bodies:
-        """Return bodies one after the other."""
-        return Bodies(
-            np.concatenate([one.points for one in parts]),
-            np.concatenate([one.velocities for one in parts]),
-            np.concatenate([one.masses for one in parts]),
-        )
-
-    def placed(self, rotation: FloatArray, at: FloatArray, v: FloatArray) -> Bodies:
-        """Return them turned (a quaternion x, y, z, w), moved [m] and faster [m/s]."""
-        return Bodies(
-            so3.rotate(rotation, self.points) + at,
-            so3.rotate(rotation, self.velocities) + v,
-            self.masses,
-        )
 
 
 class Profile:
@@ -82,7 +57,7 @@ class Profile:
         soft = self.r**2 / (self.r**2 + softening**2)
         speeds = constant * within / self.r * soft**1.5
         if galaxy.disc is not None:
-            around = within + disc_enclosed(galaxy.disc, self.r)
+            around = within + enclosed(galaxy.disc, self.r)
             speeds = speeds + constant * disc_speeds(galaxy.disc, self.r) * soft**1.5
         self.circular = np.sqrt(speeds)  # [m/s]
         self.pull = constant * around / self.r**2 * soft**1.5  # [m/s²]
@@ -107,23 +82,19 @@ def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-def enclosed(part: SpheroidModel, r: FloatArray) -> FloatArray:
-    """Return the mass of a spheroid within radii [kg]."""
+# Share of the mass of an endless profile within radii, in scale radii.
+_WITHIN: dict[str, Callable[[Any], Any]] = {
+    "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
+    "hernquist": lambda x: (x / (1 + x)) ** 2,
+    "plummer": lambda x: x**3 / (1 + x**2) ** 1.5,
+}
 
-    def share(x: FloatArray | float) -> FloatArray | float:
-        if part.profile == "plummer":
-            return x**3 / (1 + x**2) ** 1.5
-        return (x / (1 + x)) ** 2
 
+def enclosed(part: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
+    """Return the mass of a spheroid or a disc within radii [kg]."""
+    within = _WITHIN[getattr(part, "profile", "exponential")]
     inside = np.minimum(r / part.radius, part.cutoff)
-    return np.asarray(part.mass * share(inside) / share(part.cutoff))
-
-
-def disc_enclosed(disc: DiscModel, r: FloatArray | float) -> FloatArray:
-    """Return the mass of a disc within radii [kg]."""
-    x = np.minimum(np.asarray(r) / disc.radius, disc.cutoff)
-    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
-    return np.asarray(disc.mass * (1 - (1 + x) * np.exp(-x)) / whole)
+    return np.asarray(part.mass * within(inside) / within(part.cutoff))
 
 
 def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
@@ -132,13 +103,12 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
     y = np.minimum(r / (2 * disc.radius), 300.0)
     bessel = i0e(y) * k0e(y) - i1e(y) * k1e(y)
-    surface = disc_surface(disc, np.zeros(1))[0]
-    return np.asarray(4 * np.pi * surface * disc.radius * y**2 * bessel)
+    return 4 * np.pi * disc_surface(disc, 0.0) * disc.radius * y**2 * bessel
 
 
-def disc_surface(disc: DiscModel, r: FloatArray) -> FloatArray:
+def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
+    whole = _WITHIN["exponential"](disc.cutoff)
     central = disc.mass / (2 * np.pi * disc.radius**2 * whole)
     return np.asarray(central * np.exp(-r / disc.radius))
 
@@ -159,7 +129,10 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     made = Bodies.joined(parts)
     # Its centre of mass is where it is put, and as fast.
     weights = made.masses / made.masses.sum()
-    return made.placed(so3.IDENTITY, -weights @ made.points, -weights @ made.velocities)
+    points, velocities = (
+        each + -weights @ each for each in (made.points, made.velocities)
+    )
+    return Bodies(points, velocities, made.masses)
 
 
 def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
@@ -177,7 +150,7 @@ def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
 
 def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(disc.count), 6)
-    r = np.interp(u[:, 0] * disc.mass, disc_enclosed(disc, profile.r), profile.r)
+    r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     height = disc.thickness * disc.radius
     up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
