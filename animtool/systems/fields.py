@@ -49,6 +49,9 @@ ShapeEntry = Annotated[Named, Part.SHAPE]
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
+Velocities = Annotated[
+    ArrayEntry | None, key("Of these `(N, 3)` [m/s].", "birds.npz#velocities")
+]
 PrimName = Annotated[str, Field(description="Name of the prim.")]
 UsdFile = Annotated[Name, Field(description="The USD file.")]
 PrimPath = Annotated[Name, Field(description="Path of the prim.")]

@@ -16,13 +16,13 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity
 from animtool.frames import PointsFrame
 from animtool.sim.checks import check_fit
+from animtool.sim.colliders import Poses
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import integrate
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.colours import Colouring, Quantities, log_density
-from animtool.systems.fields import PlacedModel
 from animtool.systems.matter import Bodies
 from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
 
@@ -56,59 +56,14 @@ def integrated(
     if found.stats.status is not Status.OK:
         faults = [replace(one, severity=Severity.ERROR) for one in found.notices]
         raise StoppedError(faults, found.stats)
-    return found.states[-1]
-
-
-class Law(ABC, Generic[Sums]):
-    """How bodies act on each other, and what else acts on them.
-
-    Attributes:
-        placed: Entries of the spec that act on bodies from where they are put.
-    """
-
-    def __init__(
-        self, models: Sequence[PlacedModel], parts: Sequence[Mapping[str, Any]]
-    ) -> None:
-        self.placed = list(zip(models, [own["poses"] for own in parts], strict=True))
-
-    @abstractmethod
-    def summed(self, x: FloatArray, before: Sums) -> Sums:
-        """Return what bodies at places ``(N, 3)`` do; ``before`` is what they did."""
-
-    @abstractmethod
-    def accelerated(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
-        """Return accelerations ``(N, 3)`` at a time by what bodies at places do."""
-
-    @abstractmethod
-    def from_placed(
-        self, one: Any, at: FloatArray, x: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return what an entry at a place ``(3,)`` does to bodies: see `outside`."""
-
-    def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
-        """Return what makes places hard to go on from; may be empty."""
-        return ""
-
-    @property
-    def moves(self) -> bool:
-        """Whether an entry moves, and so may bring energy in."""
-        return any(one.moves or one.prim for one, _ in self.placed)
-
-    def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what entries do at a time ``(N, 3)``, and energies ``(N,)``."""
-        made, energies = np.zeros_like(x), np.zeros(len(x))
-        for one, poses in self.placed:
-            pull, energy = self.from_placed(one, poses.at(t)[:3], x)
-            made += pull
-            energies += energy
-        return made, energies
+    return np.asarray(found.states[-1])
 
 
 class StepSystem(SecondOrder, Generic[Sums]):
     """Bodies for one step; what was summed last at their places is not summed again.
 
     Args:
-        law: How they act on each other.
+        bodies: How they act on each other.
         motion: Where they are, and how fast ``(2, N, 3)``.
         known: What is summed there.
         check: Called with times, places and what is summed there.
@@ -118,12 +73,12 @@ class StepSystem(SecondOrder, Generic[Sums]):
 
     def __init__(
         self,
-        law: Law[Sums],
+        bodies: Interacting[Any, Sums],
         motion: FloatArray,
         known: Sums,
         check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
     ) -> None:
-        self._law, self._motion, self._check = law, motion, check
+        self._bodies, self._motion, self._check = bodies, motion, check
         self._known = motion[0], known
 
     @property
@@ -135,7 +90,7 @@ class StepSystem(SecondOrder, Generic[Sums]):
         """Return what there is at places ``(N, 3)``."""
         known, sums = self._known
         if x is not known and not np.array_equal(x, known):
-            sums = self._law.summed(np.ascontiguousarray(x), sums)
+            sums = self._bodies.summed(np.ascontiguousarray(x), sums)
         self._known = x, sums
         return sums
 
@@ -145,13 +100,13 @@ class StepSystem(SecondOrder, Generic[Sums]):
             return np.full_like(x, np.nan)
         sums = self.at(x)
         self._check(t, x, sums)
-        return self._law.accelerated(t, x, sums)
+        return self._bodies.accelerated(t, x, sums)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return what makes a state hard to go on from."""
         if not np.isfinite(state).all():
             return ""
-        return self._law.suspect(state[0], self.at(state[0]))
+        return self._bodies.suspect(state[0], self.at(state[0]))
 
 
 class Interacting(ABC, Generic[State, Sums]):
@@ -163,28 +118,34 @@ class Interacting(ABC, Generic[State, Sums]):
     Attributes:
         checked: Its steps see to it that numbers stay finite.
         unit: Of energies, for messages.
-        law: How they act on each other.
+        placed: What else acts on them, from where it is put.
         bodies: Where they begin, how fast, and their masses.
         radii: Half the widths that they are drawn with ``(N,)`` [m].
         species: The number of the entry that each is of ``(N,)``.
         several: Whether there are more entries than one.
         shown: Which are written ``(M,)``.
+        inertia: Accelerations are forces over this ``(N, 1)``; None is 1.
         box: Sides within which places repeat ``(3,)``; None where they do not.
     """
 
     checked = True
     unit = "J"
-    law: Law[Sums]
     bodies: Bodies
+    placed: Sequence[tuple[Any, Poses]]
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
     several: bool
     shown: IntArray
     box: FloatArray | None = None
+    inertia: FloatArray | None = None
 
-    def __init__(self, spec: Any, context: SimContext, pace: float = 1.0) -> None:
-        """``pace``: how much time of the integrator a second of the scene is."""
+    def __init__(
+        self, spec: Any, context: SimContext, placed: str, pace: float = 1.0
+    ) -> None:
+        """``placed``: its key; ``pace``: time of the integrator in a second."""
         self._spec, self._begin, self._pace = spec, context.begin, pace
+        poses = [own["poses"] for own in context.parts.get(placed, ())]
+        self.placed = list(zip(getattr(spec, placed), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * pace, tolerance)
         self._integrator = check_options(self._options)
@@ -207,6 +168,31 @@ class Interacting(ABC, Generic[State, Sums]):
         """Return what is summed in a state."""
 
     @abstractmethod
+    def summed(self, x: FloatArray, before: Sums) -> Sums:
+        """Return what bodies at places ``(N, 3)`` do; ``before`` is what they did."""
+
+    @abstractmethod
+    def _forces(self, sums: Sums) -> FloatArray:
+        """Return of what is summed the forces ``(N, 3)``, over `inertia`."""
+
+    def accelerated(self, t: float, x: FloatArray, sums: Sums) -> FloatArray:
+        """Return accelerations ``(N, 3)`` at a time of the integrator."""
+        made = self._forces(sums)
+        if self.placed:
+            made = made + self.outside(t / self._pace, x)[0]
+        return np.asarray(made if self.inertia is None else made / self.inertia)
+
+    @abstractmethod
+    def from_placed(
+        self, one: Any, at: FloatArray, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what one of `placed` at ``(3,)`` does to bodies: see `outside`."""
+
+    def suspect(self, x: FloatArray, sums: Sums) -> str:  # noqa: ARG002
+        """Return what makes places hard to go on from; may be empty."""
+        return ""
+
+    @abstractmethod
     def _potential(self, state: State, t: float) -> float:
         """Return their potential energy."""
 
@@ -214,9 +200,9 @@ class Interacting(ABC, Generic[State, Sums]):
     def _values(self, state: State, t: float) -> Mapping[str, float]:
         """Return what is reported."""
 
-    @abstractmethod
-    def _in_play(self, state: State, now: Energy) -> float:
+    def _in_play(self, state: State, now: Energy) -> float:  # noqa: ARG002
         """Return the energy that may come and go, beside that of the beginning."""
+        return abs(self._given(state))
 
     @abstractmethod
     def _advised(self, state: State, t: float) -> float:
@@ -236,7 +222,21 @@ class Interacting(ABC, Generic[State, Sums]):
         check: Callable[[float, FloatArray, Sums], None] = lambda *_: None,
     ) -> StepSystem[Sums]:
         """Return bodies for a step from a state."""
-        return StepSystem(self.law, state.motion, self._sums(state), check)
+        return StepSystem(self, state.motion, self._sums(state), check)
+
+    @cached_property
+    def _moves(self) -> bool:
+        """Whether anything placed moves, and so may bring energy in."""
+        return any(one.moves or one.prim for one, _ in self.placed)
+
+    def outside(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is placed does at a time ``(N, 3)``, and energies ``(N,)``."""
+        made, energies = np.zeros_like(x), np.zeros(len(x))
+        for one, poses in self.placed:
+            pull, energy = self.from_placed(one, poses.at(t)[:3], x)
+            made += pull
+            energies += energy
+        return made, energies
 
     def initial(self) -> State:
         """Return where all begin."""
@@ -253,7 +253,7 @@ class Interacting(ABC, Generic[State, Sums]):
         """Stop where energy appears from nowhere (SIM102)."""
         begin, now = self._begun, self._energy(state, t)
         usual = max(begin.kinetic, abs(begin.potential), self._in_play(state, now))
-        supplied = self.law.moves or not usual
+        supplied = self._moves or not usual
         if not supplied and not abs(self._gained(state, now)) <= GROWTH * usual:
             message = f"its energy is {now.total:.4g} {self.unit}, and was "
             self._stop(state, t, f"{message}{begin.total:.4g} {self.unit}")
@@ -320,4 +320,4 @@ class Interacting(ABC, Generic[State, Sums]):
         """Return what is reported, and the energy that ought to stay."""
         now = self._energy(state, t)
         kept = replace(now, potential=now.potential - self._given(state))
-        return Diagnostics(None if self.law.moves else kept, self.values(state, t))
+        return Diagnostics(None if self._moves else kept, self.values(state, t))

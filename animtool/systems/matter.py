@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +75,26 @@ class Bodies:
     masses: FloatArray  # (N,)
 
     @staticmethod
+    def read(
+        parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
+    ) -> Bodies:
+        """Return those of arrays of a file: at rest and of a mass if it says no other.
+
+        Raises:
+            OptionError: Arrays do not fit, are not finite, or a mass is not above 0.
+        """
+        check_rows(parts, kind, code, where)
+        points, velocities = parts["points"], parts.get("velocities")
+        velocities = np.zeros(points.shape) if velocities is None else velocities
+        masses = parts.get("masses")
+        masses = np.full(len(points), mass) if masses is None else masses
+        if (masses <= 0).any():
+            i = int(np.argmax(masses <= 0))
+            message = f"the mass of {kind} {i} is {masses[i]:g} kg, not above 0"
+            refuse(code, message, where)
+        return Bodies(points, velocities, masses)
+
+    @staticmethod
     def joined(parts: Sequence[Bodies]) -> Bodies:
         """Return bodies one after the other."""
         return Bodies(
@@ -98,15 +119,34 @@ def directions(u: FloatArray) -> FloatArray:
     return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
 
 
-def at_one_place(points: FloatArray) -> tuple[int, int] | None:
-    """Return two of points ``(N, 3)`` that are the same, None where none are."""
+def check_apart(
+    points: FloatArray,
+    pair: Callable[[int, int], str],
+    code: str,
+    where: str,
+    hint: str,
+    why: str = "",
+) -> None:
+    """Refuse two of points ``(N, 3)`` at one place.
+
+    Args:
+        points: Where they are.
+        pair: Returns what two are called.
+        code: Of the fault.
+        where: Its key.
+        hint: What to do.
+        why: What the place is no good for.
+
+    Raises:
+        OptionError: Two are at one place.
+    """
     order = np.lexsort(points.T)
     same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if not same.any():
-        return None
-    i = int(np.argmax(same))
-    one, other = sorted(order[[i, i + 1]].tolist())
-    return one, other
+    if same.any():
+        i = int(np.argmax(same))
+        names = pair(*sorted(order[[i, i + 1]].tolist()))
+        message = f"{names} begin at one place{': ' if why else ''}{why}"
+        refuse(code, message, where, hint)
 
 
 def check_rows(

@@ -29,6 +29,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
     Tolerance,
+    Velocities,
 )
 
 
@@ -152,9 +153,7 @@ class SpeciesModel(PlacedModel):
         "birds.npz#points",
         default=None,
     )
-    velocities: ArrayEntry | None = key(
-        "Of these `(N, 3)` [m/s].", "birds.npz#velocities", default=None
-    )
+    velocities: Velocities = None
     seed: Whole = key("Of what is random about them.", 7, default=0)
     radius: Positive = key(
         "Their radius: how near they come to colliders [m].", 0.2, default=0.1

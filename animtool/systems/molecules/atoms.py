@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray
 from animtool.errors import refuse
-from animtool.systems.matter import Bodies, Placement, check_rows, normals
+from animtool.systems.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -97,7 +97,8 @@ def _read(
             message = "velocities are of points, and there are none"
             refuse(MoleculesModel.code, message, "species")
         return None, None
-    check_rows(parts, f"{model.name!r}, atom", MoleculesModel.code, "species")
+    kind = f"{model.name!r}, atom"
+    given = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
     x = box.inwards(points)
     slack = 1e-9 * box.size
     outside = ~((x >= -slack) & (x <= box.size + slack)).all(axis=1)
@@ -107,7 +108,7 @@ def _read(
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
         hint = "a nanometre is `scale` metres; `at` is the middle"
         refuse(MoleculesModel.code, message, "species", hint)
-    return x, None if velocities is None else box.velocities_in(velocities)
+    return x, None if velocities is None else box.velocities_in(given.velocities)
 
 
 def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError
-from animtool.systems.interacting import Law
 from animtool.systems.molecules.atoms import COULOMB, Atoms, Box, mixed
-from animtool.systems.molecules.spec import MoleculesModel, TrapModel
+from animtool.systems.molecules.spec import MoleculesModel
 
 # Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
 MOST_EACH = 5000
@@ -28,21 +26,11 @@ class Acting:
     virial: float  # sum of forces times distances [kJ/mol]
 
 
-class Interactions(Law[tuple[Acting, FloatArray]]):
-    """How atoms act on each other; the list that was made last is kept.
+class Interactions:
+    """How atoms act on each other; the list that was made last is kept."""
 
-    Time is in ps. What is summed goes with the places of the list ``(N, 3)`` [nm].
-    """
-
-    def __init__(
-        self,
-        spec: MoleculesModel,
-        atoms: Atoms,
-        box: Box,
-        traps: Sequence[Mapping[str, Any]],
-    ) -> None:
-        super().__init__(spec.traps, traps)
-        self._atoms, self._box, self._pace = atoms, box, spec.pace
+    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: Box) -> None:
+        self._atoms, self._box = atoms, box
         self._laws = mixed(spec)
         self._cutoff = min(spec.reach, box.size.min() / 2)
         self._from = min(
@@ -64,23 +52,10 @@ class Interactions(Law[tuple[Acting, FloatArray]]):
         share = screened + self._damping / np.sqrt(np.pi)
         return -float(share * (self._charges**2).sum())
 
-    def summed(
-        self, x: FloatArray, before: tuple[Acting, FloatArray]
-    ) -> tuple[Acting, FloatArray]:
-        """Return what atoms at points do, by the list from before as long as it holds."""
-        squares = ((x - before[1]) ** 2).sum(axis=1)
-        near = squares.max(initial=0.0) <= (self._skin / 2) ** 2
-        reference = before[1] if near else x
-        return self.acting(x, reference), reference
-
-    def accelerated(
-        self, t: float, x: FloatArray, sums: tuple[Acting, FloatArray]
-    ) -> FloatArray:
-        """Return accelerations ``(N, 3)`` [nm/ps²]."""
-        forces = sums[0].forces
-        if self.placed:
-            forces = forces + self.outside(t / self._pace, x)[0]
-        return np.asarray(forces / self._atoms.masses[:, None])
+    def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
+        """Return the places whose list holds at points: those before, or these."""
+        squares = ((x - before) ** 2).sum(axis=1)
+        return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> Acting:
         """Return what atoms at points ``(N, 3)`` [nm] do, by the list of other places.
@@ -104,14 +79,3 @@ class Interactions(Law[tuple[Acting, FloatArray]]):
             self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
         return Acting(*found)
-
-    def from_placed(
-        self, one: TrapModel, at: FloatArray, x: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
-        size = self._box.size
-        off = self._box.inwards(at) - x
-        off -= size * np.round(off / size)
-        near = np.maximum(1 - (off * off).sum(axis=1) / one.radius**2, 0.0)
-        force = (one.stiffness * near**2)[:, None] * off
-        return force, -(one.stiffness * one.radius**2 / 6 * near**3)

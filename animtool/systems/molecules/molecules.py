@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import refuse
-from animtool.sim.system import Energy
 from animtool.systems.colours import Quantities
 from animtool.systems.interacting import Interacting
 from animtool.systems.matter import normals
 from animtool.systems.molecules.atoms import BOLTZMANN, Atoms, Box
 from animtool.systems.molecules.forces import Acting, Interactions
-from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
+from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
 from animtool.systems.simulation import SimContext, StoppedError
 
@@ -43,7 +43,11 @@ class MoleculeState:
     steps: int
 
 
-class Molecules(Interacting[MoleculeState, tuple[Acting, FloatArray]]):
+# What atoms do, and the places of the list that says who are near.
+Listed: TypeAlias = tuple[Acting, FloatArray]
+
+
+class Molecules(Interacting[MoleculeState, Listed]):
     """Atoms in a periodic box, in steps.
 
     Attributes:
@@ -58,15 +62,15 @@ class Molecules(Interacting[MoleculeState, tuple[Acting, FloatArray]]):
 
     @np.errstate(all="ignore")
     def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
-        super().__init__(spec, context, spec.pace)
+        super().__init__(spec, context, "traps", spec.pace)
         placing, parts = Box(spec), context.parts
         self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
         self.several = len(spec.species) > 1
+        self.inertia = self.atoms.masses[:, None]
         self.shown = np.arange(len(self.species))
         self._placing, self.box = placing, placing.size
-        traps = parts.get("traps", ())
-        self.law = self._forces = Interactions(spec, self.atoms, placing, traps)
+        self._interactions = Interactions(spec, self.atoms, placing)
         self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
         # The fastest vibration of a crystal of any of the kinds [rad/ps].
@@ -102,11 +106,30 @@ class Molecules(Interacting[MoleculeState, tuple[Acting, FloatArray]]):
 
     def _start(self, motion: FloatArray) -> MoleculeState:
         points = motion[0]
-        acting = self._forces.acting(points, points)
+        acting = self._interactions.acting(points, points)
         return MoleculeState(motion, points, acting, 0.0, 0)
 
-    def _sums(self, state: MoleculeState) -> tuple[Acting, FloatArray]:
+    def _sums(self, state: MoleculeState) -> Listed:
         return state.acting, state.reference
+
+    def summed(self, x: FloatArray, before: Listed) -> Listed:
+        """Return what atoms at points ``(N, 3)`` [nm] do, and by whose list."""
+        reference = self._interactions.reference(x, before[1])
+        return self._interactions.acting(x, reference), reference
+
+    def _forces(self, sums: Listed) -> FloatArray:
+        return sums[0].forces
+
+    def from_placed(
+        self, one: TrapModel, at: FloatArray, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
+        size = self._placing.size
+        off = self._placing.inwards(at) - x
+        off -= size * np.round(off / size)
+        near = np.maximum(1 - (off * off).sum(axis=1) / one.radius**2, 0.0)
+        force = (one.stiffness * near**2)[:, None] * off
+        return force, -(one.stiffness * one.radius**2 / 6 * near**3)
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
@@ -144,20 +167,16 @@ class Molecules(Interacting[MoleculeState, tuple[Acting, FloatArray]]):
         self._watch(after, t + dt)
         return after
 
-    def _in_play(self, state: MoleculeState, now: Energy) -> float:  # noqa: ARG002
-        return abs(state.heat)
-
     def _given(self, state: MoleculeState) -> float:
         return state.heat
 
     def _advised(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002
-        return ADVISED / max(self._stiffest * self._spec.pace, 1e-300)
+        return ADVISED / max(self._stiffest * self._pace, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        potential = float(state.acting.energies.sum()) + self._forces.own_energy()
-        if self.law.placed:
-            potential += float(self.law.outside(t, state.motion[0])[1].sum())
-        return potential
+        own = float(state.acting.energies.sum()) + self._interactions.own_energy()
+        outside = self.outside(t, state.motion[0])[1] if self.placed else np.zeros(1)
+        return own + float(outside.sum())
 
     def _placed(self, motion: FloatArray) -> FloatArray:
         x, v = motion
@@ -184,7 +203,7 @@ class Molecules(Interacting[MoleculeState, tuple[Acting, FloatArray]]):
             "kinetic_energy": now.kinetic,
             "potential_energy": now.potential,
         }
-        if not self.law.moves:
+        if not self._moves:
             values["energy_drift"] = self._drift(state, now)
         return values
 

@@ -9,6 +9,7 @@ from annotated_types import Ge, Le, Len
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Count,
     Name,
     NotNegative,
     Pair,
@@ -32,9 +33,7 @@ class AtomsModel(FileModel):
     """Atoms of one kind; those of argon where nothing else is given."""
 
     name: Name = key("Its name.", "argon")
-    count: Annotated[Whole, Ge(1), Le(2 * 10**6)] = key(
-        "How many, on a lattice.", 864, default=256
-    )
+    count: Count = key("How many, on a lattice.", 864, default=256)
     points: ArrayEntry | None = key(
         "Where each begins `(N, 3)` [m], in place of `count`.",
         "atoms.npz#points",

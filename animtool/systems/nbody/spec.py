@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
+    Count,
     Name,
     NotNegative,
     Positive,
@@ -25,20 +26,15 @@ from animtool.systems.fields import (
     Problem,
     SystemSpec,
     Tolerance,
+    Velocities,
 )
-
-Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]
 
 
 class BodiesModel(FileModel):
-    """Bodies of a file."""
+    """Bodies of a file; at rest if it gives no velocities."""
 
     points: ArrayEntry = key("Where each begins `(N, 3)` [m].", "stars.npz#points")
-    velocities: ArrayEntry | None = key(
-        "Of these `(N, 3)` [m/s]. Not given: at rest.",
-        "stars.npz#velocities",
-        default=None,
-    )
+    velocities: Velocities = None
     masses: ArrayEntry | None = key(
         "Of these `(N,)` [kg], in place of `mass`.", "stars.npz#masses", default=None
     )
@@ -106,6 +102,16 @@ class GalaxyModel(PoseModel):
     )
     seed: Whole = key("Of what is random about it.", 7, default=0)
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
+
+    @property
+    def parts(self) -> list[DiscModel | SpheroidModel]:
+        """What it has, the halo last."""
+        return [one for one in (self.disc, self.bulge, self.halo) if one is not None]
+
+    @property
+    def dark(self) -> int:
+        """How many of its last bodies are not written."""
+        return self.halo.count if self.halo and not self.shows_halo else 0
 
 
 class EncounterModel(PoseModel):
@@ -194,7 +200,7 @@ class NbodyModel(SystemSpec):
             hint = "galaxies: [{name: disc, disc: {count: 5000, mass: 1, radius: 1}}]"
             yield "it has no bodies", None, hint
         for galaxy in self.galaxies:
-            if not (galaxy.disc or galaxy.bulge or galaxy.halo or galaxy.nucleus):
+            if not galaxy.parts and not galaxy.nucleus:
                 hint = "give it a disc, a bulge, a halo or a nucleus"
                 yield f"galaxy {galaxy.name!r} has no bodies", "galaxies", hint
         orbit, count = self.encounter, len(self.galaxies)
