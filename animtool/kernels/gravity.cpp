@@ -397,9 +397,7 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
 std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     In<double, 2> points, In<double, 1> masses, double constant, double softening,
     double accuracy) {
-  const std::size_t count = points.shape(0);
-  check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
+  const std::size_t count = check::points("points", points);
   check::shape("masses", masses, {count});
   check::finite("points", points);
   check::finite("masses", masses);
@@ -421,8 +419,8 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     else
       directly(bodies, points.data(), masses.data(), constant, loops);
   }
-  const std::size_t shape[2] = {count, 3}, flat[1] = {count};
-  return {accelerations.release(shape), potentials.release(flat), rates.release(flat)};
+  return {accelerations.release({count, 3}), potentials.release({count}),
+          rates.release({count})};
 }
 
 }  // namespace animtool

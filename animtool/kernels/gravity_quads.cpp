@@ -1,12 +1,7 @@
 // Sums of gravity for processors with registers of four doubles; the build says where the
 // compiler may use them, and the processor is asked before it runs.
 #include "gravity_lanes.h"
-#include "processor.h"
-
-#if defined(__AVX2__) && defined(__GNUC__)
-#define ANIMTOOL_QUADS
-#include <immintrin.h>
-#endif
+#include "quads.h"
 
 namespace animtool {
 
