@@ -137,7 +137,7 @@ class RecordModel(FileModel):
         raise NotImplementedError
 
 
-class PoseModel(FileModel):
+class PlacementModel(FileModel):
     """Where something is, and how it is turned."""
 
     at: Vector = key("Where it is [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
@@ -148,7 +148,7 @@ class PoseModel(FileModel):
     )
 
 
-class PlacedModel(PoseModel):
+class PlacedModel(PlacementModel):
     """What stands somewhere, or moves."""
 
     code: ClassVar[str] = "SIM020"  # of a place that makes no sense

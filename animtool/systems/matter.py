@@ -11,7 +11,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import refuse
 from animtool.maths import so3
-from animtool.systems.fields import PoseModel
+from animtool.systems.fields import PlacementModel
 
 
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
@@ -38,7 +38,7 @@ class Placement:
     pace: float = 1.0  # its unit of time in a second
 
     @staticmethod
-    def of(pose: PoseModel, scale: float = 1.0, pace: float = 1.0) -> Placement:
+    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> Placement:
         """Return that of a pose.
 
         Raises:

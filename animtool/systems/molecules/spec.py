@@ -23,7 +23,7 @@ from animtool.systems.colours import ColourModel
 from animtool.systems.fields import (
     ArrayEntry,
     PlacedModel,
-    PoseModel,
+    PlacementModel,
     Problem,
     SystemSpec,
 )
@@ -79,7 +79,7 @@ class TrapModel(PlacedModel):
     radius: Positive = key("It draws nobody beyond [nm].", 0.6, default=0.5)
 
 
-class MoleculesModel(PoseModel, SystemSpec):
+class MoleculesModel(PlacementModel, SystemSpec):
     """Molecular dynamics of atoms with Lennard-Jones forces and charges."""
 
     methods: ClassVar[Sequence[str]] = (

@@ -22,7 +22,7 @@ from animtool.systems.colours import ColourModel
 from animtool.systems.fields import (
     ArrayEntry,
     PlacedModel,
-    PoseModel,
+    PlacementModel,
     Problem,
     SystemSpec,
     Tolerance,
@@ -77,7 +77,7 @@ class DiscModel(FileModel):
     )
 
 
-class GalaxyModel(PoseModel):
+class GalaxyModel(PlacementModel):
     """A galaxy in equilibrium, on its own; it spins about its y."""
 
     name: Name = key("Its name.", "milky_way")
@@ -114,7 +114,7 @@ class GalaxyModel(PoseModel):
         return self.halo.count if self.halo and not self.shows_halo else 0
 
 
-class EncounterModel(PoseModel):
+class EncounterModel(PlacementModel):
     """The orbit on which two galaxies meet, as two points would, about its y."""
 
     at: Vector = key("Where they meet [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
