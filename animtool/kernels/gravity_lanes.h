@@ -50,9 +50,21 @@ struct GravityLoops {
   }
   static F narrow(const D& a) { return F::narrow(a.low.row, a.high.row); }
 
-  struct Partial {
-    F x = 0.0f, y = x, z = x, potential = x, rate = x;
+  static const D& widen(const D& a) { return a; }
 
+  // What pairs do, in numbers of either kind.
+  template <class T>
+  struct Partial {
+    T x = 0.0f, y = x, z = x, potential = x, rate = x;
+
+    void pull(const T (&off)[3], const T& mass, const T& own, const T& inverse) {
+      const T cubed = inverse * inverse * inverse, pull = mass * cubed;
+      x = x + pull * off[0];
+      y = y + pull * off[1];
+      z = z + pull * off[2];
+      potential = potential + mass * inverse;
+      rate = most(rate, (mass + own) * cubed);
+    }
     void into(GravitySums& sums) const {
       add(widen(x), sums.x);
       add(widen(y), sums.y);
@@ -64,30 +76,19 @@ struct GravityLoops {
 
   static void exact(const GravityBodies& from, GravityRun run, double softened,
                     const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {D(to.x), D(to.y), D(to.z)};
-    const D own = D(to.mass), soft = softened;
-    D ax = 0.0, ay = ax, az = ax, potential = ax, rate = ax;
+    const D here[3] = {D(to.x), D(to.y), D(to.z)}, own = D(to.mass), soft = softened;
+    Partial<D> part;
     for (std::size_t j = run.begin; j < run.end; ++j) {
-      const D x = D(from.x[j]) - here[0], y = D(from.y[j]) - here[1];
-      const D z = D(from.z[j]) - here[2], mass = from.mass[j];
-      const D squared = x * x + y * y + z * z, reach = squared + soft;
+      const D off[3] = {D(from.x[j]) - here[0], D(from.y[j]) - here[1], D(from.z[j]) - here[2]};
+      const D squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
+      const D reach = squared + soft;
       const F first = inverse_root(narrow(reach));
       const D root = widen(where_above(narrow(squared), GRAVITY_APART, first));
       // The third-order step of Halley: from seven digits to all.
-      const D off = 1.0 - reach * root * root;
-      const D inverse = root + root * off * (0.5 + 0.375 * off);
-      const D cubed = inverse * inverse * inverse, pull = mass * cubed;
-      ax = ax + pull * x;
-      ay = ay + pull * y;
-      az = az + pull * z;
-      potential = potential + mass * inverse;
-      rate = most(rate, (mass + own) * cubed);
+      const D rest = 1.0 - reach * root * root;
+      part.pull(off, from.mass[j], own, root + root * rest * (0.5 + 0.375 * rest));
     }
-    add(ax, sums.x);
-    add(ay, sums.y);
-    add(az, sums.z);
-    add(potential, sums.potential);
-    raise(rate, sums.rate);
+    part.into(sums);
   }
 
   static void near(const GravityBodies& from, GravityRun run, double softened,
@@ -95,21 +96,14 @@ struct GravityLoops {
     const D here[3] = {D(to.x), D(to.y), D(to.z)};
     const F own = narrow(D(to.mass)), soft = static_cast<float>(softened);
     for (std::size_t first = run.begin; first < run.end; first += GRAVITY_BLOCK) {
-      Partial part;
+      Partial<F> part;
       for (std::size_t j = first; j < std::min(run.end, first + GRAVITY_BLOCK); ++j) {
-        const F x = narrow(D(from.x[j]) - here[0]);
-        const F y = narrow(D(from.y[j]) - here[1]);
-        const F z = narrow(D(from.z[j]) - here[2]);
-        const F mass = static_cast<float>(from.mass[j]);
-        const F squared = x * x + y * y + z * z;
-        const F inverse =
-            where_above(squared, GRAVITY_APART, inverse_root(squared + soft));
-        const F cubed = inverse * inverse * inverse, pull = mass * cubed;
-        part.x = part.x + pull * x;
-        part.y = part.y + pull * y;
-        part.z = part.z + pull * z;
-        part.potential = part.potential + mass * inverse;
-        part.rate = most(part.rate, (mass + own) * cubed);
+        const F off[3] = {narrow(D(from.x[j]) - here[0]), narrow(D(from.y[j]) - here[1]),
+                          narrow(D(from.z[j]) - here[2])};
+        const F squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
+        const F inverse = inverse_root(squared + soft);
+        part.pull(off, static_cast<float>(from.mass[j]), own,
+                  where_above(squared, GRAVITY_APART, inverse));
       }
       part.into(sums);
     }
@@ -118,11 +112,10 @@ struct GravityLoops {
   // Of the potential 1/s, s² = r² + ε², by Taylor to second order about the centre of mass.
   static void far(const float* cells, std::size_t count, float softened,
                   const GravityTargets& to, GravitySums& sums) {
-    const F here[3] = {F(to.from_middle[0]), F(to.from_middle[1]),
-                       F(to.from_middle[2])};
+    const F here[3] = {F(to.from_middle[0]), F(to.from_middle[1]), F(to.from_middle[2])};
     const F soft = softened;
     for (std::size_t first = 0; first < count; first += GRAVITY_BLOCK) {
-      Partial part;
+      Partial<F> part;
       for (std::size_t j = first; j < std::min(count, first + GRAVITY_BLOCK); ++j) {
         const float* cell = cells + GRAVITY_FAR * j;
         const F x = F(cell[0]) - here[0], y = F(cell[1]) - here[1];
