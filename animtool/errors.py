@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import ClassVar
+from typing import ClassVar, NoReturn
 
 from animtool.quantities import escaped
 
@@ -152,6 +152,13 @@ class OptionError(AnimtoolError):
     """An option, or a combination of options, makes no sense."""
 
     exit_code = ExitCode.USAGE
+
+
+def refuse(
+    code: str, message: str, where: str | None = None, hint: str | None = None
+) -> NoReturn:
+    """Raise what of an option makes no sense, with the parts of its `Fault`."""
+    raise OptionError(Fault(code, message, where=where, hint=hint))
 
 
 class NothingFoundError(AnimtoolError):

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from inspect import get_annotations
 from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hints
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
 from pydantic_core import PydanticUndefined
 
@@ -28,6 +28,10 @@ Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
 Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
 WholeFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
+Positive = Annotated[Real, Gt(0)]
+NotNegative = Annotated[Real, Ge(0)]
+# Of bodies of a system.
+Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]
 # On one line: control characters are in no text that is read. No path is longer.
 Name = Annotated[str, Field(min_length=1, max_length=4096, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[Real], Len(2, 2)]

@@ -71,6 +71,14 @@ inline void at_most(const char* name, std::size_t rows, std::size_t most) {
   if (rows > most) refuse(name, text(rows) + " rows are more than " + text(most));
 }
 
+// Points (N, 3) that loops go through; returns how many.
+template <class Array>
+std::size_t points(const char* name, const Array& array) {
+  shape(name, array, {ANY, 3});
+  at_most(name, array.shape(0), MOST_ROWS);
+  return array.shape(0);
+}
+
 inline void finite(const char* name, double value) {
   if (!std::isfinite(value)) refuse(name, text(value) + " is not finite");
 }

@@ -162,10 +162,8 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(In<
                               double cosine, std::int64_t nearest, In<double, 1> attraction,
                               In<double, 1> alignment, In<double, 1> repulsion, double softening,
                               In<double, 2> period, double most) {
-  const std::size_t count = points.shape(0);
-  check::shape("points", points, {check::ANY, 3});
+  const std::size_t count = check::points("points", points);
   check::shape("velocities", velocities, {count, 3});
-  check::at_most("points", count, check::MOST_ROWS);
   check::positive("radius", radius);
   check::between("cosine", cosine, -1, 1);
   check::between("nearest", nearest, 0, std::numeric_limits<std::int32_t>::max());

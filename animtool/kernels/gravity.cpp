@@ -20,59 +20,45 @@ namespace animtool {
 
 namespace {
 
-struct PlainLanes {
-  template <class T>
-  struct Row {
-    T of[GRAVITY_LANES];
+struct PlainFloats {
+  using F = PlainFloats;
+  float of[GRAVITY_LANES];
 
-    template <class Do>
-    static Row each(Do make) {
-      Row row;
-      for (std::size_t k = 0; k < GRAVITY_LANES; ++k) row.of[k] = make(k);
-      return row;
-    }
-    friend Row operator+(const Row& a, const Row& b) {
-      return each([&](std::size_t k) { return a.of[k] + b.of[k]; });
-    }
-    friend Row operator-(const Row& a, const Row& b) {
-      return each([&](std::size_t k) { return a.of[k] - b.of[k]; });
-    }
-    friend Row operator*(const Row& a, const Row& b) {
-      return each([&](std::size_t k) { return a.of[k] * b.of[k]; });
-    }
-  };
-  using F = Row<float>;
-  using D = Row<double>;
+  PlainFloats() = default;
+  PlainFloats(float value) { std::fill_n(of, GRAVITY_LANES, value); }
+  explicit PlainFloats(const float* from) { std::copy_n(from, GRAVITY_LANES, of); }
 
-  template <class T>
-  static Row<T> spread(T value) {
-    return Row<T>::each([&](std::size_t) { return value; });
+  template <class Do>
+  static F each(Do make) {
+    F row;
+    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) row.of[k] = make(k);
+    return row;
   }
-  template <class T>
-  static Row<T> load(const T* from) {
-    return Row<T>::each([&](std::size_t k) { return from[k]; });
+  static F narrow(const PlainRows::Row& low, const PlainRows::Row& high) {
+    return each([&](std::size_t k) {
+      return static_cast<float>(k < WIDE ? low.at[k] : high.at[k - WIDE]);
+    });
   }
-  static void add(const D& a, double* to) {
-    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) to[k] += a.of[k];
+  void widen(PlainRows::Row& low, PlainRows::Row& high) const {
+    for (std::size_t k = 0; k < WIDE; ++k) low.at[k] = of[k], high.at[k] = of[WIDE + k];
   }
-  static void raise(const D& a, double* to) {
-    for (std::size_t k = 0; k < GRAVITY_LANES; ++k) to[k] = to[k] > a.of[k] ? to[k] : a.of[k];
+  friend F operator+(const F& a, const F& b) {
+    return each([&](std::size_t k) { return a.of[k] + b.of[k]; });
   }
-  static F narrow(const D& a) {
-    return F::each([&](std::size_t k) { return static_cast<float>(a.of[k]); });
+  friend F operator-(const F& a, const F& b) {
+    return each([&](std::size_t k) { return a.of[k] - b.of[k]; });
   }
-  static D widen(const F& a) {
-    return D::each([&](std::size_t k) { return static_cast<double>(a.of[k]); });
+  friend F operator*(const F& a, const F& b) {
+    return each([&](std::size_t k) { return a.of[k] * b.of[k]; });
   }
-  static F inverse_root(const F& a) {
-    return F::each([&](std::size_t k) { return 1.0f / std::sqrt(a.of[k]); });
+  friend F most(const F& a, const F& b) {
+    return each([&](std::size_t k) { return a.of[k] > b.of[k] ? a.of[k] : b.of[k]; });
   }
-  static F where_above(const F& a, float least, const F& value) {
-    return F::each([&](std::size_t k) { return a.of[k] > least ? value.of[k] : 0.0f; });
+  friend F inverse_root(const F& a) {
+    return each([&](std::size_t k) { return 1.0f / std::sqrt(a.of[k]); });
   }
-  template <class T>
-  static Row<T> most(const Row<T>& a, const Row<T>& b) {
-    return Row<T>::each([&](std::size_t k) { return a.of[k] > b.of[k] ? a.of[k] : b.of[k]; });
+  friend F where_above(const F& a, float least, const F& value) {
+    return each([&](std::size_t k) { return a.of[k] > least ? value.of[k] : 0.0f; });
   }
 };
 
@@ -397,9 +383,7 @@ void directly(Bodies& bodies, const double* points, const double* masses, double
 std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     In<double, 2> points, In<double, 1> masses, double constant, double softening,
     double accuracy) {
-  const std::size_t count = points.shape(0);
-  check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
+  const std::size_t count = check::points("points", points);
   check::shape("masses", masses, {count});
   check::finite("points", points);
   check::finite("masses", masses);
@@ -411,7 +395,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
   if (count) {
     nb::gil_scoped_release release;
     const GravityFunctions* quads = gravity_in_quads();
-    const GravityFunctions& loops = quads ? *quads : GravityLoops<PlainLanes>::functions;
+    const GravityFunctions& loops = quads ? *quads : GravityLoops<PlainRows, PlainFloats>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();
@@ -421,8 +405,8 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(
     else
       directly(bodies, points.data(), masses.data(), constant, loops);
   }
-  const std::size_t shape[2] = {count, 3}, flat[1] = {count};
-  return {accelerations.release(shape), potentials.release(flat), rates.release(flat)};
+  return {accelerations.release({count, 3}), potentials.release({count}),
+          rates.release({count})};
 }
 
 }  // namespace animtool

@@ -1,12 +1,14 @@
 // Sums of gravity, whichever way a processor holds eight numbers.
 //
-// Nothing here is shared between source files, which are built for other processors: L is
-// another type in each.
+// Nothing here is shared between source files, which are built for other processors: W, rows of
+// four doubles, is another type in each, and so is L, eight floats.
 #pragma once
 
 #include <algorithm>
 
 #include "gravity.h"
+#include "rows.h"
+#include "wide.h"
 
 namespace animtool {
 
@@ -15,72 +17,93 @@ constexpr std::size_t GRAVITY_BLOCK = 64;
 // Bodies whose squared distance is below do not act on each other: they are at one place.
 constexpr float GRAVITY_APART = 1e-37f;
 
-template <class L>
+// Eight doubles, as two rows.
+template <class W>
+struct GravityDoubles {
+  Wide<W> low, high;
+
+  GravityDoubles() = default;
+  GravityDoubles(Wide<W> low, Wide<W> high) : low(low), high(high) {}
+  GravityDoubles(double value) : low(value), high(value) {}
+  explicit GravityDoubles(const double* from)
+      : low(Wide<W>::of(from)), high(Wide<W>::of(from + WIDE)) {}
+  void store(double* to) const { low.store(to), high.store(to + WIDE); }
+
+  using D = GravityDoubles;
+  friend D operator+(const D& a, const D& b) { return {a.low + b.low, a.high + b.high}; }
+  friend D operator-(const D& a, const D& b) { return {a.low - b.low, a.high - b.high}; }
+  friend D operator*(const D& a, const D& b) { return {a.low * b.low, a.high * b.high}; }
+  friend D most(const D& a, const D& b) { return {most(a.low, b.low), most(a.high, b.high)}; }
+};
+
+template <class W, class L>
 struct GravityLoops {
-  using F = typename L::F;
-  using D = typename L::D;
+  using F = L;
+  using D = GravityDoubles<W>;
 
+  static void add(const D& a, double* to) { (D(to) + a).store(to); }
+  static void raise(const D& a, double* to) { most(D(to), a).store(to); }
+  static D widen(const F& a) {
+    D wide;
+    a.widen(wide.low.row, wide.high.row);
+    return wide;
+  }
+  static F narrow(const D& a) { return F::narrow(a.low.row, a.high.row); }
+
+  static const D& widen(const D& a) { return a; }
+
+  // What pairs do, in numbers of either kind.
+  template <class T>
   struct Partial {
-    F x = L::spread(0.0f), y = x, z = x, potential = x, rate = x;
+    T x = 0.0f, y = x, z = x, potential = x, rate = x;
 
+    void pull(const T (&off)[3], const T& mass, const T& own, const T& inverse) {
+      const T cubed = inverse * inverse * inverse, pull = mass * cubed;
+      x = x + pull * off[0];
+      y = y + pull * off[1];
+      z = z + pull * off[2];
+      potential = potential + mass * inverse;
+      rate = most(rate, (mass + own) * cubed);
+    }
     void into(GravitySums& sums) const {
-      L::add(L::widen(x), sums.x);
-      L::add(L::widen(y), sums.y);
-      L::add(L::widen(z), sums.z);
-      L::add(L::widen(potential), sums.potential);
-      L::raise(L::widen(rate), sums.rate);
+      add(widen(x), sums.x);
+      add(widen(y), sums.y);
+      add(widen(z), sums.z);
+      add(widen(potential), sums.potential);
+      raise(widen(rate), sums.rate);
     }
   };
 
   static void exact(const GravityBodies& from, GravityRun run, double softened,
                     const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {L::load(to.x), L::load(to.y), L::load(to.z)};
-    const D own = L::load(to.mass), soft = L::spread(softened);
-    const D one = L::spread(1.0), half = L::spread(0.5), more = L::spread(0.375);
-    D ax = L::spread(0.0), ay = ax, az = ax, potential = ax, rate = ax;
+    const D here[3] = {D(to.x), D(to.y), D(to.z)}, own = D(to.mass), soft = softened;
+    Partial<D> part;
     for (std::size_t j = run.begin; j < run.end; ++j) {
-      const D x = L::spread(from.x[j]) - here[0], y = L::spread(from.y[j]) - here[1];
-      const D z = L::spread(from.z[j]) - here[2], mass = L::spread(from.mass[j]);
-      const D squared = x * x + y * y + z * z, reach = squared + soft;
-      const F first = L::inverse_root(L::narrow(reach));
-      const D root = L::widen(L::where_above(L::narrow(squared), GRAVITY_APART, first));
+      const D off[3] = {D(from.x[j]) - here[0], D(from.y[j]) - here[1], D(from.z[j]) - here[2]};
+      const D squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
+      const D reach = squared + soft;
+      const F first = inverse_root(narrow(reach));
+      const D root = widen(where_above(narrow(squared), GRAVITY_APART, first));
       // The third-order step of Halley: from seven digits to all.
-      const D off = one - reach * root * root;
-      const D inverse = root + root * off * (half + more * off);
-      const D cubed = inverse * inverse * inverse, pull = mass * cubed;
-      ax = ax + pull * x;
-      ay = ay + pull * y;
-      az = az + pull * z;
-      potential = potential + mass * inverse;
-      rate = L::most(rate, (mass + own) * cubed);
+      const D rest = 1.0 - reach * root * root;
+      part.pull(off, from.mass[j], own, root + root * rest * (0.5 + 0.375 * rest));
     }
-    L::add(ax, sums.x);
-    L::add(ay, sums.y);
-    L::add(az, sums.z);
-    L::add(potential, sums.potential);
-    L::raise(rate, sums.rate);
+    part.into(sums);
   }
 
   static void near(const GravityBodies& from, GravityRun run, double softened,
                    const GravityTargets& to, GravitySums& sums) {
-    const D here[3] = {L::load(to.x), L::load(to.y), L::load(to.z)};
-    const F own = L::narrow(L::load(to.mass)), soft = L::spread(static_cast<float>(softened));
+    const D here[3] = {D(to.x), D(to.y), D(to.z)};
+    const F own = narrow(D(to.mass)), soft = static_cast<float>(softened);
     for (std::size_t first = run.begin; first < run.end; first += GRAVITY_BLOCK) {
-      Partial part;
+      Partial<F> part;
       for (std::size_t j = first; j < std::min(run.end, first + GRAVITY_BLOCK); ++j) {
-        const F x = L::narrow(L::spread(from.x[j]) - here[0]);
-        const F y = L::narrow(L::spread(from.y[j]) - here[1]);
-        const F z = L::narrow(L::spread(from.z[j]) - here[2]);
-        const F mass = L::spread(static_cast<float>(from.mass[j]));
-        const F squared = x * x + y * y + z * z;
-        const F inverse =
-            L::where_above(squared, GRAVITY_APART, L::inverse_root(squared + soft));
-        const F cubed = inverse * inverse * inverse, pull = mass * cubed;
-        part.x = part.x + pull * x;
-        part.y = part.y + pull * y;
-        part.z = part.z + pull * z;
-        part.potential = part.potential + mass * inverse;
-        part.rate = L::most(part.rate, (mass + own) * cubed);
+        const F off[3] = {narrow(D(from.x[j]) - here[0]), narrow(D(from.y[j]) - here[1]),
+                          narrow(D(from.z[j]) - here[2])};
+        const F squared = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
+        const F inverse = inverse_root(squared + soft);
+        part.pull(off, static_cast<float>(from.mass[j]), own,
+                  where_above(squared, GRAVITY_APART, inverse));
       }
       part.into(sums);
     }
@@ -89,31 +112,29 @@ struct GravityLoops {
   // Of the potential 1/s, s² = r² + ε², by Taylor to second order about the centre of mass.
   static void far(const float* cells, std::size_t count, float softened,
                   const GravityTargets& to, GravitySums& sums) {
-    const F here[3] = {L::load(to.from_middle[0]), L::load(to.from_middle[1]),
-                       L::load(to.from_middle[2])};
-    const F soft = L::spread(softened), wide = L::spread(7.5f), narrow = L::spread(1.5f);
-    const F third = L::spread(3.0f), half = L::spread(0.5f);
+    const F here[3] = {F(to.from_middle[0]), F(to.from_middle[1]), F(to.from_middle[2])};
+    const F soft = softened;
     for (std::size_t first = 0; first < count; first += GRAVITY_BLOCK) {
-      Partial part;
+      Partial<F> part;
       for (std::size_t j = first; j < std::min(count, first + GRAVITY_BLOCK); ++j) {
         const float* cell = cells + GRAVITY_FAR * j;
-        const F x = L::spread(cell[0]) - here[0], y = L::spread(cell[1]) - here[1];
-        const F z = L::spread(cell[2]) - here[2];
-        const F xx = L::spread(cell[4]), xy = L::spread(cell[5]), xz = L::spread(cell[6]);
-        const F yy = L::spread(cell[7]), yz = L::spread(cell[8]), zz = L::spread(cell[9]);
-        const F inverse = L::inverse_root(x * x + y * y + z * z + soft);
-        const F squared = inverse * inverse, mass = L::spread(cell[3]) * inverse;
+        const F x = F(cell[0]) - here[0], y = F(cell[1]) - here[1];
+        const F z = F(cell[2]) - here[2];
+        const F xx = cell[4], xy = cell[5], xz = cell[6];
+        const F yy = cell[7], yz = cell[8], zz = cell[9];
+        const F inverse = inverse_root(x * x + y * y + z * z + soft);
+        const F squared = inverse * inverse, mass = F(cell[3]) * inverse;
         const F qx = xx * x + xy * y + xz * z, qy = xy * x + yy * y + yz * z;
         const F qz = xz * x + yz * y + zz * z;
         const F fifth = squared * squared * inverse;
         const F across = (qx * x + qy * y + qz * z) * squared, trace = xx + yy + zz;
-        const F pull = mass * squared + fifth * (wide * across - narrow * trace);
-        const F aside = third * fifth;
+        const F pull = mass * squared + fifth * (7.5f * across - 1.5f * trace);
+        const F aside = 3.0f * fifth;
         part.x = part.x + (pull * x - aside * qx);
         part.y = part.y + (pull * y - aside * qy);
         part.z = part.z + (pull * z - aside * qz);
         part.potential = part.potential + mass +
-                         squared * inverse * (narrow * across - half * trace);
+                         squared * inverse * (1.5f * across - 0.5f * trace);
       }
       part.into(sums);
     }

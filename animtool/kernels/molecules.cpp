@@ -14,60 +14,6 @@ namespace animtool {
 
 namespace {
 
-struct PlainLanes {
-  struct D {
-    double of[MOLECULE_LANES];
-
-    template <class Do>
-    static D each(Do make) {
-      D row;
-      for (std::size_t k = 0; k < MOLECULE_LANES; ++k) row.of[k] = make(k);
-      return row;
-    }
-    friend D operator+(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] + b.of[k]; });
-    }
-    friend D operator-(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] - b.of[k]; });
-    }
-    friend D operator*(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] * b.of[k]; });
-    }
-    friend D operator/(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] / b.of[k]; });
-    }
-  };
-
-  static D spread(double value) {
-    return D::each([&](std::size_t) { return value; });
-  }
-  static D load(const double* from) {
-    return D::each([&](std::size_t k) { return from[k]; });
-  }
-  static void store(const D& a, double* to) { std::copy_n(a.of, MOLECULE_LANES, to); }
-  static D below(const D& a, const D& b) {
-    return D::each([&](std::size_t k) { return a.of[k] < b.of[k] ? 1.0 : 0.0; });
-  }
-  static D most(const D& a, const D& b) {
-    return D::each([&](std::size_t k) { return a.of[k] > b.of[k] ? a.of[k] : b.of[k]; });
-  }
-  static D where(const D& which, const D& value) {
-    return D::each([&](std::size_t k) { return which.of[k] != 0 ? value.of[k] : 0.0; });
-  }
-  static bool any(const D& a) {
-    return a.of[0] != 0 || a.of[1] != 0 || a.of[2] != 0 || a.of[3] != 0;
-  }
-  static double total(const D& a) { return (a.of[0] + a.of[1]) + (a.of[2] + a.of[3]); }
-  static void gather(const double* from, const std::int32_t* rows, D* columns) {
-    for (std::size_t k = 0; k < 4; ++k)
-      columns[k] = D::each([&](std::size_t i) { return from[4 * rows[i] + static_cast<std::int32_t>(k)]; });
-  }
-  static void scatter(const D* columns, const std::int32_t* rows, double* to) {
-    for (std::size_t i = 0; i < MOLECULE_LANES; ++i)
-      for (std::size_t k = 0; k < 4; ++k) to[4 * rows[i] + static_cast<std::int32_t>(k)] -= columns[k].of[i];
-  }
-};
-
 void check_box(const In<double, 1>& box, double reach) {
   check::shape("box", box, {3});
   for (std::size_t k = 0; k < 3; ++k) {
@@ -81,9 +27,7 @@ void check_box(const In<double, 1>& box, double reach) {
 
 std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> molecule_pairs(
     In<double, 2> points, In<double, 1> box, double reach, std::int64_t most) {
-  const std::size_t count = points.shape(0);
-  check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
+  const std::size_t count = check::points("points", points);
   check::finite("points", points);
   check::positive("reach", reach);
   check::not_negative("most", static_cast<double>(most));
@@ -117,15 +61,14 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
                    const std::int32_t other = ranks[grid.index()[*hit]];
                    if (other > self) found.push_back(other);
                  }
-                 while (found.size() % MOLECULE_LANES) found.push_back(nobody);
+                 while (found.size() % WIDE) found.push_back(nobody);
                  starts.get()[++own] = static_cast<std::int64_t>(found.size());
                });
     if (!fits) check::refuse("most", "there are more pairs than " + check::text(most));
   }
   Buffer<std::int32_t> partners(found.size());
   std::copy(found.begin(), found.end(), partners.get());
-  const std::size_t size[1] = {count}, more[1] = {count + 1}, pairs[1] = {found.size()};
-  return {order.release(size), starts.release(more), partners.release(pairs)};
+  return {order.release({count}), starts.release({count + 1}), partners.release({found.size()})};
 }
 
 std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
@@ -133,15 +76,13 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
     In<std::int32_t, 1> partners, In<double, 1> box, In<std::int32_t, 1> kinds,
     In<double, 3> forces, std::optional<In<double, 1>> charges, double cutoff, double onset,
     double damping) {
-  const std::size_t count = points.shape(0), several = forces.shape(0);
-  check::shape("points", points, {check::ANY, 3});
-  check::at_most("points", count, check::MOST_ROWS);
+  const std::size_t count = check::points("points", points), several = forces.shape(0);
   check::shape("order", order, {count});
   check::indices("order", order, 0, static_cast<std::int64_t>(count));
   check::shape("starts", starts, {count + 1});
   check::starts("starts", starts, partners.shape(0));
   for (std::size_t i = 0; i <= count; ++i)
-    if (starts.data()[i] % static_cast<std::int64_t>(MOLECULE_LANES))
+    if (starts.data()[i] % static_cast<std::int64_t>(WIDE))
       check::refuse("starts", "index " + check::text(i) + " is not a multiple of four");
   check::indices("partners", partners, 0, static_cast<std::int64_t>(count) + 1);
   check::shape("kinds", kinds, {count});
@@ -182,15 +123,14 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
         charges ? charge.get() : nullptr, {box.data()[0], box.data()[1], box.data()[2]},
         cutoff * cutoff, onset * onset, damping};
     const MoleculeFunction quads = molecules_in_quads();
-    if (count) virial = (quads ? quads : MoleculeLoops<PlainLanes>::run)(system, out.get());
+    if (count) virial = (quads ? quads : MoleculeLoops<PlainRows>::run)(system, out.get());
     for (std::size_t i = 0; i < count; ++i) {
       const std::size_t which = static_cast<std::size_t>(order.data()[i]);
       for (std::size_t k = 0; k < 3; ++k) result.get()[3 * which + k] = out[4 * i + k];
       energies.get()[which] = out[4 * i + 3];
     }
   }
-  const std::size_t shape[2] = {count, 3}, flat[1] = {count};
-  return {result.release(shape), energies.release(flat), virial};
+  return {result.release({count, 3}), energies.release({count}), virial};
 }
 
 }  // namespace animtool

@@ -1,12 +1,14 @@
 // Forces between molecules, whichever way a processor holds four numbers.
 //
-// Nothing here is shared between source files, which are built for other processors: L is
+// Nothing here is shared between source files, which are built for other processors: W is
 // another type in each.
 #pragma once
 
 #include <cmath>
 
 #include "molecules.h"
+#include "rows.h"
+#include "wide.h"
 
 namespace animtool {
 
@@ -14,9 +16,28 @@ namespace animtool {
 constexpr double MOLECULE_ROUND = 6755399441055744.0;
 constexpr double ROOT_PI = 1.7724538509055160273;
 
-template <class L>
+template <class W>
 struct MoleculeLoops {
-  using D = typename L::D;
+  using D = Wide<W>;
+
+  static double total(const D& a) {
+    double of[WIDE];
+    a.store(of);
+    return (of[0] + of[1]) + (of[2] + of[3]);
+  }
+  static void gather(const double* from, const std::int32_t* rows, D* columns) {
+    typename W::Row at[WIDE];
+    for (std::size_t k = 0; k < WIDE; ++k) at[k] = W::load(from + 4 * rows[k]);
+    W::turn(at);
+    for (std::size_t k = 0; k < WIDE; ++k) columns[k] = at[k];
+  }
+  // Takes columns away from rows, one after the other.
+  static void scatter(const D* columns, const std::int32_t* rows, double* to) {
+    typename W::Row at[WIDE] = {columns[0].row, columns[1].row, columns[2].row, columns[3].row};
+    W::turn(at);
+    for (std::size_t k = 0; k < WIDE; ++k)
+      (D::of(to + 4 * rows[k]) - at[k]).store(to + 4 * rows[k]);
+  }
 
   // What is the same for all pairs.
   struct Law {
@@ -24,13 +45,10 @@ struct MoleculeLoops {
     double shift, slope, damping, end;
 
     explicit Law(const MoleculeSystem& system)
-        : cutoff(L::spread(system.cutoff)), from(L::spread(system.from)) {
+        : cutoff(system.cutoff), from(system.from) {
       const double gap = system.cutoff - system.from;
-      width = L::spread(gap > 0 ? 1 / (gap * gap * gap) : 0.0);
-      for (std::size_t k = 0; k < 3; ++k) {
-        box[k] = L::spread(system.box[k]);
-        over[k] = L::spread(1 / system.box[k]);
-      }
+      width = gap > 0 ? 1 / (gap * gap * gap) : 0.0;
+      for (std::size_t k = 0; k < 3; ++k) box[k] = system.box[k], over[k] = 1 / system.box[k];
       damping = system.damping;
       end = std::sqrt(system.cutoff);
       shift = std::erfc(damping * end) / end;
@@ -52,75 +70,72 @@ struct MoleculeLoops {
   template <bool switched, bool several, bool charged>
   static double all(const MoleculeSystem& system, double* out) {
     const Law law(system);
-    const D zero = L::spread(0.0), one = L::spread(1.0), round = L::spread(MOLECULE_ROUND);
-    const D two = L::spread(2.0), three = L::spread(3.0), six = L::spread(6.0);
-    const D half = L::spread(0.5), twelve = L::spread(12.0);
-    D virial = zero;
-    D c12 = L::spread(system.forces[0].twelve), c6 = L::spread(system.forces[0].six);
+    const D round = MOLECULE_ROUND;
+    D virial = 0.0;
+    D c12 = system.forces[0].twelve, c6 = system.forces[0].six;
     for (std::size_t i = 0; i < system.count; ++i) {
       const double* at = system.rows + 4 * i;
-      const D here[3] = {L::spread(at[0]), L::spread(at[1]), L::spread(at[2])};
-      D sum[4] = {zero, zero, zero, zero};
+      const D here[3] = {at[0], at[1], at[2]};
+      D sum[4] = {0.0, 0.0, 0.0, 0.0};
       const MoleculeForce* forces =
           several ? system.forces + static_cast<std::size_t>(system.kind[i]) * system.kinds
                   : system.forces;
       const std::int32_t* end = system.partners + system.starts[i + 1];
-      for (const std::int32_t* j = system.partners + system.starts[i]; j < end;
-           j += MOLECULE_LANES) {
+      for (const std::int32_t* j = system.partners + system.starts[i]; j < end; j += WIDE) {
         D off[4];
-        L::gather(system.rows, j, off);
-        D squared = zero;
+        gather(system.rows, j, off);
+        D squared = 0.0;
         for (std::size_t k = 0; k < 3; ++k) {
           const D way = here[k] - off[k];
           off[k] = way - law.box[k] * ((way * law.over[k] + round) - round);
           squared = squared + off[k] * off[k];
         }
-        const D within = L::below(squared, law.cutoff);
-        if (!L::any(within)) continue;
+        const D within = below(squared, law.cutoff);
+        if (!bits(within)) continue;
         if constexpr (several) {
-          double twelves[MOLECULE_LANES], sixes[MOLECULE_LANES];
-          for (std::size_t k = 0; k < MOLECULE_LANES; ++k) {
+          double twelves[WIDE], sixes[WIDE];
+          for (std::size_t k = 0; k < WIDE; ++k) {
             const MoleculeForce& force = forces[system.kind[j[k]]];
             twelves[k] = force.twelve, sixes[k] = force.six;
           }
-          c12 = L::load(twelves), c6 = L::load(sixes);
+          c12 = D::of(twelves), c6 = D::of(sixes);
         }
-        const D inverse = one / squared, third = inverse * inverse * inverse;
+        const D inverse = 1.0 / squared, third = inverse * inverse * inverse;
         const D repels = c12 * third * third, attracts = c6 * third;
         D energy = repels - attracts;
-        D force = six * inverse * (repels + energy);
+        D force = 6.0 * inverse * (repels + energy);
         if constexpr (switched) {
-          const D far = L::most(squared, law.from), left = law.cutoff - far;
-          const D share = left * left * (law.cutoff + two * far - three * law.from) * law.width;
-          const D bend = twelve * left * (far - law.from) * law.width;
+          const D far = most(squared, law.from), left = law.cutoff - far;
+          const D share = left * left * (law.cutoff + 2.0 * far - 3.0 * law.from) * law.width;
+          const D bend = 12.0 * left * (far - law.from) * law.width;
           force = share * force + bend * energy;
           energy = share * energy;
         }
         if constexpr (charged) {
-          double squares[MOLECULE_LANES], energies[MOLECULE_LANES], pulls[MOLECULE_LANES];
-          L::store(squared, squares);
-          for (std::size_t k = 0; k < MOLECULE_LANES; ++k) {
+          double squares[WIDE], energies[WIDE], pulls[WIDE];
+          squared.store(squares);
+          for (std::size_t k = 0; k < WIDE; ++k) {
             energies[k] = pulls[k] = 0;
             const double both = system.charges[i] * system.charges[j[k]];
             if (both == 0 || !(squares[k] < system.cutoff)) continue;
             coulomb(law, squares[k], energies[k], pulls[k]);
             energies[k] *= both, pulls[k] *= both;
           }
-          energy = energy + L::load(energies);
-          force = force + L::load(pulls);
+          energy = energy + D::of(energies);
+          force = force + D::of(pulls);
         }
-        force = L::where(within, force);
-        energy = L::where(within, half * energy);
-        virial = virial + L::where(within, force * squared);
-        D parts[4] = {force * L::where(within, off[0]), force * L::where(within, off[1]),
-                      force * L::where(within, off[2]), zero - energy};
+        force = kept(within, force);
+        energy = kept(within, 0.5 * energy);
+        virial = virial + kept(within, force * squared);
+        D parts[4] = {force * kept(within, off[0]), force * kept(within, off[1]),
+                      force * kept(within, off[2]), 0.0 - energy};
         for (std::size_t k = 0; k < 4; ++k) sum[k] = sum[k] + parts[k];
-        L::scatter(parts, j, out);
+        scatter(parts, j, out);
       }
       for (std::size_t k = 0; k < 4; ++k)
-        out[4 * i + k] += k < 3 ? L::total(sum[k]) : -L::total(sum[k]);
+        out[4 * i + k] += k < 3 ? total(sum[k]) : -total(sum[k]);
     }
-    return L::total(virial);
+    return total(virial);
   }
 
   template <bool switched>

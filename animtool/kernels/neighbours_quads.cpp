@@ -1,12 +1,7 @@
 // Distances four at a time for processors with registers of four doubles; the build says where
 // the compiler may use them, and the processor is asked before it runs.
 #include "neighbours.h"
-#include "processor.h"
-
-#if defined(__AVX2__) && defined(__GNUC__)
-#define ANIMTOOL_QUADS
-#include <immintrin.h>
-#endif
+#include "quads.h"
 
 namespace animtool {
 

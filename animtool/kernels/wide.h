@@ -35,6 +35,8 @@ struct Wide {
   friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
     return W::chosen(where.row, a.row, b.row);
   }
+  // A value where `below` says so, else 0.
+  friend Wide kept(const Wide& where, const Wide& a) { return W::kept(where.row, a.row); }
   friend Wide either(const Wide& a, const Wide& b) { return W::either(a.row, b.row); }
   friend unsigned bits(const Wide& where) { return W::bits(where.row); }
   friend double largest(const Wide& a) { return W::largest(a.row); }

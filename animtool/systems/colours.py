@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
@@ -43,7 +43,7 @@ class ColourModel(FileModel):
         default=None,
     )
 
-    def faults(self, names: tuple[str, ...], code: str) -> list[Fault]:
+    def faults(self, names: Sequence[str], code: str) -> list[Fault]:
         """Return what is wrong with it, where a kind has quantities of some names."""
         if self.by not in names:
             message = f"no quantity is named {excerpt(self.by)}"

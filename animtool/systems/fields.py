@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
@@ -49,6 +49,9 @@ ShapeEntry = Annotated[Named, Part.SHAPE]
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
+Velocities = Annotated[
+    ArrayEntry | None, key("Of these `(N, 3)` [m/s].", "birds.npz#velocities")
+]
 PrimName = Annotated[str, Field(description="Name of the prim.")]
 UsdFile = Annotated[Name, Field(description="The USD file.")]
 PrimPath = Annotated[Name, Field(description="Path of the prim.")]
@@ -61,6 +64,10 @@ OwnCharacter = Annotated[
     key("In place of a file: the character of this scene, behind its passes.", True),
 ]
 Margin = Annotated[Real, key("Distance that they keep [m].", 0.01)]
+Tolerance = Annotated[
+    Real | None,
+    key("Of integrators that choose their steps: most error of each.", 1e-5),
+]
 Preroll = Annotated[
     Real,
     Ge(0),
@@ -130,10 +137,8 @@ class RecordModel(FileModel):
         raise NotImplementedError
 
 
-class PlacedModel(FileModel):
-    """What stands somewhere, or moves."""
-
-    code: ClassVar[str] = "SIM020"  # of a place that makes no sense
+class PlacementModel(FileModel):
+    """Where something is, and how it is turned."""
 
     at: Vector = key("Where it is [m].", [0, 1.5, 0], default=[0.0, 0.0, 0.0])
     rotate: Quaternion = key(
@@ -141,6 +146,13 @@ class PlacedModel(FileModel):
         [0.7071, 0, 0.7071, 0],
         default=[1.0, 0.0, 0.0, 0.0],
     )
+
+
+class PlacedModel(PlacementModel):
+    """What stands somewhere, or moves."""
+
+    code: ClassVar[str] = "SIM020"  # of a place that makes no sense
+
     moves: list[TimedVector] = key(
         "Where it is over time, from `at`: rows of seconds from the first "
         "frame on and three coordinates [m]. Not given: it stays.",
@@ -275,6 +287,10 @@ class PhysicsStageModel(FollowedPrimModel):
     prim: PrimPath = key("All below this prim is read.", "/Yard", default="/")
 
 
+# What is wrong, the key that it is at, and a hint.
+Problem: TypeAlias = tuple[str, str | None, str | None]
+
+
 class SystemSpec(FileModel):
     """What a scene says of a system that steps evenly: subclass it, and add keys.
 
@@ -285,12 +301,20 @@ class SystemSpec(FileModel):
             that of the file.
         method_key: The key that names the method, if there is one.
         tried: Whether its simulation says itself in what `Ways` it can be simulated.
+        made_of: Keys whose entries are counted as what it is made of.
+        acted_on: Likewise, as what acts on it.
+        code: Of the faults that `problems` are.
+        quantities: What its key ``colour``, if it adds one, may be by.
     """
 
     methods: ClassVar[Sequence[str] | None] = ()
     exact: ClassVar[str] = ""
     method_key: ClassVar[str] = "method"
     tried: ClassVar[bool] = False
+    made_of: ClassVar[Sequence[str]] = ()
+    acted_on: ClassVar[Sequence[str]] = ("forces",)
+    code: ClassVar[str] = ""
+    quantities: ClassVar[Sequence[str]] = ()
 
     name: PrimName = Field(examples=["chain"])
     step: Annotated[Real, Gt(0)] = key(
@@ -323,20 +347,30 @@ class SystemSpec(FileModel):
     @property
     def reads(self) -> list[str]:
         """What acts on it, in words; what it runs into is left out."""
-        forces = getattr(self, "forces", ())
-        return [counted(len(forces), "force")] if forces else []
+        found = {name: len(getattr(self, name, ())) for name in self.acted_on}
+        return [counted(n, name.removesuffix("s")) for name, n in found.items() if n]
 
     @property
     def counts(self) -> dict[str, int]:
         """What it is made of, by kind."""
-        return {}
+        found = {name: len(getattr(self, name)) for name in self.made_of}
+        return {name: count for name, count in found.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
         """Return which keys make no sense together, each fault's ``where`` a key.
 
         ``parts`` are those of a `SimContext`.
         """
-        return ()
+        found = [
+            Fault(self.code, message, hint=hint, where=where)
+            for message, where, hint in self.problems()
+        ]
+        colour = getattr(self, "colour", None)
+        return found + (colour.faults(self.quantities, self.code) if colour else [])
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield which keys make no sense together, where no part is looked at."""
+        yield from ()
 
     def made(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
         """Return what is made of it when the file is read, and all that is wrong.

@@ -20,19 +20,16 @@ class SystemKind:
 
 
 def system_kind(
-    module: str,
+    spec: str,
+    build: str,
     description: str,
     example: dict[str, Any],
     *,
     surface: bool = False,
     rigid: bool = False,
 ) -> SystemKind:
-    """Return a kind whose module has a `Spec` and a `build`; all else is derived.
-
-    ``surface``, ``rigid`` as in `SystemKind`; rigid bodies have surfaces.
-    """
-    parts = f"{module}:Spec", f"{module}:build"
-    return SystemKind(*parts, description, example, surface or rigid, rigid)
+    """Return a kind by its `SystemKind` parts; rigid bodies have surfaces."""
+    return SystemKind(spec, build, description, example, surface or rigid, rigid)
 
 
 def _springs(
@@ -50,12 +47,14 @@ def _springs(
 
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": system_kind(
-        "animtool.systems.particles.spec",
+        "animtool.systems.particles.spec:ParticlesModel",
+        "animtool.systems.particles.spec:build",
         "Particles that are born, moved, stopped and removed.",
         {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
     ),
     "crowds": system_kind(
-        "animtool.systems.crowds",
+        "animtool.systems.crowds.spec:CrowdsModel",
+        "animtool.systems.crowds.crowd:Crowd",
         "Crowds: agents that walk to goals, around obstacles and each other.",
         {
             "name": "visitors",
@@ -64,12 +63,14 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         },
     ),
     "flocks": system_kind(
-        "animtool.systems.flocks",
+        "animtool.systems.flocks.spec:FlocksModel",
+        "animtool.systems.flocks.flock:Flock",
         "Flocks that attract, align and repel: birds, fish, and who hunts them.",
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
     "fluid": system_kind(
-        "animtool.systems.fluid",
+        "animtool.systems.fluid:Spec",
+        "animtool.systems.fluid:build",
         "Fluids that flow, splash and carry bodies.",
         {
             "name": "water",
@@ -87,7 +88,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         },
     ),
     "molecules": system_kind(
-        "animtool.systems.molecules",
+        "animtool.systems.molecules.spec:MoleculesModel",
+        "animtool.systems.molecules.molecules:Molecules",
         "Atoms that attract, repel and carry charges in a periodic box.",
         {
             "name": "argon",
@@ -97,7 +99,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         },
     ),
     "nbody": system_kind(
-        "animtool.systems.nbody",
+        "animtool.systems.nbody.spec:NbodyModel",
+        "animtool.systems.nbody.nbody:Nbody",
         "Bodies that attract each other: planets, star clusters, galaxies.",
         {
             "name": "stars",
@@ -107,7 +110,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         },
     ),
     "rigid": system_kind(
-        "animtool.systems.rigid",
+        "animtool.systems.rigid:Spec",
+        "animtool.systems.rigid:build",
         "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",
         {
             "name": "crates",

@@ -1,17 +1,17 @@
-"""What systems of bodies and of atoms share: arrays of files, chance, a step's sums."""
+"""What systems of bodies and of atoms are made of: arrays of files, and chance."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Generic, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
-from animtool.sim.system import SecondOrder
-
-Sums = TypeVar("Sums")
+from animtool.errors import refuse
+from animtool.maths import so3
+from animtool.systems.fields import PlacementModel
 
 
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
@@ -24,8 +24,84 @@ def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
     size = float(np.linalg.norm(wxyz))
     if not size > 0:
         message = "rotate is a quaternion of zeros, which turns nowhere"
-        raise OptionError(Fault("SIM020", message, where="rotate"))
+        refuse("SIM020", message, "rotate")
     return np.array([*xyz, w], np.float64) / size
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a frame that has units of its own is in a scene."""
+
+    at: FloatArray  # its origin (3,) [m]
+    rotation: FloatArray  # a quaternion x, y, z, w
+    scale: float = 1.0  # metres in its unit of length
+    pace: float = 1.0  # its unit of time in a second
+
+    @staticmethod
+    def of(pose: PlacementModel, scale: float = 1.0, pace: float = 1.0) -> Placement:
+        """Return that of a pose.
+
+        Raises:
+            OptionError: Its rotation is none (SIM020).
+        """
+        rotation = unit_quaternion(pose.rotate)
+        return Placement(np.array(pose.at), rotation, scale, pace)
+
+    def inwards(self, points: FloatArray) -> FloatArray:
+        """Return where points of the scene ``(…, 3)`` [m] are in it."""
+        turned = so3.rotate(so3.conjugate(self.rotation), points - self.at)
+        return np.asarray(turned / self.scale)
+
+    def outwards(self, x: FloatArray) -> FloatArray:
+        """Return where its points ``(…, 3)`` are in the scene [m]."""
+        return np.asarray(self.at + so3.rotate(self.rotation, self.scale * x))
+
+    def velocities_in(self, v: FloatArray) -> FloatArray:
+        """Return velocities of the scene ``(…, 3)`` [m/s] in its units."""
+        turned = so3.rotate(so3.conjugate(self.rotation), v)
+        return np.asarray(turned / (self.scale * self.pace))
+
+    def velocities_out(self, v: FloatArray) -> FloatArray:
+        """Return its velocities ``(…, 3)`` as those of the scene [m/s]."""
+        return np.asarray(so3.rotate(self.rotation, self.scale * self.pace * v))
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """N bodies at a time."""
+
+    points: FloatArray  # (N, 3)
+    velocities: FloatArray  # (N, 3)
+    masses: FloatArray  # (N,)
+
+    @staticmethod
+    def read(
+        parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
+    ) -> Bodies:
+        """Return those of arrays of a file: at rest and of a mass if it says no other.
+
+        Raises:
+            OptionError: Arrays do not fit, are not finite, or a mass is not above 0.
+        """
+        check_rows(parts, kind, code, where)
+        points, velocities = parts["points"], parts.get("velocities")
+        velocities = np.zeros(points.shape) if velocities is None else velocities
+        masses = parts.get("masses")
+        masses = np.full(len(points), mass) if masses is None else masses
+        if (masses <= 0).any():
+            i = int(np.argmax(masses <= 0))
+            message = f"the mass of {kind} {i} is {masses[i]:g} kg, not above 0"
+            refuse(code, message, where)
+        return Bodies(points, velocities, masses)
+
+    @staticmethod
+    def joined(parts: Sequence[Bodies]) -> Bodies:
+        """Return bodies one after the other."""
+        return Bodies(
+            np.concatenate([one.points for one in parts]),
+            np.concatenate([one.velocities for one in parts]),
+            np.concatenate([one.masses for one in parts]),
+        )
 
 
 def normals(u: FloatArray) -> FloatArray:
@@ -43,15 +119,34 @@ def directions(u: FloatArray) -> FloatArray:
     return np.stack([flat * np.sin(angle), up, flat * np.cos(angle)], axis=1)
 
 
-def at_one_place(points: FloatArray) -> tuple[int, int] | None:
-    """Return two of points ``(N, 3)`` that are the same, None where none are."""
+def check_apart(
+    points: FloatArray,
+    pair: Callable[[int, int], str],
+    code: str,
+    where: str,
+    hint: str,
+    why: str = "",
+) -> None:
+    """Refuse two of points ``(N, 3)`` at one place.
+
+    Args:
+        points: Where they are.
+        pair: Returns what two are called.
+        code: Of the fault.
+        where: Its key.
+        hint: What to do.
+        why: What the place is no good for.
+
+    Raises:
+        OptionError: Two are at one place.
+    """
     order = np.lexsort(points.T)
     same = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if not same.any():
-        return None
-    i = int(np.argmax(same))
-    one, other = sorted(order[[i, i + 1]].tolist())
-    return one, other
+    if same.any():
+        i = int(np.argmax(same))
+        names = pair(*sorted(order[[i, i + 1]].tolist()))
+        message = f"{names} begin at one place{': ' if why else ''}{why}"
+        refuse(code, message, where, hint)
 
 
 def check_rows(
@@ -77,31 +172,4 @@ def check_rows(
             if finite.all():
                 continue
             message = f"{name} of {kind} {int(np.argmin(finite))} are not finite"
-        raise OptionError(Fault(code, message, where=where))
-
-
-class StepSystem(SecondOrder, Generic[Sums]):
-    """Bodies for one step; what was summed last at their places is not summed again."""
-
-    velocity_dependent = False
-
-    def __init__(self, motion: FloatArray, known: Sums) -> None:
-        self._motion = motion
-        self._known = motion[0], known
-
-    @property
-    def state(self) -> FloatArray:
-        """Where they start."""
-        return self._motion
-
-    def summed(self, x: FloatArray) -> Sums:
-        """Return what is summed anew at places ``(N, 3)``."""
-        raise NotImplementedError
-
-    def at(self, x: FloatArray) -> Sums:
-        """Return what there is at places ``(N, 3)``."""
-        known, sums = self._known
-        if x is not known and not np.array_equal(x, known):
-            sums = self.summed(np.ascontiguousarray(x))
-        self._known = x, sums
-        return sums
+        refuse(code, message, where)

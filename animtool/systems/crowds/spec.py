@@ -7,7 +7,15 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole, key
+from animtool.documents.fields import (
+    Name,
+    NotNegative,
+    Positive,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
@@ -20,9 +28,6 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
-
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
 
 
 class GroundModel(PlacedModel):

@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Severity, ToleranceError
 from animtool.frames import MeshFrame, PointsFrame, TransformsFrame
 from animtool.sim.checks import check_fit
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
-from animtool.sim.integrating import integrate
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
-from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.flocks.heading import (
     Heading,
     first_heading,
@@ -33,6 +30,7 @@ from animtool.systems.flocks.steering import (
     own_ways,
     steered,
 )
+from animtool.systems.interacting import integrated
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.simulation import Diagnostics, SimContext
 
@@ -145,16 +143,11 @@ class Flock:
         """Return where members are a step [s] later.
 
         Raises:
-            ToleranceError: The method could not go on (SIM102 to SIM105).
+            StoppedError: The method could not go on (SIM102 to SIM105).
         """
         system = replace(self.system, motion=state.motion)
-        options = replace(self._options, step=dt)
-        begin = Checkpoint(t, state.motion)
-        found = integrate(system, (t, t + dt), options, begin)
-        if found.stats.status is not Status.OK:
-            faults = [replace(one, severity=Severity.ERROR) for one in found.notices]
-            raise ToleranceError(faults)
-        heading, motion = state.heading, found.states[-1]
+        motion = integrated(system, replace(self._options, step=dt), t, dt)
+        heading = state.heading
         if heading is not None:
             heading = next_heading(
                 self._members, heading, state.motion[1], motion[1], dt

@@ -13,7 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted, excerpt
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
-from animtool.systems.matter import at_one_place
+from animtool.systems.matter import check_apart
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
@@ -95,12 +95,14 @@ class Members:
 
     def check_apart(self) -> None:
         """Refuse two at one place: nothing would ever tell them apart (SIM060)."""
-        pair = at_one_place(self.points)
-        if pair is not None:
-            one, other = (self.named(i) for i in pair)
-            message = f"{one} and {other} begin at one place"
-            hint = "place: {sphere: {radius: 2}}, or another place that has a size"
-            refuse(message, hint, "species")
+        hint = "place: {sphere: {radius: 2}}, or another place that has a size"
+        check_apart(
+            self.points,
+            lambda i, j: f"{self.named(i)} and {self.named(j)}",
+            "SIM060",
+            "species",
+            hint,
+        )
 
     def outside(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
         """Return where members begin that no collider holds ``(N, 3)`` [m].

@@ -8,7 +8,15 @@ from typing import Annotated, ClassVar
 from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Real, Vector, Whole, key
+from animtool.documents.fields import (
+    Name,
+    NotNegative,
+    Positive,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
@@ -20,10 +28,9 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSpec,
     SystemSurfaceModel,
+    Tolerance,
+    Velocities,
 )
-
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
 
 
 class VisionModel(FileModel):
@@ -146,9 +153,7 @@ class SpeciesModel(PlacedModel):
         "birds.npz#points",
         default=None,
     )
-    velocities: ArrayEntry | None = key(
-        "Of these `(N, 3)` [m/s].", "birds.npz#velocities", default=None
-    )
+    velocities: Velocities = None
     seed: Whole = key("Of what is random about them.", 7, default=0)
     radius: Positive = key(
         "Their radius: how near they come to colliders [m].", 0.2, default=0.1
@@ -268,8 +273,4 @@ class FlocksModel(SystemSpec):
         "A box that they stay in.", {"size": [40, 10, 40]}, default=None
     )
     method: str = key("An integrator.", "rk4", default="midpoint")
-    tolerance: Real | None = key(
-        "Of integrators that choose their steps: most error of each.",
-        1e-4,
-        default=None,
-    )
+    tolerance: Tolerance = None

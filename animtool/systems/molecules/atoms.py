@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
-from animtool.maths import so3
-from animtool.systems.matter import check_rows, normals, unit_quaternion
+from animtool.errors import refuse
+from animtool.systems.matter import Bodies, Placement, normals
 from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 
@@ -29,66 +28,37 @@ _SPEEDS = 1000
 _FCC = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
 
 
-@dataclass(frozen=True, slots=True)
-class Placing:
+class Box:
     """Where the box is in the scene: nm and ps there, m and s here."""
 
-    size: FloatArray  # (3,) [nm]
-    at: FloatArray  # (3,) [m]
-    rotation: FloatArray  # a quaternion x, y, z, w
-    scale: float  # [m/nm]
-    pace: float  # [ps/s]
-
-    @staticmethod
-    def of(spec: MoleculesModel) -> Placing:
-        """Return that of a spec."""
-        return Placing(
-            np.array(spec.box),
-            np.array(spec.at),
-            unit_quaternion(spec.rotate),
-            spec.scale,
-            spec.pace,
-        )
+    def __init__(self, spec: MoleculesModel) -> None:
+        self.size = np.array(spec.box)  # (3,) [nm]
+        self._middle = Placement.of(spec, spec.scale, spec.pace)
+        self.velocities_in = self._middle.velocities_in
+        self.velocities_out = self._middle.velocities_out
 
     def inwards(self, points: FloatArray) -> FloatArray:
         """Return where points [m] are in the box [nm]."""
-        turned = so3.rotate(so3.conjugate(self.rotation), points - self.at)
-        return np.asarray(turned / self.scale + self.size / 2)
+        return self._middle.inwards(points) + self.size / 2
 
     def outwards(self, x: FloatArray) -> FloatArray:
         """Return where points of the box [nm] are [m], each within it."""
         x = x - self.size * np.floor(x / self.size)
-        return np.asarray(
-            self.at + so3.rotate(self.rotation, self.scale * (x - self.size / 2))
-        )
-
-    def velocities_in(self, v: FloatArray) -> FloatArray:
-        """Return velocities [m/s] as those of the box [nm/ps]."""
-        turned = so3.rotate(so3.conjugate(self.rotation), v)
-        return np.asarray(turned / (self.scale * self.pace))
-
-    def velocities_out(self, v: FloatArray) -> FloatArray:
-        """Return velocities of the box [nm/ps] as those of the scene [m/s]."""
-        return np.asarray(so3.rotate(self.rotation, self.scale * self.pace * v))
+        return self._middle.outwards(x - self.size / 2)
 
 
 @dataclass(frozen=True, slots=True)
-class Atoms:
-    """N atoms."""
+class Atoms(Bodies):
+    """N atoms: bodies in the box, in nm, ps and u."""
 
     kinds: npt.NDArray[np.int32]  # (N,)
-    masses: FloatArray  # (N,) [u]
     charges: FloatArray  # (N,) [e]
     radii: FloatArray  # (N,) [m]
-    points: FloatArray  # (N, 3) [nm]
-    velocities: FloatArray  # (N, 3) [nm/ps]
 
     @staticmethod
-    def of(
-        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], placing: Placing
-    ) -> Atoms:
+    def of(spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: Box) -> Atoms:
         """Return the atoms of a spec, refused where they make no sense (SIM071)."""
-        read = [_read(*each, placing) for each in zip(spec.species, parts, strict=True)]
+        read = [_read(*each, box) for each in zip(spec.species, parts, strict=True)]
         free = [k for k, (points, _) in enumerate(read) if points is None]
         sites = _sites(spec, [spec.species[k].count for k in free])
         for k, own in zip(free, sites, strict=True):
@@ -101,42 +71,44 @@ class Atoms:
 
         masses = each([one.mass for one in spec.species])
         made = Atoms(
-            kinds.astype(np.int32),
-            masses,
-            each([one.charge for one in spec.species]),
-            each([one.radius or one.sigma / 2 * spec.scale for one in spec.species]),
             np.concatenate(points),
             _velocities(spec, masses, kinds, [v for _, v in read]),
+            masses,
+            kinds.astype(np.int32),
+            each([one.charge for one in spec.species]),
+            each([one.radius or one.sigma / 2 * spec.scale for one in spec.species]),
         )
         total = float(made.charges.sum())
         if abs(total) > NEUTRAL:
             message = (
                 f"charges add up to {total:g} e, and a box that repeats is neutral"
             )
-            refuse(message, "species", "give as many of either sign")
+            refuse(spec.code, message, "species", "give as many of either sign")
         return made
 
 
 def _read(
-    model: Any, parts: Mapping[str, Any], placing: Placing
+    model: Any, parts: Mapping[str, Any], box: Box
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return places [nm] and velocities [nm/ps] of files, None for those not given."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None:
         if velocities is not None:
-            refuse("velocities are of points, and there are none", "species")
+            message = "velocities are of points, and there are none"
+            refuse(MoleculesModel.code, message, "species")
         return None, None
-    given = {"points": points, "velocities": velocities}
-    check_rows(given, f"{model.name!r}, atom", "SIM071", "species")
-    x = placing.inwards(points)
-    slack = 1e-9 * placing.size
-    outside = ~((x >= -slack) & (x <= placing.size + slack)).all(axis=1)
+    kind = f"{model.name!r}, atom"
+    given = Bodies.read(parts, model.mass, kind, MoleculesModel.code, "species")
+    x = box.inwards(points)
+    slack = 1e-9 * box.size
+    outside = ~((x >= -slack) & (x <= box.size + slack)).all(axis=1)
     if outside.any():
         i = int(np.argmax(outside))
         where = ", ".join(f"{value:g}" for value in points[i])
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
-        refuse(message, "species", "a nanometre is `scale` metres; `at` is the middle")
-    return x, None if velocities is None else placing.velocities_in(velocities)
+        hint = "a nanometre is `scale` metres; `at` is the middle"
+        refuse(MoleculesModel.code, message, "species", hint)
+    return x, None if velocities is None else box.velocities_in(given.velocities)
 
 
 def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
@@ -150,7 +122,7 @@ def _sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     shape = np.maximum(np.round(size / side), 1)
     if not len(basis) * shape.prod() <= SPARSE * total + SPARSE:
         message = f"{total} atoms fill no lattice in a box of {size.tolist()} nm"
-        refuse(message, "box", "give sides that are more alike")
+        refuse(spec.code, message, "box", "give sides that are more alike")
     cells = shape.astype(np.int64)
     while len(basis) * cells.prod() < total:
         cells[np.argmax(size / cells)] += 1
@@ -203,8 +175,3 @@ def mixed(spec: MoleculesModel) -> FloatArray:
     both = (sigma[:, None] + sigma) / 2
     depth = 4 * np.sqrt(epsilon[:, None] * epsilon)
     return np.ascontiguousarray(np.stack([depth * both**12, depth * both**6], axis=-1))
-
-
-def refuse(message: str, where: str, hint: str | None = None) -> None:
-    """Raise what of atoms makes no sense (SIM071)."""
-    raise OptionError(Fault("SIM071", message, hint=hint, where=where))

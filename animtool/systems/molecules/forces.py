@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError
-from animtool.sim.colliders import Poses
-from animtool.systems.matter import StepSystem
-from animtool.systems.molecules.atoms import COULOMB, Atoms, Placing, mixed
+from animtool.systems.molecules.atoms import COULOMB, Atoms, Box, mixed
 from animtool.systems.molecules.spec import MoleculesModel
 
 # Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
@@ -29,32 +26,17 @@ class Acting:
     virial: float  # sum of forces times distances [kJ/mol]
 
 
-@dataclass(frozen=True, slots=True)
-class Trap:
-    """A place that draws atoms in."""
-
-    stiffness: float  # [kJ/(mol nm²)]
-    radius: float  # [nm]
-    poses: Poses
-
-
 class Interactions:
     """How atoms act on each other; the list that was made last is kept."""
 
-    def __init__(
-        self,
-        spec: MoleculesModel,
-        atoms: Atoms,
-        placing: Placing,
-        traps: Sequence[Trap],
-    ) -> None:
-        self._atoms, self._placing, self.traps = atoms, placing, traps
+    def __init__(self, spec: MoleculesModel, atoms: Atoms, box: Box) -> None:
+        self._atoms, self._box = atoms, box
         self._laws = mixed(spec)
-        self._cutoff = min(spec.reach, placing.size.min() / 2)
+        self._cutoff = min(spec.reach, box.size.min() / 2)
         self._from = min(
             0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
         )
-        self._skin = max(min(spec.skin, placing.size.min() / 2 - self._cutoff), 0.0)
+        self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         charged = bool(atoms.charges.any())
         self._charges = atoms.charges * np.sqrt(COULOMB) if charged else None
         self._damping = spec.damping
@@ -85,7 +67,7 @@ class Interactions:
             most = MOST_EACH * len(x)
             try:
                 pairs = _kernels.molecule_pairs(
-                    reference, self._placing.size, self._cutoff + self._skin, most
+                    reference, self._box.size, self._cutoff + self._skin, most
                 )
             except ValueError as error:
                 message = f"atoms fell together: {error}"
@@ -93,54 +75,7 @@ class Interactions:
             self._listed = reference, pairs
         order, starts, partners = self._listed[1]
         found = _kernels.molecule_forces(
-            x, order, starts, partners, self._placing.size, self._atoms.kinds,
+            x, order, starts, partners, self._box.size, self._atoms.kinds,
             self._laws, self._charges, self._cutoff, self._from, self._damping,
         )  # fmt: skip
         return Acting(*found)
-
-    def trapped(self, t: float, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` and energies ``(N,)`` of traps at a time [s]."""
-        forces, energies = np.zeros_like(x), np.zeros(len(x))
-        size = self._placing.size
-        for trap in self.traps:
-            off = self._placing.inwards(trap.poses.at(t)[:3]) - x
-            off -= size * np.round(off / size)
-            near = np.maximum(1 - (off * off).sum(axis=1) / trap.radius**2, 0.0)
-            forces += (trap.stiffness * near**2)[:, None] * off
-            energies -= trap.stiffness * trap.radius**2 / 6 * near**3
-        return forces, energies
-
-
-class MoleculeSystem(StepSystem[Acting]):
-    """Atoms for one step; time is in ps.
-
-    Attributes:
-        reference: Places of the list of neighbours ``(N, 3)`` [nm].
-    """
-
-    def __init__(
-        self,
-        interactions: Interactions,
-        masses: FloatArray,
-        pace: float,
-        motion: FloatArray,
-        acting: Acting,
-        reference: FloatArray,
-    ) -> None:
-        super().__init__(motion, acting)
-        self._interactions, self._masses, self._pace = interactions, masses, pace
-        self.reference = reference
-
-    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Return accelerations ``(N, 3)`` [nm/ps²]."""
-        if not np.isfinite(x).all():
-            return np.full_like(x, np.nan)
-        forces = self.at(x).forces
-        if self._interactions.traps:
-            forces = forces + self._interactions.trapped(t / self._pace, x)[0]
-        return np.asarray(forces / self._masses[:, None])
-
-    def summed(self, x: FloatArray) -> Acting:
-        """Return what atoms at points do."""
-        self.reference = self._interactions.reference(x, self.reference)
-        return self._interactions.acting(x, self.reference)

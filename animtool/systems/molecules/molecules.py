@@ -5,32 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
-from animtool.frames import PointsFrame
-from animtool.sim.checks import check_fit
-from animtool.sim.equations import Equations
-from animtool.sim.integrating import integrate
-from animtool.sim.options import IntegrateOptions, check_options
-from animtool.sim.system import Energy
-from animtool.sim.trajectory import Checkpoint, Status
-from animtool.systems.colours import Colouring, Quantities, log_density
+from animtool.errors import refuse
+from animtool.systems.colours import Quantities
+from animtool.systems.interacting import Interacting
 from animtool.systems.matter import normals
-from animtool.systems.molecules.atoms import BOLTZMANN, Atoms, Placing, refuse
-from animtool.systems.molecules.forces import (
-    Acting,
-    Interactions,
-    MoleculeSystem,
-    Trap,
-)
-from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
+from animtool.systems.molecules.atoms import BOLTZMANN, Atoms, Box
+from animtool.systems.molecules.forces import Acting, Interactions
+from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
 from animtool.systems.particles.emitter import uniforms
-from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
+from animtool.systems.simulation import SimContext, StoppedError
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717
@@ -42,8 +30,6 @@ LONGEST, ADVISED = 1.0, 0.1
 _BATH = 2000
 # Share of the box that an atom may go through in a step.
 FARTHEST = 0.25
-# Energy gained or lost, in what there was of either kind, from which on it blew up.
-GROWTH = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +43,14 @@ class MoleculeState:
     steps: int
 
 
-class Molecules:
+# What atoms do, and the places of the list that says who are near.
+Listed: TypeAlias = tuple[Acting, FloatArray]
+
+
+class Molecules(Interacting[MoleculeState, Listed]):
     """Atoms in a periodic box, in steps.
 
     Attributes:
-        checked: Its steps see to it that numbers stay finite.
         atoms: Which there are.
 
     Raises:
@@ -69,54 +58,34 @@ class Molecules:
             SIM071).
     """
 
-    checked = True
+    unit = "kJ/mol"
 
     @np.errstate(all="ignore")
     def __init__(self, spec: MoleculesModel, context: SimContext) -> None:
-        self._spec, self._begin = spec, context.begin
-        self._options = IntegrateOptions(spec.method, spec.step * spec.pace)
-        integrator = check_options(self._options)
-        self._placing = Placing.of(spec)
-        self.atoms = Atoms.of(spec, context.parts["species"], self._placing)
-        traps = [
-            Trap(one.stiffness, one.radius, placed["poses"])
-            for one, placed in zip(
-                spec.traps, context.parts.get("traps", ()), strict=True
-            )
-        ]
-        self._moving = any(one.moves or one.prim for one in spec.traps)
-        self._interactions = Interactions(spec, self.atoms, self._placing, traps)
-        self._freedom = max(3 * len(self.atoms.masses) - 3, 1)
-        self._check_step()
-        start = self.initial()
-        motion = self._placing.velocities_out(start.motion[1])
-        placed = [self._placing.outwards(start.motion[0]), motion]
-        if not np.isfinite(placed).all():
-            refuse(
-                "atoms are so far or fast in the scene that numbers overflow", "scale"
-            )
-        self._check_apart(start)
-        check_fit(Equations(self._system(start)), integrator)
-        self._colouring: Colouring | None = None
-        if spec.colour is not None:
-            self._colouring = Colouring.of(spec.colour, self._quantities(start))
-
-    def _stiffest(self) -> float:
-        """Return the fastest vibration of a crystal of any of the kinds [rad/ps]."""
-        rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in self._spec.species]
-        return math.sqrt(8 * max(rates))
-
-    def _advised(self) -> float:
-        """Return a step that is short enough [s]."""
-        return ADVISED / max(self._stiffest() * self._spec.pace, 1e-300)
-
-    def _check_step(self) -> None:
-        """Refuse steps that no bond would survive (SIM071)."""
-        step = self._spec.step * self._spec.pace
-        if step * self._stiffest() > LONGEST:
+        super().__init__(spec, context, "traps", spec.pace)
+        placing, parts = Box(spec), context.parts
+        self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
+        self.radii, self.species = self.atoms.radii, self.atoms.kinds
+        self.several = len(spec.species) > 1
+        self.inertia = self.atoms.masses[:, None]
+        self.shown = np.arange(len(self.species))
+        self._placing, self.box = placing, placing.size
+        self._interactions = Interactions(spec, self.atoms, placing)
+        self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
+        rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
+        # The fastest vibration of a crystal of any of the kinds [rad/ps].
+        self._stiffest = math.sqrt(8 * max(rates))
+        start, step = self.initial(), spec.step * spec.pace
+        if step * self._stiffest > LONGEST:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
-            message += f"{2 * math.pi / self._stiffest():.3g} ps"
-            refuse(message, "step", f"give step: {self._advised():.2g}, or less pace")
+            message += f"{2 * math.pi / self._stiffest:.3g} ps"
+            hint = f"give step: {self._advised(start):.2g}, or less pace"
+            refuse(spec.code, message, "step", hint)
+        if not np.isfinite(self._placed(start.motion)).all():
+            message = "atoms are so far or fast in the scene that numbers overflow"
+            refuse(spec.code, message, "scale")
+        self._check_apart(start)
+        self.begin()
 
     def _check_apart(self, start: MoleculeState) -> None:
         """Refuse atoms that begin in each other (SIM071)."""
@@ -133,28 +102,34 @@ class Molecules:
         one, other = sorted(others[i].tolist())
         message = f"atoms {one} and {other} begin {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or give a larger box"
-        refuse(message, "species", hint)
+        refuse(self._spec.code, message, "species", hint)
 
-    def initial(self) -> MoleculeState:
-        """Return where all begin."""
-        return self._first
-
-    @cached_property
-    def _first(self) -> MoleculeState:
-        points = np.ascontiguousarray(self.atoms.points)
-        motion = np.stack([points, self.atoms.velocities])
+    def _start(self, motion: FloatArray) -> MoleculeState:
+        points = motion[0]
         acting = self._interactions.acting(points, points)
         return MoleculeState(motion, points, acting, 0.0, 0)
 
-    def _system(self, state: MoleculeState) -> MoleculeSystem:
-        return MoleculeSystem(
-            self._interactions,
-            self.atoms.masses,
-            self._spec.pace,
-            state.motion,
-            state.acting,
-            state.reference,
-        )
+    def _sums(self, state: MoleculeState) -> Listed:
+        return state.acting, state.reference
+
+    def summed(self, x: FloatArray, before: Listed) -> Listed:
+        """Return what atoms at points ``(N, 3)`` [nm] do, and by whose list."""
+        reference = self._interactions.reference(x, before[1])
+        return self._interactions.acting(x, reference), reference
+
+    def _forces(self, sums: Listed) -> FloatArray:
+        return sums[0].forces
+
+    def from_placed(
+        self, one: TrapModel, at: FloatArray, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` [kJ/mol]."""
+        size = self._placing.size
+        off = self._placing.inwards(at) - x
+        off -= size * np.round(off / size)
+        near = np.maximum(1 - (off * off).sum(axis=1) / one.radius**2, 0.0)
+        force = (one.stiffness * near**2)[:, None] * off
+        return force, -(one.stiffness * one.radius**2 / 6 * near**3)
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
@@ -163,130 +138,74 @@ class Molecules:
         Raises:
             StoppedError: It blew up (SIM102).
         """
-        pace, system = self._spec.pace, self._system(state)
-        options = replace(self._options, step=dt * pace)
-        span = (t * pace, t * pace + dt * pace)
-        found = integrate(system, span, options, Checkpoint(span[0], state.motion))
-        if found.stats.status is not Status.OK:
-            hint = f"give step: {self._advised():.2g}"
-            faults = [
-                replace(one, severity=Severity.ERROR, hint=hint)
-                for one in found.notices
-            ]
-            raise StoppedError(faults, found.stats)
-        motion = found.states[-1]
-        self._check_speeds(motion[1], t + dt, dt)
-        acting = system.at(motion[0])
-        heat = state.heat
-        if self._spec.thermostat is not None:
+        spec, system = self._spec, self._system(state)
+        try:
+            motion = self._integrated(system, t, dt, dt)
+        except StoppedError as error:
+            hint = f"give step: {self._advised(state):.2g}"
+            faults = [replace(one, hint=hint) for one in error.faults]
+            raise StoppedError(faults, error.stats) from None
+        ways = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
+        i = int(np.argmax(ways))
+        if not ways[i] <= FARTHEST * self._placing.size.min():
+            self._stop(state, t + dt, f"atom {i} goes {ways[i]:.3g} nm in a step")
+        (acting, reference), heat = system.at(motion[0]), state.heat
+        if spec.thermostat is not None:
             kinetic = self._kinetic(motion)
             factor = bath_factor(
-                self._spec.thermostat,
-                self._spec.seed,
+                spec.thermostat,
+                spec.seed,
                 state.steps,
                 t + dt,
-                dt * pace,
+                dt * spec.pace,
                 kinetic,
                 self._freedom,
             )
             motion = np.stack([motion[0], factor * motion[1]])
             heat += (factor**2 - 1) * kinetic
-        after = MoleculeState(motion, system.reference, acting, heat, state.steps + 1)
+        after = MoleculeState(motion, reference, acting, heat, state.steps + 1)
         self._watch(after, t + dt)
         return after
 
-    def _check_speeds(self, v: FloatArray, t: float, dt: float) -> None:
-        ways = np.sqrt((v * v).sum(axis=1)) * dt * self._spec.pace
-        i = int(np.argmax(ways))
-        if not ways[i] <= FARTHEST * self._placing.size.min():
-            self._stop(t, f"atom {i} goes {ways[i]:.3g} nm in a step")
+    def _given(self, state: MoleculeState) -> float:
+        return state.heat
 
-    def _watch(self, state: MoleculeState, t: float) -> None:
-        """Stop where energy appears from nowhere (SIM102)."""
-        begin, now = self._begun, self._energy(state, t)
-        usual = max(begin.kinetic, abs(begin.potential), abs(state.heat))
-        gained = now.total - state.heat - begin.total
-        if not self._moving and usual and not abs(gained) <= GROWTH * usual:
-            message = f"its energy is {now.total:.4g} kJ/mol, and was {begin.total:.4g}"
-            self._stop(t, message)
+    def _advised(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002
+        return ADVISED / max(self._stiffest * self._pace, 1e-300)
 
-    def _stop(self, t: float, reason: str) -> None:
-        message = f"{self._spec.name} blew up at {t:g} s: {reason}"
-        hint = f"give step: {min(self._advised(), self._spec.step / 4):.2g}"
-        raise StoppedError([Fault("SIM102", message, hint=hint)])
+    def _potential(self, state: MoleculeState, t: float) -> float:
+        own = float(state.acting.energies.sum()) + self._interactions.own_energy()
+        outside = self.outside(t, state.motion[0])[1] if self.placed else np.zeros(1)
+        return own + float(outside.sum())
 
-    def _kinetic(self, motion: FloatArray) -> float:
-        return 0.5 * float(self.atoms.masses @ (motion[1] ** 2).sum(axis=1))
+    def _placed(self, motion: FloatArray) -> FloatArray:
+        x, v = motion
+        placing = self._placing
+        return np.stack([placing.outwards(x), placing.velocities_out(v)])
 
-    def _energy(self, state: MoleculeState, t: float) -> Energy:
-        """Return energies [kJ/mol]."""
-        potential = float(state.acting.energies.sum()) + self._interactions.own_energy()
-        if self._interactions.traps:
-            potential += float(self._interactions.trapped(t, state.motion[0])[1].sum())
-        return Energy(self._kinetic(state.motion), potential)
-
-    @cached_property
-    def _begun(self) -> Energy:
-        return self._energy(self._first, self._begin)
-
-    @np.errstate(all="ignore")
-    def frame(self, state: MoleculeState, t: float) -> PointsFrame:  # noqa: ARG002
-        """Return atoms within the box."""
-        x, v = state.motion
-        primvars: dict[str, Any] = {}
-        if len(self._spec.species) > 1:
-            primvars["species"] = self.atoms.kinds
-        if self._colouring is not None:
-            primvars["displayColor"] = self._colouring.colours(self._quantities(state))
-        return PointsFrame(
-            np.arange(len(x)),
-            self._placing.outwards(x),
-            self._placing.velocities_out(v),
-            self.atoms.radii,
-            primvars,
-        )
-
-    def _quantities(self, state: MoleculeState) -> Quantities:
-        (x, v), masses = state.motion, self.atoms.masses
-        energies, size = state.acting.energies, self._placing.size
-        squares = (v * v).sum(axis=1)
+    def _quantities(self, state: MoleculeState, t: float) -> Quantities:
+        energies = state.acting.energies
+        squares = (state.motion[1] ** 2).sum(axis=1)
         return {
-            "speed": lambda: np.sqrt(squares),
-            "temperature": lambda: masses * squares / (3 * BOLTZMANN),
-            "density": lambda: log_density(x % size % size, masses, size),
-            "energy": lambda: 0.5 * masses * squares + energies,
-            "species": lambda: self.atoms.kinds,
+            **super()._quantities(state, t),
+            "temperature": lambda: self.bodies.masses * squares / (3 * BOLTZMANN),
+            "energy": lambda: 0.5 * self.bodies.masses * squares + energies,
         }
 
-    @np.errstate(all="ignore")
-    def diagnostics(self, state: MoleculeState, t: float) -> Diagnostics:
-        """Return temperature, pressure and energies, and how well energy was kept."""
-        return Diagnostics(
-            None if self._moving else self._balance(state, t), self.values(state, t)
-        )
-
-    def _balance(self, state: MoleculeState, t: float) -> Energy:
-        """Return the energy without what the bath gave."""
-        now = self._energy(state, t)
-        return replace(now, potential=now.potential - state.heat)
-
-    def values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
+    def _values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
         """Return what is reported: [K], [MPa] and [kJ/mol]."""
-        now, begin = self._energy(state, t), self._begun
-        volume = float(self._placing.size.prod())
+        now, volume = self._energy(state, t), float(self._placing.size.prod())
         pressure = (2 * now.kinetic + state.acting.virial) / (3 * volume)
         values = {
-            "atoms": float(len(self.atoms.masses)),
+            "atoms": float(len(self.bodies.masses)),
             "temperature": 2 * now.kinetic / (self._freedom * BOLTZMANN),
             "pressure": pressure * MEGAPASCALS,
             "kinetic_energy": now.kinetic,
             "potential_energy": now.potential,
         }
-        if not self._moving:
-            usual = max(abs(begin.total), begin.kinetic, 1e-300)
-            gained = now.total - state.heat - begin.total
-            values["energy_drift"] = gained / usual
-        return {key: one for key, one in values.items() if math.isfinite(one)}
+        if not self._moves:
+            values["energy_drift"] = self._drift(state, now)
+        return values
 
 
 def bath_factor(

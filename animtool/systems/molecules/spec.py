@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Le, Len
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, Whole, key
-from animtool.errors import Fault, counted
+from animtool.documents.fields import (
+    Count,
+    Name,
+    NotNegative,
+    Pair,
+    Positive,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.systems.colours import ColourModel
-from animtool.systems.fields import ArrayEntry, PlacedModel, SystemSpec
-
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
-QUANTITIES = ("speed", "temperature", "density", "energy", "species")
+from animtool.systems.fields import (
+    ArrayEntry,
+    PlacedModel,
+    PlacementModel,
+    Problem,
+    SystemSpec,
+)
 
 
 class AtomsModel(FileModel):
     """Atoms of one kind; those of argon where nothing else is given."""
 
     name: Name = key("Its name.", "argon")
-    count: Annotated[Whole, Ge(1), Le(2 * 10**6)] = key(
-        "How many, on a lattice.", 864, default=256
-    )
+    count: Count = key("How many, on a lattice.", 864, default=256)
     points: ArrayEntry | None = key(
         "Where each begins `(N, 3)` [m], in place of `count`.",
         "atoms.npz#points",
@@ -70,11 +79,17 @@ class TrapModel(PlacedModel):
     radius: Positive = key("It draws nobody beyond [nm].", 0.6, default=0.5)
 
 
-class MoleculesModel(SystemSpec):
+class MoleculesModel(PlacementModel, SystemSpec):
     """Molecular dynamics of atoms with Lennard-Jones forces and charges."""
 
     methods: ClassVar[Sequence[str]] = (
         *("symplectic_euler", "velocity_verlet", "position_verlet", "rk4"),
+    )
+    made_of: ClassVar[Sequence[str]] = ("species",)
+    acted_on: ClassVar[Sequence[str]] = ("traps",)
+    code: ClassVar[str] = "SIM071"
+    quantities: ClassVar[Sequence[str]] = (
+        *("speed", "temperature", "density", "energy", "species"),
     )
 
     species: Annotated[list[AtomsModel], Len(1, 50)] = key(
@@ -85,6 +100,7 @@ class MoleculesModel(SystemSpec):
     box: Annotated[list[Positive], Len(3, 3)] = key(
         "Sides of the box, at whose ends it goes on at the other [nm].", [3, 3, 3]
     )
+    at: Vector = key("Middle of the box [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
     lattice: Literal["fcc", "cubic"] = key(
         "`fcc`, or `cubic`, on which two kinds alternate.", "cubic", default="fcc"
     )
@@ -92,12 +108,6 @@ class MoleculesModel(SystemSpec):
         "Sides of the lattice, in the middle of the box [nm]. Not given: the box.",
         [2, 2, 2],
         default=None,
-    )
-    at: Vector = key("Middle of the box [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
-    rotate: Quaternion = key(
-        "How it is turned: a quaternion w, x, y, z.",
-        [0.7071, 0, 0.7071, 0],
-        default=[1.0, 0.0, 0.0, 0.0],
     )
     scale: Positive = key(
         "Metres that a nanometre is shown as [m/nm].", 0.1, default=1.0
@@ -150,45 +160,22 @@ class MoleculesModel(SystemSpec):
         """The cut-off [nm]."""
         return self.cutoff or 2.5 * max(one.sigma for one in self.species)
 
-    @property
-    def reads(self) -> list[str]:
-        """What acts on it, in words."""
-        return [counted(len(self.traps), "trap")] if self.traps else []
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
-        return {"species": len(self.species)}
-
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return which keys make no sense together (SIM071)."""
-        faults = []
-        least = min(self.box)
-        if least < 2 * self.reach:
+    def problems(self) -> Iterator[Problem]:
+        """Yield which keys make no sense together."""
+        least, reach = min(self.box), self.reach
+        if least < 2 * reach:
             message = f"the box is {least:g} nm wide, and twice the cut-off is "
             hint = f"give cutoff: {least / 2:.3g}, or a larger box"
-            message += f"{2 * self.reach:g} nm"
-            faults.append(Fault("SIM071", message, hint=hint, where="box"))
-        if self.switch is not None and self.switch > self.reach:
+            yield f"{message}{2 * reach:g} nm", "box", hint
+        if self.switch is not None and self.switch > reach:
             message = f"the switch begins at {self.switch:g} nm, beyond the cut-off of "
-            message += f"{self.reach:g} nm"
-            faults.append(Fault("SIM071", message, where="switch"))
-        if self.block is not None and any(
-            side > most for side, most in zip(self.block, self.box, strict=True)
-        ):
-            faults.append(
-                Fault("SIM071", "the block is larger than the box", where="block")
-            )
-        times = (
-            [row[0] for row in self.thermostat.temperatures] if self.thermostat else []
-        )
+            yield f"{message}{reach:g} nm", "switch", None
+        sides = zip(self.block or (), self.box, strict=False)
+        if any(side > most for side, most in sides):
+            yield "the block is larger than the box", "block", None
+        rows = self.thermostat.temperatures if self.thermostat else []
+        times = [t for t, _ in rows]
         if times != sorted(set(times)):
-            message = "times of the thermostat do not ascend"
-            faults.append(Fault("SIM071", message, where="thermostat"))
-        if self.thermostat and min(row[1] for row in self.thermostat.temperatures) < 0:
-            faults.append(
-                Fault("SIM071", "a temperature is below 0 K", where="thermostat")
-            )
-        if self.colour is not None:
-            faults += self.colour.faults(QUANTITIES, "SIM071")
-        return faults
+            yield "times of the thermostat do not ascend", "thermostat", None
+        if any(temperature < 0 for _, temperature in rows):
+            yield "a temperature is below 0 K", "thermostat", None

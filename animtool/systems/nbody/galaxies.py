@@ -13,17 +13,20 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.systems.matter import directions, normals, unit_quaternion
+from animtool.systems import matter
+from animtool.systems.matter import Bodies, unit_quaternion
 from animtool.systems.nbody.spec import (
     DiscModel,
     EncounterModel,
     GalaxyModel,
+    NbodyModel,
     SpheroidModel,
 )
 from animtool.systems.particles.emitter import uniforms
@@ -38,40 +41,13 @@ TOOMRE = 3.36
 WARMEST = 0.7
 
 
-@dataclass(frozen=True, slots=True)
-class Bodies:
-    """N bodies at a time."""
-
-    points: FloatArray  # (N, 3) [m]
-    velocities: FloatArray  # (N, 3) [m/s]
-    masses: FloatArray  # (N,) [kg]
-
-    @staticmethod
-    def joined(parts: list[Bodies]) -> Bodies:
-        """Return bodies one after the other."""
-        return Bodies(
-            np.concatenate([one.points for one in parts]),
-            np.concatenate([one.velocities for one in parts]),
-            np.concatenate([one.masses for one in parts]),
-        )
-
-    def placed(self, rotation: FloatArray, at: FloatArray, v: FloatArray) -> Bodies:
-        """Return them turned (a quaternion x, y, z, w), moved [m] and faster [m/s]."""
-        return Bodies(
-            so3.rotate(rotation, self.points) + at,
-            so3.rotate(rotation, self.velocities) + v,
-            self.masses,
-        )
-
-
 class Profile:
     """How the mass of a galaxy is distributed, at radii ``(R,)`` [m]."""
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
-        parts = [p for p in (galaxy.disc, galaxy.bulge, galaxy.halo) if p is not None]
-        far = max((p.radius * p.cutoff for p in parts), default=1.0)
-        near = min((p.radius for p in parts), default=1.0)
+        far = max((p.radius * p.cutoff for p in galaxy.parts), default=1.0)
+        near = min((p.radius for p in galaxy.parts), default=1.0)
         self.r = np.geomspace(max(1e-4 * near, 1e-250), 4 * far, RADII)
         within = np.full(RADII, galaxy.nucleus)
         for one in (galaxy.bulge, galaxy.halo):
@@ -79,13 +55,13 @@ class Profile:
                 within = within + enclosed(one, self.r)
         around = within
         # Softened bodies pull as if each were spread over a sphere of Plummer.
-        soft = self.r**2 / (self.r**2 + softening**2)
-        speeds = constant * within / self.r * soft**1.5
+        soft = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
+        speeds = constant * within / self.r * soft
         if galaxy.disc is not None:
-            around = within + disc_enclosed(galaxy.disc, self.r)
-            speeds = speeds + constant * disc_speeds(galaxy.disc, self.r) * soft**1.5
+            around = within + enclosed(galaxy.disc, self.r)
+            speeds = speeds + constant * disc_speeds(galaxy.disc, self.r) * soft
         self.circular = np.sqrt(speeds)  # [m/s]
-        self.pull = constant * around / self.r**2 * soft**1.5  # [m/s²]
+        self.pull = constant * around / self.r**2 * soft  # [m/s²]
         beyond = constant * around[-1] / self.r[-1]
         # Escape velocities [m/s].
         self.escape = np.sqrt(2 * (_from_outside(self.pull, self.r) + beyond))
@@ -96,9 +72,8 @@ class Profile:
         density = np.maximum(density, 0.0)
         pressure = _from_outside(density * self.pull, self.r)
         least = density.max() * 1e-12
-        return np.sqrt(
-            np.where(density > least, pressure / np.maximum(density, least), 0.0)
-        )
+        squares = pressure / np.maximum(density, least)
+        return np.sqrt(np.where(density > least, squares, 0.0))
 
 
 def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
@@ -107,23 +82,19 @@ def _from_outside(values: FloatArray, r: FloatArray) -> FloatArray:
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-def enclosed(part: SpheroidModel, r: FloatArray) -> FloatArray:
-    """Return the mass of a spheroid within radii [kg]."""
+# Share of the mass of an endless profile within radii, in scale radii.
+_WITHIN: dict[str, Callable[[Any], Any]] = {
+    "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
+    "hernquist": lambda x: (x / (1 + x)) ** 2,
+    "plummer": lambda x: x**3 / (1 + x**2) ** 1.5,
+}
 
-    def share(x: FloatArray | float) -> FloatArray | float:
-        if part.profile == "plummer":
-            return x**3 / (1 + x**2) ** 1.5
-        return (x / (1 + x)) ** 2
 
+def enclosed(part: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
+    """Return the mass of a spheroid or a disc within radii [kg]."""
+    within = _WITHIN[getattr(part, "profile", "exponential")]
     inside = np.minimum(r / part.radius, part.cutoff)
-    return np.asarray(part.mass * share(inside) / share(part.cutoff))
-
-
-def disc_enclosed(disc: DiscModel, r: FloatArray | float) -> FloatArray:
-    """Return the mass of a disc within radii [kg]."""
-    x = np.minimum(np.asarray(r) / disc.radius, disc.cutoff)
-    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
-    return np.asarray(disc.mass * (1 - (1 + x) * np.exp(-x)) / whole)
+    return np.asarray(part.mass * within(inside) / within(part.cutoff))
 
 
 def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
@@ -132,15 +103,30 @@ def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
 
     y = np.minimum(r / (2 * disc.radius), 300.0)
     bessel = i0e(y) * k0e(y) - i1e(y) * k1e(y)
-    surface = disc_surface(disc, np.zeros(1))[0]
+    surface = disc_surface(disc, 0.0)
     return np.asarray(4 * np.pi * surface * disc.radius * y**2 * bessel)
 
 
-def disc_surface(disc: DiscModel, r: FloatArray) -> FloatArray:
+def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
     """Return surface densities of a disc [kg/m²]."""
-    whole = 1 - (1 + disc.cutoff) * np.exp(-disc.cutoff)
+    whole = _WITHIN["exponential"](disc.cutoff)
     central = disc.mass / (2 * np.pi * disc.radius**2 * whole)
     return np.asarray(central * np.exp(-r / disc.radius))
+
+
+def built_galaxies(spec: NbodyModel) -> list[Bodies]:
+    """Return the bodies of each galaxy of a spec where it begins."""
+    constant, softening = spec.gravity_constant, spec.softening
+    built = [build_galaxy(one, constant, softening) for one in spec.galaxies]
+    starts = [(np.array(one.at), np.array(one.velocity)) for one in spec.galaxies]
+    if spec.encounter is not None:
+        starts = on_orbit(spec.encounter, [g.masses.sum() for g in built], constant)
+    made = []
+    for galaxy, own, (at, v) in zip(spec.galaxies, built, starts, strict=True):
+        placing = matter.Placement(at, unit_quaternion(galaxy.rotate))
+        velocities = placing.velocities_out(own.velocities) + v
+        made.append(Bodies(placing.outwards(own.points), velocities, own.masses))
+    return made
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodies:
@@ -148,9 +134,8 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     profile = Profile(galaxy, constant, softening)
     parts = []
     if galaxy.nucleus:
-        parts.append(
-            Bodies(np.zeros((1, 3)), np.zeros((1, 3)), np.array([galaxy.nucleus]))
-        )
+        none = np.zeros((1, 3))
+        parts.append(Bodies(none, none, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
         parts.append(_disc(galaxy.disc, profile, galaxy.seed))
     for number, part in enumerate((galaxy.bulge, galaxy.halo)):
@@ -159,43 +144,37 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Bodi
     made = Bodies.joined(parts)
     # Its centre of mass is where it is put, and as fast.
     weights = made.masses / made.masses.sum()
-    return made.placed(so3.IDENTITY, -weights @ made.points, -weights @ made.velocities)
+    x, v = (each + -weights @ each for each in (made.points, made.velocities))
+    return Bodies(x, v, made.masses)
 
 
 def _spheroid(part: SpheroidModel, profile: Profile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(part.count), 6)
-    mass = enclosed(part, profile.r)
-    r = np.interp(u[:, 0] * part.mass, mass, profile.r)
+    r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
     sigma = np.interp(r, profile.r, profile.dispersion(part))
     most = BOUND * np.interp(r, profile.r, profile.escape)
-    velocities = sigma[:, None] * normals(u[:, 3:6])
+    velocities = sigma[:, None] * matter.normals(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(most / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(part.count, part.mass / part.count)
-    return Bodies(r[:, None] * directions(u[:, 1:3]), velocities, masses)
+    return Bodies(r[:, None] * matter.directions(u[:, 1:3]), velocities, masses)
 
 
 def _disc(disc: DiscModel, profile: Profile, seed: int) -> Bodies:
     u = uniforms(seed, np.arange(disc.count), 6)
-    r = np.interp(u[:, 0] * disc.mass, disc_enclosed(disc, profile.r), profile.r)
+    r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     height = disc.thickness * disc.radius
     up = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
-    radial, around, upward, mean = disc_velocities(disc, profile)
-    normal = normals(u[:, 3:6])
-
-    def at(values: FloatArray) -> FloatArray:
-        return np.interp(r, profile.r, values)
-
-    out = at(radial) * normal[:, 0]
-    along = at(mean) + at(around) * normal[:, 1]
+    moments = disc_velocities(disc, profile)
+    radial, around, upward, mean = (np.interp(r, profile.r, one) for one in moments)
+    normal = matter.normals(u[:, 3:6])
+    out, along = radial * normal[:, 0], mean + around * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
     # About y, as a right hand has it: from z to x.
     points = np.stack([r * sin, up, r * cos], axis=1)
-    velocities = np.stack(
-        [out * sin + along * cos, at(upward) * normal[:, 2], out * cos - along * sin],
-        axis=1,
-    )
+    x, z = out * sin + along * cos, out * cos - along * sin
+    velocities = np.stack([x, upward * normal[:, 2], z], axis=1)
     return Bodies(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
 
@@ -219,13 +198,12 @@ def disc_velocities(
 
 
 def on_orbit(
-    orbit: EncounterModel, first: Bodies, second: Bodies, constant: float
-) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return where two galaxies are that come closer on an orbit, and how fast."""
-    masses = float(first.masses.sum()), float(second.masses.sum())
+    orbit: EncounterModel, masses: Sequence[float], constant: float
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return where two are that come closer on an orbit, and how fast, by masses."""
     total = sum(masses)
-    e, near, r = orbit.eccentricity, orbit.pericentre, orbit.separation
-    width = near * (1 + e)
+    e, r = orbit.eccentricity, orbit.separation
+    width = orbit.pericentre * (1 + e)
     cosine = np.clip((width / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
     # Before the pericentre, so the true anomaly is below 0.
     anomaly = -np.arccos(cosine)
@@ -235,7 +213,4 @@ def on_orbit(
     turn = unit_quaternion(orbit.rotate)
     place, velocity = so3.rotate(turn, place), so3.rotate(turn, velocity)
     shares = -masses[1] / total, masses[0] / total
-    one, other = (
-        (np.array(orbit.at) + share * place, share * velocity) for share in shares
-    )
-    return one, other
+    return [(np.array(orbit.at) + share * place, share * velocity) for share in shares]

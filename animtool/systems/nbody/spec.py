@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Quaternion, Real, Vector, Whole, key
-from animtool.errors import Fault
+from animtool.documents.fields import (
+    Count,
+    Name,
+    NotNegative,
+    Positive,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.systems.colours import ColourModel
-from animtool.systems.fields import ArrayEntry, PlacedModel, SystemSpec
-
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
-Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]
-UPRIGHT = [1.0, 0.0, 0.0, 0.0]
-QUANTITIES = ("speed", "density", "energy", "acceleration", "species")
+from animtool.systems.fields import (
+    ArrayEntry,
+    PlacedModel,
+    PlacementModel,
+    Problem,
+    SystemSpec,
+    Tolerance,
+    Velocities,
+)
 
 
 class BodiesModel(FileModel):
-    """Bodies of a file."""
+    """Bodies of a file; at rest if it gives no velocities."""
 
     points: ArrayEntry = key("Where each begins `(N, 3)` [m].", "stars.npz#points")
-    velocities: ArrayEntry | None = key(
-        "Of these `(N, 3)` [m/s]. Not given: at rest.",
-        "stars.npz#velocities",
-        default=None,
-    )
+    velocities: Velocities = None
     masses: ArrayEntry | None = key(
         "Of these `(N,)` [kg], in place of `mass`.", "stars.npz#masses", default=None
     )
@@ -71,16 +77,11 @@ class DiscModel(FileModel):
     )
 
 
-class GalaxyModel(FileModel):
-    """A galaxy in equilibrium, on its own."""
+class GalaxyModel(PlacementModel):
+    """A galaxy in equilibrium, on its own; it spins about its y."""
 
     name: Name = key("Its name.", "milky_way")
     at: Vector = key("Its centre [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
-    rotate: Quaternion = key(
-        "How it is turned: a quaternion w, x, y, z; it spins about its y.",
-        [0.9239, 0.3827, 0, 0],
-        default=UPRIGHT,
-    )
     velocity: Vector = key("Of its centre [m/s].", [0.2, 0, 0], default=[0.0, 0.0, 0.0])
     disc: DiscModel | None = key(
         "Stars in a disc.", {"count": 5000, "mass": 1, "radius": 1}, default=None
@@ -102,20 +103,25 @@ class GalaxyModel(FileModel):
     seed: Whole = key("Of what is random about it.", 7, default=0)
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
 
+    @property
+    def parts(self) -> list[DiscModel | SpheroidModel]:
+        """What it has, the halo last."""
+        return [one for one in (self.disc, self.bulge, self.halo) if one is not None]
 
-class EncounterModel(FileModel):
-    """The orbit on which two galaxies meet, as two points would."""
+    @property
+    def dark(self) -> int:
+        """How many of its last bodies are not written."""
+        return self.halo.count if self.halo and not self.shows_halo else 0
 
+
+class EncounterModel(PlacementModel):
+    """The orbit on which two galaxies meet, as two points would, about its y."""
+
+    at: Vector = key("Where they meet [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
     separation: Positive = key("Their distance at the beginning [m].", 10)
     pericentre: Positive = key("Their distance where it is least [m].", 2)
     eccentricity: Annotated[Real, Ge(0), Lt(100)] = key(
         "Of the orbit: 1 is a parabola, above 1 they part.", 0.9, default=1.0
-    )
-    at: Vector = key("Where they meet [m].", [0, 5, 0], default=[0.0, 0.0, 0.0])
-    rotate: Quaternion = key(
-        "How the orbit is turned: a quaternion w, x, y, z; it goes about its y.",
-        [0.9239, 0.3827, 0, 0],
-        default=UPRIGHT,
     )
 
 
@@ -134,6 +140,11 @@ class NbodyModel(SystemSpec):
     methods: ClassVar[Sequence[str]] = (
         *("symplectic_euler", "midpoint", "velocity_verlet", "position_verlet"),
         *("rk4", "rk45"),
+    )
+    made_of: ClassVar[Sequence[str]] = ("galaxies", "attractors")
+    code: ClassVar[str] = "SIM070"
+    quantities: ClassVar[Sequence[str]] = (
+        *("speed", "density", "energy", "acceleration", "species"),
     )
 
     bodies: list[BodiesModel] = key(
@@ -175,11 +186,7 @@ class NbodyModel(SystemSpec):
         default=64,
     )
     method: str = key("An integrator.", "rk4", default="velocity_verlet")
-    tolerance: Real | None = key(
-        "Of integrators that choose their steps: most error of each.",
-        1e-6,
-        default=None,
-    )
+    tolerance: Tolerance = None
     colour: ColourModel | None = key(
         "Colours by `speed` [m/s], `density` (log10 [kg/m³]), `energy` of each over "
         "its mass [J/kg], `acceleration` [m/s²] or `species`.",
@@ -187,41 +194,23 @@ class NbodyModel(SystemSpec):
         default=None,
     )
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """What it is made of, by kind."""
-        found = {"galaxies": len(self.galaxies), "attractors": len(self.attractors)}
-        return {name: count for name, count in found.items() if count}
-
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return which keys make no sense together (SIM070)."""
-        faults = []
+    def problems(self) -> Iterator[Problem]:
+        """Yield which keys make no sense together."""
         if not self.bodies and not self.galaxies:
             hint = "galaxies: [{name: disc, disc: {count: 5000, mass: 1, radius: 1}}]"
-            faults.append(Fault("SIM070", "it has no bodies", hint=hint))
+            yield "it has no bodies", None, hint
         for galaxy in self.galaxies:
-            made = galaxy.disc or galaxy.bulge or galaxy.halo or galaxy.nucleus
-            if not made:
-                message = f"galaxy {galaxy.name!r} has no bodies"
+            if not galaxy.parts and not galaxy.nucleus:
                 hint = "give it a disc, a bulge, a halo or a nucleus"
-                faults.append(Fault("SIM070", message, hint=hint, where="galaxies"))
-        if self.encounter is not None:
-            faults += self._encounter_faults(self.encounter)
-        if self.colour is not None:
-            faults += self.colour.faults(QUANTITIES, "SIM070")
-        return faults
-
-    def _encounter_faults(self, orbit: EncounterModel) -> list[Fault]:
-        found = []
-        if len(self.galaxies) != 2:
-            message = (
-                f"an encounter is of two galaxies, and there are {len(self.galaxies)}"
-            )
-            found.append(Fault("SIM070", message, where="encounter"))
+                yield f"galaxy {galaxy.name!r} has no bodies", "galaxies", hint
+        orbit, count = self.encounter, len(self.galaxies)
+        if orbit is None:
+            return
+        if count != 2:
+            message = f"an encounter is of two galaxies, and there are {count}"
+            yield message, "encounter", None
         e, near = orbit.eccentricity, orbit.pericentre
         far = near * (1 + e) / (1 - e) if e < 1 else float("inf")
         if not near <= orbit.separation <= far:
             message = f"the separation is {orbit.separation:g} m, and on this orbit it "
-            message += f"is from {near:g} to {far:g} m"
-            found.append(Fault("SIM070", message, where="encounter"))
-        return found
+            yield f"{message}is from {near:g} to {far:g} m", "encounter", None

@@ -23,6 +23,7 @@ from animtool.systems.fields import (
     SystemColliderModel,
     SystemSpec,
     SystemSurfaceModel,
+    Tolerance,
 )
 
 if TYPE_CHECKING:
@@ -153,11 +154,7 @@ class ParticlesModel(SystemSpec):
     step: Real = key(
         "Step of the simulation [s], whatever the frame rate is.", 0.005, default=0.01
     )
-    tolerance: Real | None = key(
-        "Of integrators that choose their steps: most error of each.",
-        1e-5,
-        default=None,
-    )
+    tolerance: Tolerance = None
     max_particles: Annotated[Whole, Gt(0), Le(10**7)] = key(
         "Particles at once.", 5000, default=1_000_000
     )
@@ -204,9 +201,6 @@ class ParticlesModel(SystemSpec):
         except OptionError as error:
             return [replace(one, where=one.where or "method") for one in error.faults]
         return ()
-
-
-Spec = ParticlesModel
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:

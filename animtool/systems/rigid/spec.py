@@ -8,7 +8,16 @@ from typing import Annotated, Any, ClassVar, Literal
 from annotated_types import Ge, Gt, Le, Len
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Quaternion, Real, Vector, Whole, key
+from animtool.documents.fields import (
+    Name,
+    NotNegative,
+    Positive,
+    Quaternion,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.errors import Fault
 from animtool.systems.fields import (
     ArrayEntry,
@@ -24,8 +33,6 @@ from animtool.systems.fields import (
     SystemSurfaceModel,
 )
 
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
 Angles = Annotated[list[Annotated[Real, Ge(-180), Le(180)]], Len(2, 2)]
 
 

@@ -36,7 +36,9 @@ TIMES = np.array([0.0, 0.3, 0.77, 1.0])
 @pytest.fixture(autouse=True)
 def _kind(monkeypatch: pytest.MonkeyPatch) -> None:
     example: dict[str, Any] = {"speed": 2}
-    kind = system_kind("support.swing", "A point on a circle.", example)
+    kind = system_kind(
+        "support.swing:Spec", "support.swing:build", "A point on a circle.", example
+    )
     monkeypatch.setitem(SYSTEM_KINDS, "swing", kind)
 
 
