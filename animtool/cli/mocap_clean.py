@@ -68,7 +68,7 @@ def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None
     """
     from animtool.passes import find_pass
     from animtool.scene.convert import convert_outputs
-    from animtool.scene.passed import convert_passed
+    from animtool.scene.written import convert_passed
 
     if skipped(console, "mocap clean", given, output, lambda: convert_outputs(output)):
         return

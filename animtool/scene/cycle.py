@@ -11,9 +11,9 @@ from animtool.edit.looping import PASS, said_of
 from animtool.errors import Fault, refuse_warnings
 from animtool.scene.convert import ConvertReport
 from animtool.scene.ik import naming
-from animtool.scene.passed import convert_passed
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.written import convert_passed
 
 
 @dataclass(frozen=True, slots=True)

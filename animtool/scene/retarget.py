@@ -21,9 +21,9 @@ from animtool.scene.convert import ConvertReport, convert_outputs
 from animtool.scene.ik import naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import Progress
+from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.scene.written import timed, write_take
+from animtool.scene.written import write_take
 from animtool.take import TakeStream
 from animtool.units import unit_name
 

@@ -21,7 +21,7 @@ from animtool.mocap.clean_options import CleanOptions
 from animtool.mocap.template.template import template_text
 from animtool.passes import find_pass
 from animtool.rig.write import rig_text
-from animtool.scene.passed import convert_passed
+from animtool.scene.written import convert_passed
 
 WALK = "samples/walk/walk.bvh"
 

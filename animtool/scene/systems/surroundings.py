@@ -25,7 +25,7 @@ from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
-    from animtool.usd.prims import MeshSource
+    from animtool.usd.point_reader import MeshSource
 
 
 # Times of which the points are kept: both ends of a step, and those of a look within.
@@ -47,7 +47,7 @@ class MovingMesh:
 
     def sheet(self) -> Sheet:
         """Return it as what particles run into."""
-        from animtool.usd.prims import open_mesh
+        from animtool.usd.point_reader import open_mesh
 
         source = open_mesh(self.file, self.prim, UpAxis.Y)
         return Sheet(
