@@ -348,7 +348,7 @@ class Samples:
     The frames before the first change share one array, as copies of it would. Signs of
     quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
     every rotation over time is written here. With `every`, each frame is a sample, and
-    the first is the default too.
+    with `first` too the first is the default.
 
     sampled: whether they changed, or are sampled all the same.
     """
@@ -359,13 +359,14 @@ class Samples:
         make: Callable[[Any], Any],
         *,
         every: bool = False,
+        first: bool = True,
         quaternions: bool = False,
         of: str = "",
         names: Sequence[str] = (),
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set = attr.layer.SetTimeSample
-        self._make, self._every = make, every
+        self._make, self._every, self._rests = make, every, first
         self._letter = largest(attr.typeName)
         self._labels = Labels(str(self._path), of, names)
         self._first: npt.NDArray[Any] | None = None
@@ -380,9 +381,9 @@ class Samples:
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)
         if self._every:
-            if not self.sampled:
-                self.sampled = True
+            if not self.sampled and self._rests:
                 self._attribute.default = self._make(rows[0])
+            self.sampled = True
         elif self._first is None:
             self._first = rows[0].copy()
         if not self.sampled:

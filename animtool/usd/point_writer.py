@@ -190,7 +190,8 @@ class PointWriter:
     """Writes blocks of one prim, which is there already, to a layer.
 
     It has samples of what changes, and a default of what does not. With `every`, each
-    frame of attributes that are there is a sample, as in what is simulated.
+    frame of attributes that are there is a sample, as in what is simulated, and with
+    `first` too the first is the default.
     """
 
     def __init__(
@@ -199,10 +200,11 @@ class PointWriter:
         report: CachedMesh,  # which prim it is
         *,
         every: bool = False,
+        first: bool = True,
         added: Callable[[int], object] | None = None,  # told the bytes of each block
     ) -> None:
         self._layer, self._report = layer, report
-        self._every, self._added = every, added
+        self._every, self._first, self._added = every, first, added
         self._channels: dict[str, Samples] = {}
 
     def add(self, block: Block) -> None:
@@ -221,7 +223,14 @@ class PointWriter:
         labels = labels_of(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
         make = kind_of(name, rows[0]).make
-        return Samples(attr, make, every=True, of=labels.of, names=labels.names)
+        return Samples(
+            attr,
+            make,
+            every=True,
+            first=self._first,
+            of=labels.of,
+            names=labels.names,
+        )
 
     @property
     def _spec(self) -> Any:

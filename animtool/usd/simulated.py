@@ -321,11 +321,17 @@ def chunk_simulated(
     reports = [one.report for one in prims]
 
     @contextmanager
-    def chunk(path: Path, _: int) -> Iterator[Sequence[PointWriter]]:
+    def chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
         with replacing(path) as temporary, growing_crate(temporary, path) as growing:
             _declare(growing.layer, reports, layer)
             yield [
-                PointWriter(growing.layer, report, every=True, added=growing.added)
+                PointWriter(
+                    growing.layer,
+                    report,
+                    every=True,
+                    first=number == 0,
+                    added=growing.added,
+                )
                 for report in reports
             ]
             author_span(growing.layer, job.metadata)
