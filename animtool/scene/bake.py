@@ -15,14 +15,13 @@ from animtool.errors import Fault, OptionError, Severity, listed, refuse_warning
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
 from animtool.reorient import reorient
-from animtool.scene.frames import TakePlan
+from animtool.scene.frames import TakePlan, TakeRun
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import (
     BakePlan,
     BakeReport,
     Draft,
     OutputPrims,
-    TakeRun,
 )
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import (

@@ -170,20 +170,20 @@ class Frames(Protocol):
 
 
 FramesT = TypeVar("FramesT", bound=Frames)
-FramesIn = TypeVar("FramesIn", contravariant=True)
+FramesIn_contra = TypeVar("FramesIn_contra", contravariant=True)
 
 
-class Writer(Protocol[FramesIn]):
+class Writer(Protocol[FramesIn_contra]):
     """What writes the frames of a prim."""
 
-    def add(self, block: FramesIn) -> None:
+    def add(self, block: FramesIn_contra) -> None:
         """Write frames."""
 
 
-class Report(Protocol[FramesIn]):
+class Report(Protocol[FramesIn_contra]):
     """What is said of the frames of a prim."""
 
-    def count(self, block: FramesIn) -> None:
+    def count(self, block: FramesIn_contra) -> None:
         """Add frames that are written."""
 
 
