@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,6 +34,20 @@ class Reference:
     file: str  # A USD file
     prim: str  # path of a prim in it; empty is its default prim
     meters_per_unit: float  # its length unit [m]
+
+
+@dataclass(frozen=True, slots=True)
+class PropRequest:
+    """What is to be read of a file."""
+
+    file: Path  # the USD file
+    prim: str  # path of the prim
+    # Where it is to be written: below the character, or from ``/`` on.
+    path: str
+    attributes: tuple[str, ...] = ()  # names of attributes beside those of a camera
+    # File that shows it; the file itself with the prim, or another with its default
+    # prim. None shows nothing.
+    reference: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

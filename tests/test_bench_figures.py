@@ -34,8 +34,8 @@ def figures(root: Path) -> Iterator[ModuleType]:
 def ratios(figures: ModuleType, error: float) -> list[object]:
     slow = [figures.Taken(0.4, 0.3), figures.Taken(0.9, 0.6), figures.Taken(0.9, 0.9)]
     own = [figures.Taken(*FAST)] * 2
-    near = figures.Accuracy("error [mm]", error, figures.PropRequest(False, 10.0))
-    bound = figures.PropRequest(True, 2.0)
+    near = figures.Accuracy("error [mm]", error, figures.Bound(False, 10.0))
+    bound = figures.Bound(True, 2.0)
     made: list[object] = figures.ratio_rows(
         "section", "peer", slow, own, wanted=bound, accuracy=[near]
     )

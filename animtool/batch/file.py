@@ -37,11 +37,9 @@ from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
 from animtool.documents.references import referred_input
-from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
-from animtool.scene.output_fields import bake_keys, with_keys
+from animtool.scene.output_fields import option_keys, with_keys
 from animtool.scene.sources import SourceOptions, is_timeline
-from animtool.units import LengthUnit, UpAxis
 
 
 class LimitsModel(FileModel):
@@ -58,36 +56,15 @@ class LimitsModel(FileModel):
 
 
 @with_keys(
+    BakeOptions,
     "batch",
-    *("rig", "units", "up", "source_fps", "clamp", "fps", "frame_range", "start"),
-    *("form", "rig_layer", "force_fit", "prim_path", "to_units", "to_up", "sparse"),
+    *("rig", "units", "up", "source_fps", "clamp", "fps", "range", "start"),
+    *("as", "rig_layer", "force_fit", "prim_path", "to_units", "to_up", "sparse"),
     *("bones", "reduce", "reduce_at", "strict"),
 )
+@with_keys(SourceOptions, "batch")
 class OptionsModel(FileModel):
     """How to bake the inputs, where no scene says it."""
-
-    rig: str | None = key(
-        "Of clips: their rig. Not given: the one that each names.",
-        "hero.rig.yaml",
-        default=None,
-    )
-    units: Literal["m", "cm", "mm", "in"] | None = key(
-        "Of BVH files: the unit of their lengths. Not given: cm.", "cm", default=None
-    )
-    up: Literal["Y", "Z"] | None = key(
-        "Of BVH files: their up axis. Not given: Y.", "Z", default=None
-    )
-    source_fps: Real | str | None = key(
-        "Of BVH files: their true frame rate. Not given: what the frame "
-        "time of each stands for.",
-        120,
-        default=None,
-    )
-    clamp: bool = key(
-        "Of clips: bring controls into their ranges and joints into their limits.",
-        True,
-        default=False,
-    )
 
 
 class RangeModel(FileModel):
@@ -368,18 +345,9 @@ class _BatchReader:
 
     def _options(self, model: OptionsModel) -> BakeOptions:
         at: Location = ("options",)
-        return BakeOptions(
-            source=SourceOptions(
-                None if model.units is None else LengthUnit(model.units),
-                None if model.up is None else UpAxis(model.up),
-                self.parsed((*at, "source_fps"), model.source_fps, parse_rate),
-                rig=None
-                if model.rig is None
-                else self.read_file((*at, "rig"), model.rig),
-                clamp=model.clamp,
-            ),
-            **bake_keys(model, "batch", at, self),
-        )
+        source = option_keys(SourceOptions, model, "batch", at, self)
+        bake = option_keys(BakeOptions, model, "batch", at, self)
+        return BakeOptions(source=SourceOptions(**source), **bake)
 
     def parsed(
         self, at: Location, text: Any, parse: Callable[[Any], Made]

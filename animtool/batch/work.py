@@ -105,6 +105,8 @@ class ItemBuilder:
         return Outcome(item.number, Status.FAILED, seconds, faults, retired=retired)
 
     def _made(self, item: Item, began: float) -> Outcome:
+        from animtool.scene.prims import raise_stopped
+
         with recorded_inputs() as inputs:
             note_input(item.file.path)
             for folder in item.folders:
@@ -113,6 +115,7 @@ class ItemBuilder:
                 except OSError as error:
                     raise output_error(folder, error) from error
             reports = self.item_task.bake(item)
+            raise_stopped(reports)
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(self._output(path) for path in paths)
         at = max(file.state.changed for file in outputs if file.state is not None)

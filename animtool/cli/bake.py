@@ -177,7 +177,7 @@ def _plan(
 ) -> None:
     """Print what a bake would do."""
     from animtool.cli.plan_summary import steps_json, steps_text
-    from animtool.scene.steps import bake_steps
+    from animtool.scene.plan_steps import bake_steps
 
     scene = only_scene(opened)
     if output is None and (scene is None or scene.output is None):
@@ -251,6 +251,7 @@ def _say_reports(
     """
     from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import bake_details, output_json, output_text
+    from animtool.scene.prims import raise_stopped
 
     notices = [notice for report in reports for notice in report.notices]
     # What the sources and passes say stands in every report.
@@ -261,6 +262,7 @@ def _say_reports(
         written = [output_json(report) for report in reports]
         whole = {"bake": "animtool/1", "written": written} if several else written[0]
         console.result_json({**whole, **costs})
+        raise_stopped(reports)
         return
     for report in reports:
         _say(console, output_text(report))
@@ -269,6 +271,7 @@ def _say_reports(
             console.detail(line)
     if params["stats"]:
         _say(console, stats_text(stages, reports))
+    raise_stopped(reports)
 
 
 def _say(console: Console, lines: Iterable[str]) -> None:

@@ -21,7 +21,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
-from animtool.clip.reduction import KEY_TOLERANCE
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.documents.names import is_named
 
 

@@ -37,6 +37,8 @@ from animtool.cli.outputs import (
     plot_option,
     refuse_alone,
     skipped,
+    split_option,
+    written_options_record,
 )
 from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
 
@@ -146,7 +148,7 @@ Examples:
     is_flag=True,
     help="Write nothing where a goal is missed (exit code 4), or there are warnings.",
 )
-@click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
+@split_option
 @rig_layer_options
 @click.option(
     "--start",
@@ -350,21 +352,15 @@ def _bake_options(params: dict[str, Any], to_stdout: bool) -> Any:
     if params["reduce"] is not None and output is None:
         raise click.UsageError("--reduce is for an output: give -o.")
     flags_given = [flag for flag, value in flags.items() if value]
-    from animtool.scene.options import BakeOptions
     from animtool.scene.sources import is_usd
 
     if flags_given and output is None:
         raise click.UsageError(f"{flags_given[0]} is for an output: give -o.")
     if flags_given and not to_stdout and not is_usd(output):
         raise click.UsageError(f"{flags_given[0]} is for USD, and {output} is none.")
-    return BakeOptions(
-        form="split" if params["split"] else None,
-        rig_layer=params["rig_layer"],
-        force_fit=params["force_fit"],
-        prim_path=params["prim_path"],
+    return written_options_record(
+        params,
         start=params["first_code"],
         sparse=params["sparse"],
         shot=params["shot"],
-        reduce=params["reduce"],
-        overwrite=params["overwrite"],
     )

@@ -42,17 +42,17 @@ output_option = click.option(
 )
 
 
-def read_marker_file(path: Path, given: Mapping[str, Any]) -> Any:
+def read_marker_file(path: Path, params: Mapping[str, Any]) -> Any:
     """Return the markers of a file, as the options say."""
     from animtool.formats.marker_files import open_markers
 
-    options = source_options_record(given)
+    options = source_options_record(params)
     return open_markers(
         path,
         unit=options.unit,
         up=options.up,
         fps=options.fps,
-        subject=given.get("subject"),
+        subject=params.get("subject"),
     )
 
 
@@ -61,7 +61,7 @@ def run_on_markers(
     command: str,
     sources: tuple[Path, ...],
     output: Path,
-    given: Mapping[str, Any],
+    params: Mapping[str, Any],
     work: Callable[..., tuple[Any, Any]],
     said: Callable[[Any], list[str]],
 ) -> None:
@@ -78,19 +78,19 @@ def run_on_markers(
     )
     from animtool.output import check_outputs
 
-    if skipped(console, command, given, output, lambda: [output]):
+    if skipped(console, command, params, output, lambda: [output]):
         return
     check_marker_output(output)
     files = [file_of(path) for path in sources]
-    check_outputs([output], files, overwrite=given["overwrite"])
+    check_outputs([output], files, overwrite=params["overwrite"])
     with all_named(), console.progress(f"{command} {sources[0].name}"):
-        read = [read_marker_file(path, given) for path in sources]
+        read = [read_marker_file(path, params) for path in sources]
         made, report = work(*read)
         notices = [*(n for one in read for n in one.notices), *report.notices]
-        refuse_warnings(notices, strict=given["strict"])
-        notices += write_markers(made, output, overwrite=given["overwrite"])
+        refuse_warnings(notices, strict=params["strict"])
+        notices += write_markers(made, output, overwrite=params["overwrite"])
     console.faults(notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         described = {command: "animtool/1", "output": str(output), **report.as_dict()}
         described["notices"] = [notice.as_dict() for notice in notices]
         console.result_json(described)

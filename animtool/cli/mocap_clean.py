@@ -20,7 +20,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
-from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.options import CleanOptions
 
 
 @click.command(
@@ -61,39 +61,38 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def clean(console: Console, /, source: Path, output: Path, **given: Any) -> None:
+def clean(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Remove spikes and noise from the take of SOURCE, a BVH, USD or clip file.
 
     Filters have no lag. What was removed, and at which frequencies, is said.
     """
     from animtool.passes import find_pass
-    from animtool.scene.convert import convert_outputs
-    from animtool.scene.written import convert_passed
+    from animtool.scene.convert import convert_outputs, convert_with_passes
 
-    if skipped(console, "mocap clean", given, output, lambda: convert_outputs(output)):
+    if skipped(console, "mocap clean", params, output, lambda: convert_outputs(output)):
         return
-    options = CleanOptions(**read_values(CleanOptions, given))
+    options = CleanOptions(**read_values(CleanOptions, params))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
     settings = {
-        "root_drift": given["drift"] == "remove",
-        "feet": given["feet"] == "hold",
+        "root_drift": params["drift"] == "remove",
+        "feet": params["feet"] == "hold",
     }
     for name in (name for name, on in settings.items() if on):
         passes.append((find_pass(name), find_pass(name).options()))
     with all_named(), console.progress(f"clean {source.name}") as progress:
-        report = convert_passed(
+        report = convert_with_passes(
             source,
             output,
             passes,
-            source_options_record(given, "take", "prim_path"),
-            overwrite=given["overwrite"],
-            strict=given["strict"],
+            source_options_record(params, "take", "prim_path"),
+            overwrite=params["overwrite"],
+            strict=params["strict"],
             progress=progress,
         )
     console.faults(report.notices)
     from animtool.cli.summary import convert_json, convert_text
 
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(convert_json(report))
         return
     for line in convert_text(report):

@@ -22,7 +22,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
 from animtool.errors import counted, listed
-from animtool.mocap.face.options import FaceOptions
+from animtool.mocap.options import FaceOptions
 from animtool.quantities import length_text
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def face(console: Console, /, landmarks: Path, **given: Any) -> None:
+def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     """Turn landmarks of a face into weights of a rig's blend shapes.
 
     LANDMARKS is an npz of positions or pixels, or a file of markers. Weights stay
@@ -88,31 +88,28 @@ def face(console: Console, /, landmarks: Path, **given: Any) -> None:
     is kept apart. Without -o the report is all.
     """
     from animtool.scene.face import FaceJob, face_outputs, run_face
+    from animtool.scene.options import BakeOptions
 
-    reading = source_options_record(given)
     job = FaceJob(
         landmarks,
-        given["rig"],
-        given["output"],
-        given["landmarks_file"],
-        given["remap"],
-        given["camera"],
-        given["camera_name"],
-        FaceOptions(**read_values(FaceOptions, given)),
-        reading.unit,
-        reading.up,
-        reading.fps,
-        given["overwrite"],
-        given["strict"],
+        params["rig"],
+        params["output"],
+        params["landmarks_file"],
+        params["remap"],
+        params["camera"],
+        params["camera_name"],
+        FaceOptions(**read_values(FaceOptions, params)),
+        source_options_record(params),
+        BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
     if job.output is not None and skipped(
-        console, "mocap face", given, job.output, lambda: face_outputs(job)
+        console, "mocap face", params, job.output, lambda: face_outputs(job)
     ):
         return
     with all_named(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(face_json(result))
         return
     for line in face_text(result):

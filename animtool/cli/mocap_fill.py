@@ -11,7 +11,7 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.marker_files import marker_options, output_option, run_on_markers
 from animtool.cli.options import INPUT, read_values, record_option
-from animtool.mocap.markers.fill_options import FillOptions
+from animtool.mocap.options import FillOptions
 
 
 @click.command(
@@ -56,7 +56,7 @@ def fill(
     template: Path | None,
     rig: Path | None,
     static: Path | None,
-    **given: Any,
+    **params: Any,
 ) -> None:
     """Repair swapped names and spikes of MARKERS, and fill gaps.
 
@@ -72,7 +72,7 @@ def fill(
     def work(read: Any, still: Any = None) -> tuple[Any, Any]:
         from animtool.mocap.markers.fill import fill as run_fill
 
-        options = FillOptions(**read_values(FillOptions, given))
+        options = FillOptions(**read_values(FillOptions, params))
         if template is None:
             return run_fill(read, options)
         from animtool.mocap.markers.skeleton import Subject
@@ -88,7 +88,7 @@ def fill(
         return made, report
 
     sources = (markers,) if static is None else (markers, static)
-    run_on_markers(console, "fill", sources, output, given, work, _said)
+    run_on_markers(console, "fill", sources, output, params, work, _said)
 
 
 def _said(report: Any) -> list[str]:

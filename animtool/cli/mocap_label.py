@@ -30,7 +30,7 @@ Examples:
 @marker_options
 @click.pass_obj
 def label(
-    console: Console, /, cloud: Path, output: Path, static: Path, **given: Any
+    console: Console, /, cloud: Path, output: Path, static: Path, **params: Any
 ) -> None:
     """Give the points of CLOUD the names of the markers of a trial at rest.
 
@@ -44,7 +44,7 @@ def label(
 
         return run_label(points, trial)
 
-    run_on_markers(console, "label", (cloud, static), output, given, work, _said)
+    run_on_markers(console, "label", (cloud, static), output, params, work, _said)
 
 
 def _said(report: Any) -> list[str]:

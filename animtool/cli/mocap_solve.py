@@ -11,20 +11,24 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    LENGTH,
     OUTPUT,
     common_options,
     format_option,
     read_values,
     record_option,
-    rig_layer_options,
     source_options,
     source_options_record,
-    strict_option,
 )
-from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.outputs import (
+    existing_options,
+    goes_to_stdout,
+    skipped,
+    take_output_option,
+    written_options,
+    written_options_record,
+)
 from animtool.errors import counted, listed, percent
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.quantities import duration_text, length_text
 
 if TYPE_CHECKING:
@@ -68,13 +72,7 @@ Examples:
     metavar="FILE",
     help="Of a calibration: markers of the subject standing in about the rest pose.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout.  [default: nothing]",
-)
+@take_output_option
 @click.option(
     "--write-rig",
     type=OUTPUT,
@@ -88,62 +86,47 @@ Examples:
     help="Of a calibration: write the subject's template (.markers.yaml).",
 )
 @record_option(SolveOptions)
-@click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
-@rig_layer_options
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="How far keys of a clip, or samples left out of USD, may move a joint.",
-)
-@strict_option
+@written_options
 @source_options
 @existing_options
 @format_option
 @common_options
 @click.pass_obj
-def solve(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
+def solve(
+    console: Console, /, source: Path, output: Path | None, **params: Any
+) -> None:
     """Solve the motion of a rig from MARKERS: a C3D, TRC or npz file with labels.
 
     Markers that are missing, far off or mixed up are told from those that fit; limits
     are kept. Without -o the report is all.
     """
-    to_stdout = goes_to_stdout(output, given)
-    if given["static"] is not None and not given["calibrate"]:
+    to_stdout = goes_to_stdout(output, params)
+    if params["static"] is not None and not params["calibrate"]:
         raise click.UsageError("--static is for a calibration: give --calibrate too.")
     from animtool.scene.mocap_solve import MocapSolveJob, run_solve, solve_outputs
-    from animtool.scene.options import BakeOptions
 
     job = MocapSolveJob(
         source,
-        given["template"],
-        given["rig"],
-        given["static"],
-        given["calibrate"],
-        source_options_record(given),
-        SolveOptions(**read_values(SolveOptions, given)),
+        params["template"],
+        params["rig"],
+        params["static"],
+        params["calibrate"],
+        source_options_record(params),
+        SolveOptions(**read_values(SolveOptions, params)),
         None if to_stdout else output,
         to_stdout,
-        given["write_rig"],
-        given["write_template"],
-        BakeOptions(
-            form="split" if given["split"] else None,
-            rig_layer=given["rig_layer"],
-            force_fit=given["force_fit"],
-            prim_path=given["prim_path"],
-            reduce=given["reduce"],
-            overwrite=given["overwrite"],
-            strict=given["strict"],
-        ),
+        params["write_rig"],
+        params["write_template"],
+        written_options_record(params, strict=params["strict"]),
     )
     if job.output is not None and skipped(
-        console, "mocap solve", given, job.output, lambda: solve_outputs(job)
+        console, "mocap solve", params, job.output, lambda: solve_outputs(job)
     ):
         return
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
         report = run_solve(job, progress=progress)
     console.faults(report.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(solve_json(report))
         return
     for line in solve_text(report, MAX_NAMED if console.verbosity <= 0 else None):

@@ -19,7 +19,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
-from animtool.mocap.cameras.options import TriangulateOptions
+from animtool.mocap.options import TriangulateOptions
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def triangulate(
     observations: Path,
     calibrations: tuple[Path, ...],
     output: Path,
-    **given: Any,
+    **params: Any,
 ) -> None:
     """Find markers in space from OBSERVATIONS, what calibrated cameras see of them.
 
@@ -78,7 +78,7 @@ def triangulate(
     folder for each camera. Observations that are wrong are left out, and cameras that
     moved after calibration are named.
     """
-    if skipped(console, "mocap triangulate", given, output, lambda: [output]):
+    if skipped(console, "mocap triangulate", params, output, lambda: [output]):
         return
     from animtool.errors import refuse_warnings
     from animtool.formats.marker_files import check_marker_output, write_markers
@@ -90,25 +90,25 @@ def triangulate(
 
     check_marker_output(output)
     inputs = [observations, *calibrations]
-    check_outputs([output], inputs, overwrite=given["overwrite"])
-    options = TriangulateOptions(**read_values(TriangulateOptions, given))
-    unit = LengthUnit(given["units"]) if given["units"] else None
-    up = UpAxis(given["up"].upper()) if given["up"] else None
+    check_outputs([output], inputs, overwrite=params["overwrite"])
+    options = TriangulateOptions(**read_values(TriangulateOptions, params))
+    unit = LengthUnit(params["units"]) if params["units"] else None
+    up = UpAxis(params["up"].upper()) if params["up"] else None
     cameras = load_all_cameras(calibrations, unit=unit, up=up)
     name = observations.name
     with all_named(), console.progress(f"triangulate {name}") as progress:
         if observations.is_dir():
             seen = read_keypoints(
-                observations, cameras, fps=given["source_fps"], people=given["people"]
+                observations, cameras, fps=params["source_fps"], people=params["people"]
             )
         else:
-            seen = read_observations(observations, fps=given["source_fps"])
+            seen = read_observations(observations, fps=params["source_fps"])
         found = solve(seen, cameras, options, progress=progress)
-        refuse_warnings(found.notices, strict=given["strict"])
-        lost = write_markers(found.markers, output, overwrite=given["overwrite"])
+        refuse_warnings(found.notices, strict=params["strict"])
+        lost = write_markers(found.markers, output, overwrite=params["overwrite"])
     found = replace(found, notices=(*found.notices, *lost))
     console.faults(found.notices)
-    if given["report_format"] == "json":
+    if params["report_format"] == "json":
         console.result_json(triangulation_json(found, observations, output))
         return
     for line in triangulation_text(found, output):

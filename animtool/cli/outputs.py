@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import OUTPUT, stacked
+from animtool.cli.options import (
+    LENGTH,
+    OUTPUT,
+    rig_layer_options,
+    stacked,
+    strict_option,
+)
 from animtool.output import once_named, together
+from animtool.scene.options import BakeOptions
 from animtool.signals import outlast_signals
 
 if TYPE_CHECKING:
@@ -24,6 +31,37 @@ existing_options = stacked(
         "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
     ),
 )
+
+
+take_output_option = click.option(
+    "-o",
+    "--output",
+    type=OUTPUT,
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
+    "usda on stdout.  [default: nothing]",
+)
+split_option = click.option(
+    "--split", is_flag=True, help="USD in three files, as bake has it."
+)
+# How commands write the take that they make.
+written_options = stacked(
+    split_option,
+    rig_layer_options,
+    click.option(
+        "--reduce",
+        type=LENGTH,
+        metavar="LENGTH",
+        help="How far keys of a clip, or samples left out of USD, may move a joint.",
+    ),
+    strict_option,
+)
+
+
+def written_options_record(params: Mapping[str, Any], **values: Any) -> BakeOptions:
+    """Return how a take is written by a command, and values as they are."""
+    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite")
+    form = "split" if params["split"] else None
+    return BakeOptions(form=form, **{name: params[name] for name in names}, **values)
 
 
 @contextmanager

@@ -13,18 +13,18 @@ from animtool.quantities import duration_text, length_text, plain, size_text
 
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
+    from animtool.scene.plan_steps import Step
     from animtool.scene.prims import BakeReport, MeshReport, TakeReport
     from animtool.scene.progress import StageCost
-    from animtool.scene.steps import Step
 
 
 def mesh_text(take: TakeReport) -> list[str]:
-    """Return a line on whose meshes or systems they are, and one on each."""
+    """Return a line on whose meshes or systems they are, and some on each."""
     lines = []
     for simulated, title in ((False, _deformed(take)), (True, _simulated(take))):
         meshes = [mesh for mesh in take.meshes if mesh.simulated is simulated]
         if meshes:
-            lines += [title, *(_line(mesh) for mesh in meshes)]
+            lines += [title, *(line for mesh in meshes for line in _lines(mesh))]
     return lines
 
 
@@ -42,7 +42,7 @@ def _simulated(take: TakeReport) -> str:
     return f"  {counted(count, 'system')} of {take.source.name}, simulated"
 
 
-def _line(mesh: MeshReport) -> str:
+def _lines(mesh: MeshReport) -> list[str]:
     written = mesh.written
     where = ""
     if written.error:
@@ -62,33 +62,34 @@ def _line(mesh: MeshReport) -> str:
         many = counted(written.vertices, *nouns)
         many = f"up to {many}" if mesh.kind == "particles" else many
     if written.characters is not None:
-        return f"    {mesh.name}: {many}, {_characters_text(mesh)}"
-    return (
+        first, *more = _characters_text(mesh)
+        return [f"    {mesh.name}: {many}, {first}", *more]
+    return [
         f"    {mesh.name}: {many}, {moves}, "
         f"{duration_text(_milliseconds(mesh) / 1e3)} a frame, largest error of float32 "
         f"{length_text(written.error, 2)}{where}"
-    )
+    ]
 
 
 # What is counted of a kind of system.
 _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 
 
-def _characters_text(mesh: MeshReport) -> str:
-    """Return how characters were written."""
+def _characters_text(mesh: MeshReport) -> list[str]:
+    """Return how characters were written, in lines."""
     characters = mesh.written.characters
     assert characters is not None
     kept = (
         f"{characters.samples / characters.frames:.0%}" if characters.frames else "none"
     )
-    return (
+    return [
         f"{counted(mesh.written.samples, 'frame')}, "
-        f"{duration_text(_milliseconds(mesh) / 1e3)} a frame\n"
+        f"{duration_text(_milliseconds(mesh) / 1e3)} a frame",
         f"      {characters.own} with an animation of their own, {kept} of poses "
         f"written: joints within {length_text(characters.error, 2)}, standing feet "
-        f"{length_text(characters.slide, 2)}\n"
-        f"      {characters.shared} with a part in an animation of who stands"
-    )
+        f"{length_text(characters.slide, 2)}",
+        f"      {characters.shared} with a part in an animation of who stands",
+    ]
 
 
 def _milliseconds(mesh: MeshReport) -> float:

@@ -12,21 +12,25 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    LENGTH,
     OUTPUT,
     common_options,
     format_option,
     read_values,
     record_option,
-    rig_layer_options,
     source_option,
     source_options,
     source_options_record,
-    strict_option,
 )
-from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.outputs import (
+    existing_options,
+    goes_to_stdout,
+    skipped,
+    take_output_option,
+    written_options,
+    written_options_record,
+)
 from animtool.errors import counted, listed, percent
-from animtool.mocap.retarget.options import RetargetOptions
+from animtool.mocap.options import RetargetOptions
 from animtool.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:
@@ -56,13 +60,7 @@ Examples:
     metavar="RIG",
     help="The rig that the take goes onto: a rig file, USD file or BVH.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=OUTPUT,
-    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout.  [default: nothing]",
-)
+@take_output_option
 @record_option(RetargetOptions)
 @click.option(
     "--write-map",
@@ -70,15 +68,7 @@ Examples:
     metavar="FILE",
     help="Write the map of joints that was used (.map.yaml), to be edited.",
 )
-@click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
-@rig_layer_options
-@click.option(
-    "--reduce",
-    type=LENGTH,
-    metavar="LENGTH",
-    help="How far keys of a clip, or samples left out of USD, may move a joint.",
-)
-@strict_option
+@written_options
 @source_options
 @source_option("prim_path", "take")
 @existing_options
@@ -95,7 +85,6 @@ def retarget(
     they stand. Without -o the report is all.
     """
     to_stdout = goes_to_stdout(output, params)
-    from animtool.scene.options import BakeOptions
     from animtool.scene.retarget import RetargetJob, retarget_outputs, run_retarget
 
     job = RetargetJob(
@@ -106,15 +95,7 @@ def retarget(
         None if to_stdout else output,
         to_stdout,
         params["write_map"],
-        BakeOptions(
-            form="split" if params["split"] else None,
-            rig_layer=params["rig_layer"],
-            force_fit=params["force_fit"],
-            prim_path=params["prim_path"],
-            reduce=params["reduce"],
-            overwrite=params["overwrite"],
-            strict=params["strict"],
-        ),
+        written_options_record(params, strict=params["strict"]),
     )
     if job.output is not None and skipped(
         console, "retarget", params, job.output, lambda: retarget_outputs(job)

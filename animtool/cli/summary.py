@@ -201,6 +201,11 @@ def bake_json(report: BakeReport) -> dict[str, object]:
             else {}
         ),
         "notices": [notice.as_dict() for notice in report.notices],
+        **(
+            {"stopped": [fault.as_dict() for fault in report.stopped.faults]}
+            if report.stopped is not None
+            else {}
+        ),
     }
 
 

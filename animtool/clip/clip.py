@@ -157,7 +157,6 @@ def _step(step: Fraction | float) -> Fraction:
 
 
 Choice = TypeVar("Choice", bound=Hashable)
-Tangents = tuple[Tangent, Tangent]
 
 
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:

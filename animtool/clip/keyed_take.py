@@ -23,7 +23,6 @@ from animtool.clip.coordinates import (
     joint_tracks,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
-from animtool.clip.reduction import WEIGHT_TOLERANCE
 from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
 from animtool.clip.reduction.points import (
     SHELL,
@@ -32,6 +31,7 @@ from animtool.clip.reduction.points import (
     point_errors,
 )
 from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Track, in_order, pose_of, tracks_of
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.errors import Fault

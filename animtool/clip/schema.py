@@ -5,29 +5,30 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
+from animtool.maths import curves, tangents
+from animtool.maths.euler import ORDERS
 
-Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
-Interp = Literal[
-    "step",
-    "linear",
-    "bezier",
-    "catmull_rom",
-    "tcb",
-    "hermite",
-    "slerp",
-    "squad",
-    "spline",
-]
-Extrapolated = Literal["hold", "linear", "cycle", "cycle_offset", "oscillate"]
+if TYPE_CHECKING:
+    Tangent = str
+    Interp = str
+    Extrapolated = str
+    Parametrized = str
+    Order = str
+else:
+    # A tangent that is free has a handle in place of a rule.
+    Tangent = Literal[tuple(str(one) for one in tangents.Tangent if one != "free")]
+    Interp = Literal[tuple(map(str, curves.Interp))]
+    Extrapolated = Literal[tuple(map(str, curves.Extrapolation))]
+    Parametrized = Literal[tuple(map(str, tangents.Parametrization))]
+    Order = Literal[ORDERS]
 Handle = Annotated[list[Real | list[Real]], Len(2, 2)]
-Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
 class ClipUnitsModel(FileModel):
@@ -92,7 +93,7 @@ class JoinModel(FileModel):
     tangents: Tangent = key(
         "The rule for keys without handles.", "flat", default="auto_clamped"
     )
-    parametrization: Literal["uniform", "centripetal", "chordal"] = key(
+    parametrization: Parametrized = key(
         "Which Catmull-Rom curve, for `interp: catmull_rom`.",
         "centripetal",
         default="uniform",

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from animtool.documents.document import Document, Location
-from animtool.documents.mend import (
+from animtool.documents.names import KINDS, nearest
+from animtool.documents.placeholders import (
     annotation_at,
     fields_at,
     fields_of,
@@ -18,7 +19,6 @@ from animtool.documents.mend import (
     replaced,
     stand_in,
 )
-from animtool.documents.names import KINDS, nearest
 from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from inspect import get_annotations
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Len
 from pydantic import Field, create_model
@@ -137,6 +137,16 @@ def with_fields(
         return model_type  # type: ignore[no-any-return]
 
     return decorate
+
+
+Made = TypeVar("Made")
+
+
+def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
+    """Return a record of the fields that a model has too, and of others."""
+    own = {each.name for each in fields(cast(Any, record))} - others.keys()
+    names = own & type(model).model_fields.keys()
+    return record(**{name: getattr(model, name) for name in names}, **others)
 
 
 def _definition(record: type[Any], name: str, *, bounds: bool) -> tuple[Any, Any]:

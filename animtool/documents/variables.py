@@ -10,8 +10,13 @@ from typing import Any
 from pydantic import BaseModel
 
 from animtool.documents.document import Document, Location
-from animtool.documents.mend import annotation_at, replaced, stand_in, takes_no_text
 from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
+from animtool.documents.placeholders import (
+    annotation_at,
+    replaced,
+    stand_in,
+    takes_no_text,
+)
 from animtool.documents.yaml_values import plain_scalar
 from animtool.errors import excerpt
 from animtool.output import name_problem

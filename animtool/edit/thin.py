@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.reduction import WEIGHT_TOLERANCE
 from animtool.clip.reduction.points import (
     SHELL,
     attached_points,
     joint_bounds,
     point_errors,
 )
+from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.edit.travel import places_between
 from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward

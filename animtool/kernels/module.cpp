@@ -405,19 +405,20 @@ the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred time
                             R"(Particles, springs between them and what acts on them.
 
 Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
-``(N,)`` slow them, a second. Springs join
-``ends`` ``(S, 2)``; their ``numbers`` ``(S, 4)`` are length at rest, stiffness, damping and
-the length at which they tear. ``field`` ``(5,)``: gravity, drag and lift of
-the air on ``triangles`` ``(T, 3)``, over the area and the square of the speed. Over the
-times of ``knots`` ``(K,)``: where ``held`` particles are ``(K or 1, P, 3)``; the points
-``(K or 1, A, 3)`` that ``anchors`` are drawn to, with stiffness and damping ``(A, 2)``; the
-wind ``(K or 1, 1, 3)``.)")
-      .def(nb::init<In<double, 1>, In<double, 1>, In<std::int64_t, 2>, In<double, 2>,
-                    In<std::int64_t, 2>, In<double, 1>, In<double, 1>, In<std::int64_t, 1>, In<double, 3>,
-                    In<std::int64_t, 1>, In<double, 2>, In<double, 3>, In<double, 3>>(),
-           "inverse_masses"_a, "drags"_a, "ends"_a, "numbers"_a, "triangles"_a, "field"_a, "knots"_a,
-           "held"_a, "held_path"_a, "anchors"_a, "anchor_numbers"_a, "anchor_path"_a,
-           "winds"_a)
+``(N,)`` slow them, a second. Springs join ``ends`` ``(S, 2)``; ``limit`` is the length at
+which they tear. ``air_drag`` and ``air_lift`` of the air on ``triangles`` ``(T, 3)`` are over
+the area and the square of the speed. Over the times of ``knots`` ``(K,)``: where ``held``
+particles are ``(K or 1, P, 3)``; the points ``(K or 1, A, 3)`` that ``anchors`` are drawn to;
+the wind ``(K or 1, 1, 3)``.)")
+      .def(nb::init<In<double, 1>, In<double, 1>, In<std::int64_t, 2>, In<double, 1>,
+                    In<double, 1>, In<double, 1>, In<double, 1>, In<std::int64_t, 2>,
+                    In<double, 1>, double, double, In<double, 1>, In<std::int64_t, 1>,
+                    In<double, 3>, In<std::int64_t, 1>, In<double, 1>, In<double, 1>,
+                    In<double, 3>, In<double, 3>>(),
+           "inverse_masses"_a, "drags"_a, "ends"_a, "rest"_a, "stiffness"_a, "damping"_a,
+           "limit"_a, "triangles"_a, "gravity"_a, "air_drag"_a, "air_lift"_a, "knots"_a,
+           "held"_a, "held_path"_a, "anchors"_a, "anchor_stiffness"_a, "anchor_damping"_a,
+           "anchor_path"_a, "winds"_a)
       .def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
            "Put paths of held particles and anchors in the place of those over the knots.");
 

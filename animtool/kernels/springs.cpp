@@ -24,25 +24,39 @@ Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
 }
 
-// Rows of length at rest, stiffness, damping, and the length of tearing, infinite of none.
-void check_numbers(const In<double, 2>& numbers, std::size_t springs) {
-  check::shape("numbers", numbers, {springs, 4});
-  for (const double *row = numbers.data(), *end = row + numbers.size(); row != end; row += 4) {
-    for (std::size_t k = 0; k < 3; ++k) check::not_negative("numbers", row[k]);
-    if (!(row[3] >= 0)) check::refuse("numbers", check::text(row[3]) + " is not 0 or more");
+// One number a spring, 0 or more.
+void check_column(const char* name, const In<double, 1>& column, std::size_t springs,
+                  bool finite = true) {
+  check::shape(name, column, {springs});
+  for (std::size_t s = 0; s < springs; ++s) {
+    const double value = column.data()[s];
+    if (finite) check::not_negative(name, value);
+    if (!(value >= 0)) check::refuse(name, check::text(value) + " is not 0 or more");
   }
+}
+
+std::vector<double> finite_column(const char* name, const In<double, 1>& column,
+                                  std::size_t size) {
+  check::shape(name, column, {size});
+  check::finite(name, column);
+  return {column.data(), column.data() + column.size()};
 }
 
 }  // namespace
 
 SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
-                             In<std::int64_t, 2> ends, In<double, 2> numbers, In<std::int64_t, 2> faces,
-                             In<double, 1> field, In<double, 1> times,
+                             In<std::int64_t, 2> ends, In<double, 1> rest,
+                             In<double, 1> stiffness, In<double, 1> damping,
+                             In<double, 1> limit, In<std::int64_t, 2> faces,
+                             In<double, 1> pull, double drag, double lift, In<double, 1> times,
                              In<std::int64_t, 1> pins, In<double, 3> held_path,
-                             In<std::int64_t, 1> tied, In<double, 2> anchor_numbers,
-                             In<double, 3> anchor_path, In<double, 3> winds)
+                             In<std::int64_t, 1> tied, In<double, 1> tied_stiffness,
+                             In<double, 1> tied_damping, In<double, 3> anchor_path,
+                             In<double, 3> winds)
     : inverse_masses(masses.data(), masses.data() + masses.size()),
       drags(slowing.data(), slowing.data() + slowing.size()),
+      air_drag(drag),
+      air_lift(lift),
       knots(times.data(), times.data() + times.size()) {
   const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
@@ -53,38 +67,37 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", springs, check::MOST_ROWS);
   check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
-  check_numbers(numbers, springs);
+  check_column("rest", rest, springs);
+  check_column("stiffness", stiffness, springs);
+  check_column("damping", damping, springs);
+  check_column("limit", limit, springs, false);
   check::shape("triangles", faces, {check::ANY, 3});
   check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
-  check::shape("field", field, {5});
-  check::finite("field", field);
+  check::shape("gravity", pull, {3});
+  check::finite("gravity", pull);
+  check::finite("air_drag", drag);
+  check::finite("air_lift", lift);
   check::shape("knots", times, {check::ANY});
   if (knots.empty()) check::refuse("knots", "there is none");
   check::finite("knots", times);
   check::ascending("knots", knots.data(), knots.size());
   check::shape("held", pins, {check::ANY});
   check::shape("anchors", tied, {check::ANY});
-  check::shape("anchor_numbers", anchor_numbers, {tied.shape(0), 2});
-  check::finite("anchor_numbers", anchor_numbers);
+  anchor_stiffness = finite_column("anchor_stiffness", tied_stiffness, tied.shape(0));
+  anchor_damping = finite_column("anchor_damping", tied_damping, tied.shape(0));
   for (std::size_t s = 0; s < springs; ++s) {
     const std::int64_t* pair = ends.data() + 2 * s;
-    const double* n = numbers.data() + 4 * s;
     lines.springs.push_back({static_cast<std::int32_t>(pair[0]),
-                             static_cast<std::int32_t>(pair[1]), n[0], n[1], n[2], n[3]});
+                             static_cast<std::int32_t>(pair[1]), rest.data()[s],
+                             stiffness.data()[s], damping.data()[s], limit.data()[s]});
     lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
   lines.line_up(count);
   triangles = particles_of("triangles", faces.data(), faces.size(), count);
-  std::copy_n(field.data(), 3, gravity);
-  air_drag = field.data()[3];
-  air_lift = field.data()[4];
+  std::copy_n(pull.data(), 3, gravity);
   held = particles_of("held", pins.data(), pins.size(), count);
   held_track = track_of("held_path", held_path, held.size(), knots.size());
   anchors = particles_of("anchors", tied.data(), tied.size(), count);
-  for (std::size_t a = 0; a < tied.size(); ++a) {
-    anchor_stiffness.push_back(anchor_numbers.data()[2 * a]);
-    anchor_damping.push_back(anchor_numbers.data()[2 * a + 1]);
-  }
   anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
   wind_track = track_of("winds", winds, 1, knots.size());
 }

@@ -112,8 +112,11 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
   check::finite("turns", turns);
   check::shape("numbers", numbers, {count});
   check::shape("places", places, {count, 3});
+  check::finite("places", places);
   check::shape("before", before, {count, 4});
+  check::finite("before", before);
   check::shape("rest", rest, {count, 4});
+  check::finite("rest", rest);
   check::shape("feet", feet, {2});
   check::shape("stands", stands, {frames, 2});
   check::indices("numbers", numbers, -1, static_cast<std::int64_t>(moving));
@@ -170,6 +173,7 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
           good = (wanted[j] - made[j] - off).squared() <= near * near;
       }
       fits.get()[s] = good;
+      if (!good) std::fill_n(back.get() + 3 * s * inside, 3 * inside, 0.0);
     }
   }
   const std::size_t flat[1] = {spans}, shape[3] = {spans, inside, 3};

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 
 # Differences of this order hold next to nothing but noise: of what moves slower than a
@@ -136,3 +136,17 @@ def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None
         errors.append(taken + (2 * float(gains.mean()) - 1) * noise)
     best = int(np.argmin(errors))
     return float(shares[best] * rate) if errors[best] < WORTH * noise else None
+
+
+def put_between(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
+    """Return values ``(N, C)``, missing ones (NaN) put in between; 0 where all are.
+
+    ``times`` ``(N,)`` ascend. Before the first value and after the last these stay.
+    """
+    made = values.copy()
+    for column in made.T:
+        there = np.isfinite(column)
+        if not there.all():
+            found = there.any()
+            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
+    return made

@@ -23,7 +23,7 @@ from animtool.maths.filters import (
     lowpass_turns,
     noise_level,
 )
-from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.options import CleanOptions
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.quantities import angle_text, length_text

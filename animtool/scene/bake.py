@@ -331,6 +331,8 @@ def bake(
         OptionError: An option makes no sense, or the output exists.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
+        ToleranceError: A system stopped before the last frame. With ``keep_stopped``
+            it is the report's ``stopped``, and the frames before are in the output.
     """
     # Passes may keep states as soon as a source is opened.
     with together():

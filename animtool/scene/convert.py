@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from animtool.clip.reduction import KEY_TOLERANCE
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.clock import Clock, FrameSpan
 from animtool.documents.names import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, together, write_parts
+from animtool.passes import Pass, PassContext, apply_pass
 from animtool.plugins import load_object
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
@@ -25,7 +26,7 @@ from animtool.scene.sources import (
 )
 from animtool.scores import PassScores
 from animtool.shot import Shot
-from animtool.take import Take
+from animtool.take import Take, TakeStream
 from animtool.units import parse_length
 
 if TYPE_CHECKING:
@@ -131,6 +132,62 @@ def convert(
                 source, output, options, keys, overwrite, strict, progress, opener
             )
         return _to_text(source, output, options, overwrite, strict, progress, opener)
+
+
+def convert_with_passes(
+    source: Path,
+    output: Path,
+    passes: Sequence[tuple[Pass, Any]],
+    reading: SourceOptions | None = None,
+    *,
+    overwrite: bool = False,
+    strict: bool = False,
+    progress: Progress = None,
+) -> ConvertReport:
+    """Convert a take as `convert` does, after passes.
+
+    Args:
+        source: BVH, USD or clip.
+        output: ``.bvh``, ``.clip.yaml`` or a USD file.
+        passes: Each with its options, in their order.
+        reading: What the source is.
+        overwrite: Replace outputs that exist.
+        strict: Take warnings for errors.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: Options make no sense, for any take or for this one.
+        AnimtoolError: As `convert` does.
+    """
+    contexts: list[PassContext] = []
+
+    def opened(path: Path, reading: Any = None, *, progress: Progress) -> TakeStream:
+        stream = open_source(path, reading, progress=progress)
+        for pass_, options in passes:
+            context = PassContext(lambda path: open_source(path).collect(), path.parent)
+            contexts.append(context)
+            stream = apply_pass(stream, pass_, options, context)
+            stream.notices = [*stream.notices, *context.notices]
+        return stream
+
+    for pass_, options in passes:
+        for check in pass_.checks(options).values():
+            check()
+    report = convert(
+        source,
+        output,
+        reading,
+        overwrite=overwrite,
+        strict=strict,
+        progress=progress,
+        opener=opened,
+    )
+    scores = [
+        one.of_pass(pass_.name, "")
+        for (pass_, _), context in zip(passes, contexts, strict=True)
+        for one in context.scores
+    ]
+    return replace(report, scores=scores)
 
 
 def _to_text(

@@ -9,11 +9,10 @@ from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.looping import PASS, said_of
 from animtool.errors import Fault, refuse_warnings
-from animtool.scene.convert import ConvertReport
+from animtool.scene.convert import ConvertReport, convert_with_passes
 from animtool.scene.ik import naming
 from animtool.scene.progress import Progress
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.scene.written import convert_passed
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +66,7 @@ def loop_source(
     if output is None:
         refuse_warnings(notices, strict=strict)
         return cycle, None
-    report = convert_passed(
+    report = convert_with_passes(
         source,
         output,
         [(PASS, options)],

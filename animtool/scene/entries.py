@@ -18,6 +18,7 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 from animtool.systems.fields import EntryRecord, SystemSpec
+from animtool.transforms import PropRequest
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,21 +111,16 @@ class SceneSource:
     timecode_fps: Fraction | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SceneProp:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneProp(PropRequest):
     """A thing beside the character of a scene."""
 
-    file: Path  # the USD file that it is read from
-    prim: str  # path of its prim
-    path: str  # where it is written: below the character, or from ``/`` on
     # Time code of its file that comes with the first frame; None is the number of that
     # frame.
     frame: Fraction | None
     # Whether passes retime it with the take; else it has the frames of what comes out
     # of them.
     retimed: bool
-    attributes: tuple[str, ...]  # names of what is read of it beside its place
-    reference: Path | None  # file that shows it; None is nothing
     place: Place  # of the entry
 
 
@@ -184,7 +180,7 @@ class SystemSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that are read along with the scene."""
-        characters = (one.file for one in self.around.characters)
+        characters = (Path(one.file) for one in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
 

@@ -16,23 +16,26 @@ from animtool.maths.so3 import multiply, rotate
 from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
 from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.mocap.face.model import FaceModel
-from animtool.mocap.face.options import FaceOptions
 from animtool.mocap.face.solve import FaceFit, fit_face
+from animtool.mocap.options import FaceOptions
 from animtool.motion import Channel, Motion
 from animtool.output import check_outputs
-from animtool.rates import FractionLike
 from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert import ConvertReport
 from animtool.scene.onto_rig import open_rig
+from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
+from animtool.scene.sources import SourceOptions
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import Take, TakeStream
-from animtool.units import LengthUnit, UpAxis, unit_name
+from animtool.units import UpAxis, unit_name
 
 if TYPE_CHECKING:
     from animtool.mocap.cameras.camera import Camera
+    from animtool.scene.prims import BakeReport
 
 # From a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
@@ -53,11 +56,10 @@ class FaceJob:
     camera: Path | None = None  # camera file, for landmarks in pixels
     camera_name: str | None = None  # of the camera, where the file has several
     options: FaceOptions = field(default_factory=FaceOptions)
-    unit: LengthUnit | None = None
-    up: UpAxis | None = None
-    fps: FractionLike | None = None
-    overwrite: bool = False
-    strict: bool = False
+    # What the capture is.
+    reading: SourceOptions = field(default_factory=SourceOptions)
+    # `overwrite` and `strict` of it are for what the take is written to.
+    bake: BakeOptions = field(default_factory=BakeOptions)
 
 
 @dataclass(slots=True)
@@ -73,14 +75,12 @@ class FaceResult:
     seconds: dict[str, float]  # wall time by stage
     # Pixels a metre at the face, of landmarks in pixels; else 0.
     pixels_per_meter: float = 0.0
-    written: ConvertReport | None = None
+    written: BakeReport | ConvertReport | None = None
 
 
 def face_outputs(job: FaceJob) -> list[Path]:
     """Return the files that a job writes."""
-    if job.output is None:
-        return []
-    return convert_outputs(job.output, _named_rig(job))
+    return take_outputs(job.capture, job.output, job.bake, _named_rig(job))
 
 
 def _named_rig(job: FaceJob) -> Path | None:
@@ -105,12 +105,12 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     if outputs:
         named = (job.capture, job.rig, job.landmarks, job.remap, job.camera)
         inputs = [path for path in named if path is not None]
-        check_outputs(outputs, inputs, overwrite=job.overwrite)
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
     result = solve_face(job, progress=progress)
     if job.output is None:
         from animtool.errors import refuse_warnings
 
-        refuse_warnings(result.notices, strict=job.strict)
+        refuse_warnings(result.notices, strict=job.bake.strict)
         return result
 
     def opened(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
@@ -122,13 +122,13 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         }
         return stream
 
-    result.written = convert(
+    result.written = write_take(
         job.capture,
         job.output,
-        overwrite=job.overwrite,
-        strict=job.strict,
-        rig_file=_named_rig(job) if is_named(job.output, "clip") else None,
+        job.bake,
+        rig_file=_named_rig(job),
         opener=opened,
+        progress=None,
     )
     result.notices += [n for n in result.written.notices if n not in result.notices]
     return result
@@ -137,7 +137,9 @@ def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face brought onto its landmarks; nothing is written."""
     began = time.perf_counter()
-    capture = read_capture(job.capture, unit=job.unit, up=job.up, fps=job.fps)
+    capture = read_capture(
+        job.capture, unit=job.reading.unit, up=job.reading.up, fps=job.reading.fps
+    )
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _model(job, capture, rig)

@@ -33,18 +33,22 @@ from animtool.scene.entries import (
     place_of_entry,
 )
 from animtool.scene.options import BakeOptions
-from animtool.scene.output_fields import Value, bake_keys
+from animtool.scene.output_fields import Value, option_keys
 from animtool.scene.retime import Preroll
 from animtool.scene.scene import Scene
-from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
+from animtool.scene.schema import (
+    OutputModel,
+    PropModel,
+    SceneModel,
+    SourceModel,
+    SystemModel,
+)
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links, check_names
-from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.shot import FrameRange, Shot
 from animtool.systems.fields import SystemColliderModel
 from animtool.systems.kinds import SYSTEM_KINDS
-from animtool.units import LengthUnit, UpAxis
 
 # It reads whole scenes, where they are characters.
 COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
@@ -246,11 +250,11 @@ class _SceneReader:
             file,
             model.prim,
             path,
-            None if model.frame is None else Fraction(repr(model.frame)),
-            model.retimed,
             tuple(model.attributes),
             shown,
-            self._place(at),
+            frame=None if model.frame is None else Fraction(repr(model.frame)),
+            retimed=model.retimed,
+            place=self._place(at),
         )
 
     def _preroll(self) -> Preroll | None:
@@ -303,7 +307,7 @@ class _SceneReader:
         path = None if model.file is None else self._file((*at, "file"), model.file)
         if path is not None and kind_of(path) is not OutputKind.USD:
             self._check_kind(at, model, kind_of(path))
-        keys = bake_keys(model, "scene", at, self)
+        keys = option_keys(BakeOptions, model, "scene", at, self)
         if "take" in keys and keys.get("form") != "library":
             message = "take is for a take of a library"
             self.document.add("SCN039", (*at, "take"), message, "write as: library")
@@ -332,10 +336,9 @@ class _SceneReader:
         if kind is OutputKind.CLIP:
             allowed |= {"reduce", "reduce_at"}
         for name in sorted(model.model_fields_set - allowed):
-            key = OutputModel.model_fields[name].alias or name
-            message = f"{key} is not for a {kind} file"
+            message = f"{name} is not for a {kind} file"
             hint = f"it has {', '.join(sorted(allowed))}"
-            self.document.add("SCN039", (*at, key), message, hint)
+            self.document.add("SCN039", (*at, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
         """Return the frames to write: a range, or the cut with its handles."""
@@ -384,33 +387,13 @@ class _SceneReader:
         self, at: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
         path = self.read_file((*at, "file"), model.file)
-
-        def named_file(key: str) -> Path | None:
-            name = getattr(model, key)
-            return None if name is None else self.read_file((*at, key), name)
-
-        options = SourceOptions(
-            unit=None if model.units is None else LengthUnit(model.units),
-            up=None if model.up is None else UpAxis(model.up),
-            fps=self._rate((*at, "fps"), model.fps),
-            prim_path=model.prim,
-            rig=rig,
-            clamp=model.clamp,
-            take=model.take,
-            remap=named_file("remap"),
-            dropped=model.dropped,
-            template=named_file("template"),
-            cameras=named_file("cameras"),
-        )
+        keys = option_keys(SourceOptions, model, "scene", at, self)
         tracks = None
         if model.tracks is not None:
-            chosen = model.tracks
-            tracks = TrackNames(
-                tuple(chosen.joints), tuple(chosen.shapes), tuple(chosen.controls)
-            )
+            tracks = TrackNames(**{name: tuple(of) for name, of in model.tracks})
         return SceneSource(
             path,
-            options,
+            SourceOptions(rig=rig, **keys),
             self._place(at),
             tracks,
             model.timecode,

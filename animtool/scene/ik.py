@@ -37,12 +37,13 @@ from animtool.ik.report import (
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
-from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert import ConvertReport
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
-from animtool.scene.sources import SourceOptions, is_usd
+from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start, rest_take
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 
@@ -210,7 +211,14 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
         solve(job.rig, progress=progress)
         return reports[0]
     began = time.perf_counter()
-    written = _written(job, solve, progress)
+    written = write_take(
+        job.targets if job.start is None else job.start,
+        job.output,
+        job.bake,
+        rig_file=_named_rig(job.rig, job.output),
+        opener=solve,
+        progress=progress,
+    )
     report = reports[0]
     report.written = written
     report.seconds["write"] = time.perf_counter() - began - sum(report.seconds.values())
@@ -218,38 +226,16 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     return report
 
 
-def _written(job: IkJob, opener: Any, progress: Progress) -> BakeReport | ConvertReport:
-    source = job.targets if job.start is None else job.start
-    if job.to_stdout or (job.output is not None and is_usd(job.output)):
-        from animtool.scene.bake import bake
-
-        return bake(source, job.output, job.bake, progress=progress, opener=opener)
-    assert job.output is not None
-    return convert(
-        source,
-        job.output,
-        overwrite=job.bake.overwrite,
-        reduce=job.bake.reduce,
-        rig_file=_named_rig(job.rig, job.output),
-        progress=progress,
-        opener=opener,
-    )
-
-
 def ik_outputs(job: IkJob) -> list[Path]:
     """Return the files that a job writes, the output last of those of a clip."""
-    output = job.output
-    if output is None:
-        return []
-    if is_usd(output):
-        from animtool.scene.reading import bake_outputs
-
-        return bake_outputs([job.rig], output, job.bake)
-    return convert_outputs(output, _named_rig(job.rig, output))
+    rig_file = _named_rig(job.rig, job.output)
+    return take_outputs(job.rig, job.output, job.bake, rig_file)
 
 
-def _named_rig(rig: Path, output: Path) -> Path | None:
+def _named_rig(rig: Path, output: Path | None) -> Path | None:
     """Return the rig if it is a file that a clip beside the output may name."""
+    if output is None:
+        return None
     inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
     return rig if is_named(rig, "rig") and inside else None
 

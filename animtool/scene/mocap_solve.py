@@ -12,8 +12,8 @@ from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.files import seen_from
 from animtool.formats.marker_files import file_of, open_markers
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.calibration import Calibration, calibrate
-from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.solve.source import (
     at_file,
@@ -24,13 +24,13 @@ from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.placing import output_error
-from animtool.scene.convert import ConvertReport, convert_outputs
+from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress, timed
-from animtool.scene.sources import SourceOptions, is_usd
-from animtool.scene.written import write_take
+from animtool.scene.sources import SourceOptions
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
 
 if TYPE_CHECKING:
@@ -75,13 +75,8 @@ class MocapSolveResult:
 def solve_outputs(job: MocapSolveJob) -> list[Path]:
     """Return the files that a job writes, but for arrays beside a rig."""
     made = [path for path in (job.write_rig, job.write_template) if path is not None]
-    if job.output is None:
-        return made
-    if is_usd(job.output):
-        from animtool.scene.reading import bake_outputs
-
-        return [*made, *bake_outputs([job.source], job.output, job.bake)]
-    return [*made, *convert_outputs(job.output, _named_rig(job))]
+    written = take_outputs(job.source, job.output, job.bake, _named_rig(job))
+    return [*made, *written]
 
 
 def _named_rig(job: MocapSolveJob) -> Path | None:

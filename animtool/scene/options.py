@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from animtool.clip.reduction import KEY_TOLERANCE
+from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.options import Key, option
 from animtool.rates import (
@@ -65,11 +65,12 @@ class BakeOptions:
             meshes without.
         chunk: Samples of point caches, and of systems, in each of several files; None
             is one file.
+        keep_stopped: Where a simulation stops, write the frames before, and raise then.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
 
     Raises:
-        OptionError: fps is no rate (SCN022), or start no frame (SCN026).
+        OptionError: fps is no rate (SCN022), or start no frame (SCN033).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -352,6 +353,18 @@ class BakeOptions:
         help="Of --deform and of a scene's systems, for long takes, a file for every N "
         "samples, joined as value clips; memory holds two or three of them.",
     )
+    keep_stopped: bool = option(
+        False,
+        "switch",
+        "--keep-stopped",
+        scene=Key(
+            "Where a system stops before the last frame: write the frames before that. "
+            "The bake fails all the same.",
+            True,
+        ),
+        help="Where a scene's system blows up, write the frames before that too; the "
+        "exit code stays 4.",
+    )
     strict: bool = option(
         False, "switch", "--strict", batch=Key("Take warnings for errors.", True)
     )
@@ -377,7 +390,7 @@ def _frame_option(start: FractionLike) -> Fraction:
     try:
         return parse_frame(start)
     except ValueError as error:
-        raise OptionError(Fault("SCN026", f"start: {error}")) from error
+        raise OptionError(Fault("SCN033", f"start: {error}")) from error
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:

@@ -1,4 +1,4 @@
-"""Keys of scenes and batches that are options of a bake, read off their record."""
+"""Keys of scenes and batches that are options, read off their records."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pydantic import Field, create_model
 
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
-from animtool.documents.fields import Frame, Real, Whole, WholeFrame
+from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
 from animtool.options import Key, Kind, keys_of, options_of
 from animtool.rates import parse_rate
-from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.scene.options import parse_offsets
 from animtool.shot import FrameRange
 from animtool.units import LengthUnit, UpAxis, parse_length
 
@@ -28,7 +28,7 @@ _TYPES: dict[Kind, Any] = {
     "switch": bool,
     "answer": bool | None,
     "text": str | None,
-    "file": str | None,
+    "file": Name | None,
     "unit": Literal["m", "cm", "mm", "in"] | None,
     "axis": Literal["Y", "Z"] | None,
     "rate": Real | str | None,
@@ -56,16 +56,24 @@ class KeyReader(Protocol):
         ...
 
 
-def with_keys(place: FileKind, *order: str) -> Callable[[type[Model]], type[Model]]:
-    """Give a model the keys of `BakeOptions`; those not in ``order`` come last."""
+def with_keys(
+    record: type[Any], place: FileKind, *order: str
+) -> Callable[[type[Model]], type[Model]]:
+    """Give a model the keys of a record of options, beside its own.
+
+    Args:
+        record: Of options, each with the `Key` of the place.
+        place: The kind of file.
+        order: Of all keys; others come last.
+    """
 
     def decorate(model: type[Model]) -> type[Model]:
         definitions: dict[str, Any] = {
             name: (info.annotation, info) for name, info in model.model_fields.items()
         }
-        for name, key in keys_of(BakeOptions, place).items():
-            kind = options_of(BakeOptions)[name].kind
-            definitions[name] = _definition(kind, key)
+        for name, key in keys_of(record, place).items():
+            kind = options_of(record)[name].kind
+            definitions[key.alias or name] = _definition(kind, key)
         names = sorted(
             definitions, key=lambda n: order.index(n) if n in order else len(order)
         )
@@ -86,29 +94,33 @@ def _definition(kind: Kind, key: Key) -> tuple[Any, Any]:
     type_ = Literal[key.choices] | None if kind == "choice" else _TYPES[kind]
     described = Field(
         default=_DEFAULTS.get(kind),
-        alias=key.alias,
         description=key.description,
         examples=[key.example],
     )
     return type_, described
 
 
-def bake_keys(
-    model: FileModel, place: FileKind, at: Location, reader: KeyReader
+def option_keys(
+    record: type[Any],
+    model: FileModel,
+    place: FileKind,
+    at: Location,
+    reader: KeyReader,
 ) -> dict[str, Any]:
-    """Return the arguments of `BakeOptions` that the keys of a model give.
+    """Return the arguments of a record of options that the keys of a model give.
 
     Args:
+        record: Of options.
         model: Of `with_keys`.
         place: The kind of file.
         at: Where the model is in its file.
         reader: Reads and records faults.
     """
     values = {}
-    for name, key in keys_of(BakeOptions, place).items():
-        given = getattr(model, name)
+    for name, key in keys_of(record, place).items():
+        given = getattr(model, key.alias or name)
         if given is not None:
-            kind = options_of(BakeOptions)[name].kind
+            kind = options_of(record)[name].kind
             value = _value(kind, given, (*at, key.alias or name), reader)
             if value is not None:
                 values[name] = value

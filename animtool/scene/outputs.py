@@ -67,6 +67,8 @@ def bake_scene(
             (OUT007).
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
+        ToleranceError: A system stopped before the last frame. With ``keep_stopped``
+            it is the reports' ``stopped``, and the frames before are in the outputs.
     """
     given = options or BakeOptions()
     _check(scene, given)

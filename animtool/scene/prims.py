@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from animtool.clock import FrameSpan
-from animtool.errors import Fault
+from animtool.errors import Fault, ToleranceError
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
@@ -80,6 +80,8 @@ class BakeReport:
     # Wall time by stage; ``read`` runs beside ``author``.
     seconds: dict[str, float] = field(default_factory=dict)
     shot: Shot | None = None  # the shot that was written; None is no shot
+    # Why a system ended before the last frame, where the frames before were to be kept.
+    stopped: ToleranceError | None = None
 
     @property
     def span(self) -> FrameSpan:
@@ -110,6 +112,13 @@ class BakeReport:
     def source_bytes(self) -> int:
         """Size of all sources."""
         return sum(take.source_bytes for take in self.takes)
+
+
+def raise_stopped(reports: Sequence[object]) -> None:
+    """Raise why a system stopped, where frames before that were kept."""
+    for report in reports:
+        if isinstance(report, BakeReport) and report.stopped is not None:
+            raise report.stopped
 
 
 # Writes a layer to a file, or as text to stdout; returns the bytes.

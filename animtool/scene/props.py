@@ -18,7 +18,7 @@ from animtool.scene.progress import Meter, StageCost
 from animtool.take import TakeStream
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis
-from animtool.usd.transform_reader import PropRequest, PropSource, open_prop
+from animtool.usd.transform_reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9
@@ -40,13 +40,10 @@ def open_props(
     opened: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        request = PropRequest(
-            entry.file, entry.prim, entry.path, entry.attributes, entry.reference
-        )
         stage = meter.stage(entry.file.name, entry.place.where)
         try:
             with meter.running(stage):
-                source = open_prop(request, up)
+                source = open_prop(entry, up)
         except AnimtoolError as error:
             faults += map(entry.place.put, error.faults)
             continue

@@ -138,6 +138,8 @@ def check_options(
     wrong += _shot_clashes(options, form)
     wrong += _deform_clashes(options, form)
     wrong += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    lonely = options.keep_stopped and not simulated
+    wrong.append((lonely, "--keep-stopped goes with a scene that has systems"))
     faults = [Fault("CLI002", message) for holds, message in wrong if holds]
     if faults:
         raise OptionError(faults)

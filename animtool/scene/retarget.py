@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.documents.names import is_named
 from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
-from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.output import check_outputs, replacing, sparing_inputs, together
 from animtool.rig.skeleton import Rig
-from animtool.scene.convert import ConvertReport, convert_outputs
+from animtool.scene.convert import ConvertReport
 from animtool.scene.ik import naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress, timed
-from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.scene.written import write_take
+from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
 from animtool.units import unit_name
 
@@ -72,13 +72,8 @@ class RetargetResult:
 def retarget_outputs(job: RetargetJob) -> list[Path]:
     """Return the files that a job writes, the map among them."""
     outputs = [] if job.write_map is None else [job.write_map]
-    if job.output is None:
-        return outputs
-    if is_usd(job.output):
-        from animtool.scene.reading import bake_outputs
-
-        return [*outputs, *bake_outputs([job.source], job.output, job.bake)]
-    return [*outputs, *convert_outputs(job.output, _named_rig(job))]
+    made = take_outputs(job.source, job.output, job.bake, _named_rig(job))
+    return [*outputs, *made]
 
 
 def _named_rig(job: RetargetJob) -> Path | None:

@@ -5,10 +5,10 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Len
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag, create_model
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -20,8 +20,11 @@ from animtool.documents.fields import (
     check_numbers,
     key,
 )
+from animtool.plugins import load_object
+from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import with_keys
-from animtool.scene.systems.schema import SystemModel
+from animtool.scene.sources import SourceOptions
+from animtool.systems.kinds import SYSTEM_KINDS
 
 
 class TracksModel(FileModel):
@@ -34,61 +37,16 @@ class TracksModel(FileModel):
     )
 
 
+@with_keys(
+    SourceOptions,
+    "scene",
+    *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
+    *("template", "cameras"),
+)
 class SourceModel(FileModel):
     """A clip, BVH, USD or marker file, and what it leaves open."""
 
     file: Name = key("The clip, BVH, USD or marker file.", "walk.bvh")
-    units: Literal["m", "cm", "mm", "in"] | None = key(
-        "Of a BVH: the unit of its lengths. Not given: cm.", "cm", default=None
-    )
-    up: Literal["Y", "Z"] | None = key(
-        "Of a BVH: its up axis. Not given: Y.", "Z", default=None
-    )
-    fps: Real | str | None = key(
-        "Of a BVH: its true frame rate; of a face recording: what its time code "
-        "counts. Not given: what the file shows.",
-        120,
-        default=None,
-    )
-    prim: str | None = key(
-        "Of a USD file with several characters: the one to read.",
-        "/World/hero",
-        default=None,
-    )
-    take: str | None = key(
-        "Of a clip library in USD: the take to read. Not given: the one "
-        "that is selected.",
-        "walk",
-        default=None,
-    )
-    remap: Name | None = key(
-        "Of a face recording: a remap file for the names of its shapes.",
-        "hero.remap.yaml",
-        default=None,
-    )
-    dropped: Literal["interpolate", "hold", "close"] | None = key(
-        "Of a face recording: what becomes of frames without a row. Not given: "
-        "`interpolate`.",
-        "hold",
-        default=None,
-    )
-    clamp: bool = key(
-        "Of a clip: bring controls into their ranges and joints into their limits.",
-        True,
-        default=False,
-    )
-    template: Name | None = key(
-        "Of a file of markers: the marker template that says where they are. They are "
-        "solved on the rig of the scene, or on the one that the template names.",
-        "ann.markers.yaml",
-        default=None,
-    )
-    cameras: Name | None = key(
-        "Of an npz of pixels, what cameras see of markers: their calibrations. The "
-        "markers are triangulated, then solved.",
-        "stage.cameras.yaml",
-        default=None,
-    )
     tracks: TracksModel | None = key(
         "Of several sources, but the first: what it brings. Not given: what it moves.",
         {"shapes": ["*"]},
@@ -149,6 +107,34 @@ class PropModel(FileModel):
     )
 
 
+class _SystemModel(FileModel):
+    """One simulation, of one kind."""
+
+
+if TYPE_CHECKING:
+    SystemModel = _SystemModel
+else:
+    # Of an entry's kinds one is given; that one may not be nothing.
+    _NOT_GIVEN: Any = None
+    SystemModel = create_model(
+        "SystemModel",
+        __base__=_SystemModel,
+        __module__=__name__,
+        __doc__=_SystemModel.__doc__,
+        **{
+            name: (
+                load_object(kind.spec),
+                Field(
+                    default=_NOT_GIVEN,
+                    description=kind.description,
+                    examples=[kind.example],
+                ),
+            )
+            for name, kind in SYSTEM_KINDS.items()
+        },
+    )
+
+
 def _one_or_several(value: Any) -> str:
     return "several" if isinstance(value, list) else "one"
 
@@ -182,8 +168,9 @@ class ShotModel(FileModel):
 
 
 @with_keys(
+    BakeOptions,
     "scene",
-    *("file", "form", "take", "rig_layer", "force_fit", "prim_path", "start"),
+    *("file", "as", "take", "rig_layer", "force_fit", "prim_path", "start"),
     *("samples", "sparse", "bones", "keep_curves", "reduce", "reduce_at", "deform"),
     *("velocities", "normals", "systems", "chunk"),
 )

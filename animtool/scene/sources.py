@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import note_input
-from animtool.options import option, options_of
+from animtool.options import Key, option, options_of
 from animtool.rates import OptionalFraction, rate_option
 from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.scene.progress import Progress
@@ -27,6 +27,7 @@ Opener: TypeAlias = Callable[..., "TakeStream"]
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Those that no reader is given.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
+_DROPPED = ("interpolate", "hold", "close")
 _OF_BVH = "says what a BVH leaves open; this file states it"
 
 
@@ -61,16 +62,41 @@ class SourceOptions:
         "unit",
         "--units",
         reason=_OF_BVH,
+        scene=Key(
+            "Of a BVH: the unit of its lengths. Not given: cm.", "cm", alias="units"
+        ),
+        batch=Key(
+            "Of BVH files: the unit of their lengths. Not given: cm.",
+            "cm",
+            alias="units",
+        ),
         help="Unit of a BVH's lengths.  [default: cm]",
     )
     up: UpAxis | None = option(
-        None, "axis", "--up", reason=_OF_BVH, help="Up axis of a BVH.  [default: Y]"
+        None,
+        "axis",
+        "--up",
+        reason=_OF_BVH,
+        scene=Key("Of a BVH: its up axis. Not given: Y.", "Z"),
+        batch=Key("Of BVH files: their up axis. Not given: Y.", "Z"),
+        help="Up axis of a BVH.  [default: Y]",
     )
     fps: OptionalFraction = option(
         None,
         "rate",
         "--source-fps",
         reason=_OF_BVH,
+        scene=Key(
+            "Of a BVH: its true frame rate; of a face recording: what its time code "
+            "counts. Not given: what the file shows.",
+            120,
+        ),
+        batch=Key(
+            "Of BVH files: their true frame rate. Not given: what the frame "
+            "time of each stands for.",
+            120,
+            alias="source_fps",
+        ),
         help="The real frame rate of a BVH whose Frame Time is wrong, or what the time "
         "code of a face recording counts.",
     )
@@ -79,6 +105,11 @@ class SourceOptions:
         "text",
         "--source-prim (--prim-path)",
         reason="is for USD files, and this is none",
+        scene=Key(
+            "Of a USD file with several characters: the one to read.",
+            "/World/hero",
+            alias="prim",
+        ),
         help="The character to read, where a USD source has several.",
         metavar="PATH",
     )
@@ -86,6 +117,9 @@ class SourceOptions:
         None,
         "file",
         "--rig",
+        batch=Key(
+            "Of clips: their rig. Not given: the one that each names.", "hero.rig.yaml"
+        ),
         help="Rig of a clip, in place of the one that it names; of a MOT, whose "
         "coordinates its columns are.",
     )
@@ -94,6 +128,14 @@ class SourceOptions:
         "switch",
         "--clamp",
         reason="is for clips, and this is no clip",
+        scene=Key(
+            "Of a clip: bring controls into their ranges and joints into their limits.",
+            True,
+        ),
+        batch=Key(
+            "Of clips: bring controls into their ranges and joints into their limits.",
+            True,
+        ),
         help="Bring a clip's controls into their ranges and joints into their limits.",
     )
     take: str | None = option(
@@ -101,6 +143,11 @@ class SourceOptions:
         "text",
         "--take",
         reason="is for clip libraries in USD, and this is no USD file",
+        scene=Key(
+            "Of a clip library in USD: the take to read. Not given: the one "
+            "that is selected.",
+            "walk",
+        ),
         help="The take to read of a clip library in USD.  [default: the one selected]",
         metavar="NAME",
     )
@@ -109,6 +156,10 @@ class SourceOptions:
         "file",
         "--remap",
         reason="is for face recordings (.csv), and this is none",
+        scene=Key(
+            "Of a face recording: a remap file for the names of its shapes.",
+            "hero.remap.yaml",
+        ),
         help="Remap file (.remap.yaml) for the shapes of a face recording.",
     )
     dropped: str | None = option(
@@ -116,7 +167,13 @@ class SourceOptions:
         "choice",
         "--dropped",
         reason="is for face recordings (.csv), and this is none",
-        choices=("interpolate", "hold", "close"),
+        scene=Key(
+            "Of a face recording: what becomes of frames without a row. Not given: "
+            "`interpolate`.",
+            "hold",
+            _DROPPED,
+        ),
+        choices=_DROPPED,
         help="Frames that a face recording lacks: values in between, those of the "
         "frame before, or none, so that later frames move up.  [default: interpolate]",
     )
@@ -125,6 +182,12 @@ class SourceOptions:
         "file",
         "--template",
         reason="is for files of markers, and this is none",
+        scene=Key(
+            "Of a file of markers: the marker template that says where they are. They "
+            "are solved on the rig of the scene, or on the one that the template "
+            "names.",
+            "ann.markers.yaml",
+        ),
         help="Of a file of markers: the template that says where they are "
         "(.markers.yaml); it is solved on the rig.",
     )
@@ -133,6 +196,11 @@ class SourceOptions:
         "file",
         "--cameras",
         reason="is for what cameras see, an npz of pixels, and this is none",
+        scene=Key(
+            "Of an npz of pixels, what cameras see of markers: their calibrations. The "
+            "markers are triangulated, then solved.",
+            "stage.cameras.yaml",
+        ),
         help="Of an npz of pixels: the calibrations of the cameras, which triangulate "
         "the markers.",
     )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from animtool.passes import Pass, PassContext, apply_pass
-from animtool.scene.convert import ConvertReport, convert
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
-from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.scene.sources import is_usd
 from animtool.take import TakeStream
 
 if TYPE_CHECKING:
@@ -54,57 +52,14 @@ def write_take(
     )
 
 
-def convert_passed(
-    source: Path,
-    output: Path,
-    passes: Sequence[tuple[Pass, Any]],
-    reading: SourceOptions | None = None,
-    *,
-    overwrite: bool = False,
-    strict: bool = False,
-    progress: Progress = None,
-) -> ConvertReport:
-    """Convert a take as `convert` does, after passes.
+def take_outputs(
+    source: Path, output: Path | None, options: BakeOptions, rig_file: Path | None
+) -> list[Path]:
+    """Return the files that `write_take` writes; of a clip the output last."""
+    if output is None:
+        return []
+    if is_usd(output):
+        from animtool.scene.reading import bake_outputs
 
-    Args:
-        source: BVH, USD or clip.
-        output: ``.bvh``, ``.clip.yaml`` or a USD file.
-        passes: Each with its options, in their order.
-        reading: What the source is.
-        overwrite: Replace outputs that exist.
-        strict: Take warnings for errors.
-        progress: Called with the share done, 0 to 1.
-
-    Raises:
-        OptionError: Options make no sense, for any take or for this one.
-        AnimtoolError: As `convert` does.
-    """
-    contexts: list[PassContext] = []
-
-    def opened(path: Path, reading: Any = None, *, progress: Progress) -> TakeStream:
-        stream = open_source(path, reading, progress=progress)
-        for pass_, options in passes:
-            context = PassContext(lambda path: open_source(path).collect(), path.parent)
-            contexts.append(context)
-            stream = apply_pass(stream, pass_, options, context)
-            stream.notices = [*stream.notices, *context.notices]
-        return stream
-
-    for pass_, options in passes:
-        for check in pass_.checks(options).values():
-            check()
-    report = convert(
-        source,
-        output,
-        reading,
-        overwrite=overwrite,
-        strict=strict,
-        progress=progress,
-        opener=opened,
-    )
-    scores = [
-        one.of_pass(pass_.name, "")
-        for (pass_, _), context in zip(passes, contexts, strict=True)
-        for one in context.scores
-    ]
-    return replace(report, scores=scores)
+        return bake_outputs([source], output, options)
+    return convert_outputs(output, rig_file)

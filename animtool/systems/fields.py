@@ -22,7 +22,7 @@ from animtool.documents.fields import (
     key,
 )
 from animtool.errors import Fault, counted
-from animtool.options import Checked
+from animtool.options import Checked, Range, above, or_more
 
 # One name of a table, and its options.
 Named = Annotated[
@@ -163,10 +163,12 @@ class PlacedModel(FileModel):
 
 
 class _MaterialModel(FileModel):
-    restitution: Real = key(
+    restitution: Annotated[Real, Range("0 to 1", "SIM020", 0, 1)] = key(
         "Share of the speed into the surface that comes back, 0 to 1.", 0.4, default=0.0
     )
-    friction: Real = key("Coulomb's coefficient.", 0.3, default=0.0)
+    friction: Annotated[Real, or_more(0, "SIM020", finite=True)] = key(
+        "Coulomb's coefficient.", 0.3, default=0.0
+    )
 
 
 class SystemColliderModel(PlacedModel, _MaterialModel):
@@ -222,7 +224,9 @@ class SystemSurfaceModel(_MaterialModel):
 class MovingMeshModel(FollowedPrimModel, _MaterialModel):
     """A mesh of a USD file that particles run into, as it moves and changes shape."""
 
-    radius: Real = key("Half its thickness [m].", 0.01, default=0.005)
+    radius: Annotated[Real, above(0, "SIM020")] = key(
+        "Half its thickness [m].", 0.01, default=0.005
+    )
     closed: bool = key(
         "It is the skin of a body: met from outside alone.", True, default=False
     )

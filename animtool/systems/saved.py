@@ -1,46 +1,245 @@
-"""Files of saved states: what their formats share, an npz with a header."""
+"""States of simulations in npz files, to go on from: of any arrays and numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool.documents.arrays import Archives
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, OptionError, listed
 from animtool.output import replacing
 from animtool.placing import output_error
+from animtool.systems.simulation import Reached
+
+FORMAT = "animtool-system/1"
+# Whole numbers up to here are the same as floats.
+MAX_STEPS = 2**53
+_Arrays = dict[str, npt.NDArray[Any]]
 
 
-def write_saved(path: Path, form: str, arrays: Mapping[str, Any]) -> None:
-    """Write arrays of a format in place of what a file held.
+@dataclass(frozen=True, slots=True)
+class Clocked:
+    """Which steps lead to a state: a file of other steps is no state of a system."""
+
+    kind: str  # of system, or of attachment
+    begin: float  # time of the first step [s]; of an attachment the frame
+    step: float  # its length [s]; of an attachment one frame
+
+
+def write_states(
+    path: Path, states: Mapping[str, tuple[Clocked, Reached[Any]]]
+) -> None:
+    """Write states by name in place of what a file held; one alone has no name.
 
     Raises:
         OutputError: It cannot be written.
     """
+    arrays: _Arrays = {"format": np.array(FORMAT)}
+    for name, (clocked, reached) in states.items():
+        above = f"{name}/" if name else ""
+        head = [clocked.begin, clocked.step, float(reached.steps)]
+        state = _arrays(reached.state)
+        arrays[f"{above}kind"] = np.array(clocked.kind)
+        arrays[f"{above}clock"] = np.array(head)
+        arrays[f"{above}state"] = np.array(_listed(state))
+        arrays |= {f"{above}state/{key}": rows for key, rows in state.items()}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **{"format": np.array(form), **arrays})
+            np.savez(file, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise output_error(path, error) from error
 
 
 @contextmanager
-def open_saved(path: Path, form: str, content: str) -> Iterator[Archives]:
-    """Give the arrays of a file of a format, to be read in the block.
+def open_states(path: Path) -> Iterator[SavedStates]:
+    """Give the states of a file, to be read in the block.
 
     Raises:
-        FormatError: It cannot be read, or is no such file (SIM035).
+        FormatError: It cannot be read, or is none of states (SIM035).
     """
     try:
         with Archives() as archives:
             known = archives.has(path, "format")
-            if not known or archives.text(path, "format") != form:
-                message = f"is no file of {content} saved"
+            if not known or archives.text(path, "format") != FORMAT:
+                message = "is no file of states that were saved"
                 raise FormatError(Fault("SIM035", message, str(path)))
-            yield archives
+            yield SavedStates(archives, path)
     except ValueError as error:
         raise FormatError(Fault("SIM035", f"{error}", str(path))) from error
+
+
+@dataclass(frozen=True, slots=True)
+class SavedStates:
+    """The states of a file that is open."""
+
+    archives: Archives
+    path: Path
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the states."""
+        names = [name.rpartition("/") for name in self.archives.names(self.path)]
+        return [above for above, _, key in names if key == "clock"]
+
+    def read(self, name: str, clocked: Clocked, start: Reached[Any]) -> Reached[Any]:
+        """Return a state, made like the one that a simulation begins with.
+
+        Raises:
+            OptionError: There is none of that name, or it is of another system: of
+                another kind or size, or other steps (SIM035).
+        """
+        archives, path = self.archives, self.path
+        above = f"{name}/" if name else ""
+
+        def other(message: str, hint: str | None = None) -> OptionError:
+            text = f"{name}: {message}" if name else message
+            return OptionError(Fault("SIM035", text, str(path), (), hint))
+
+        if name and not archives.has(path, f"{above}kind"):
+            raise other("there is no such state")
+        kind = archives.text(path, f"{above}kind")
+        if kind != clocked.kind:
+            raise other(f"it has the state of {kind}, not of {clocked.kind}")
+        clock = archives.load(path, f"{above}clock")
+        if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
+            raise other("its clock is no begin, step and count of steps")
+        begin, step, steps = clock.tolist()
+        if not (
+            math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)
+        ):
+            message = f"its steps of {step:g} s begin at {begin:g} s, and those of the "
+            message += f"scene, of {clocked.step:g} s, at {clocked.begin:g} s"
+            hint = "keep the step and the pre-roll that it was saved with"
+            raise other(message, hint)
+        like, marks = _arrays(start.state), _Marks()
+        _mark(start.state, marks)
+        held = archives.text(path, f"{above}state")
+        names = sorted({*like, *(n for n in held.split(", ") if marks.is_later(n))})
+        if held != _listed(names):
+            raise other(f"its state has {held}, and the scene's {_listed(like)}")
+        found: _Arrays = {}
+        lengths = set()
+        for key in names:
+            values = found[key] = archives.stored(path, f"{above}state/{key}")
+            mine, axis = like.get(key, values), marks.axes.get(key)
+            shape = list(mine.shape)
+            if axis is not None and values.ndim == mine.ndim:
+                shape[axis] = values.shape[axis]
+                lengths.add(shape[axis])
+            if values.shape != (*shape,) or values.dtype.kind != mine.dtype.kind:
+                message = f"{key} is {values.dtype} of shape {values.shape}, and in "
+                raise other(f"{message}the scene {mine.dtype} of shape {mine.shape}")
+            # Who lives for ever has a death that is infinite.
+            sound = np.isfinite(values) if axis is None else ~np.isnan(values)
+            if mine.dtype.kind == "f" and not sound.all():
+                raise other(f"{key} holds a value that is not finite")
+            found[key] = values.astype(mine.dtype)
+        if len(lengths) > 1:
+            rows = listed(sorted(lengths))
+            raise other(f"its arrays have {rows} rows, not all the same")
+        try:
+            return Reached(int(steps), _restored(start.state, found, marks))
+        except TypeError as error:
+            raise other(f"its state has {held}: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Marks:
+    """What fields of a state declare, by name."""
+
+    axes: dict[str, int] = field(default_factory=dict)  # `growing`
+    later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
+
+    def is_later(self, name: str) -> bool:
+        """Return whether an array is of a part that the first state lacks."""
+        return any(f"{name}.".startswith(f"{above}.") for above in self.later)
+
+
+def _mark(state: Any, marks: _Marks, above: str = "", axis: int | None = None) -> None:
+    """Note what the fields of a state declare; of a growing record all arrays grow."""
+    if axis is not None:
+        marks.axes[above] = axis
+    declared = fields(state) if is_dataclass(state) else ()
+    for entry in declared:
+        name = f"{above}.{entry.name}" if above else entry.name
+        if "later" in entry.metadata:
+            marks.later[name] = entry.metadata["later"]
+        grows = entry.metadata.get("grows", axis)
+        _mark(getattr(state, entry.name), marks, name, grows)
+
+
+def _listed(names: Collection[str]) -> str:
+    return ", ".join(sorted(names)) or "nothing"
+
+
+def _arrays(state: Any, above: str = "") -> _Arrays:
+    """Return the arrays and numbers of a state by name; what is None has none."""
+    if state is None:
+        return {}
+    if not (isinstance(state, Mapping) or is_dataclass(state)):
+        array = np.asarray(state)
+        if array.dtype.kind not in "iufb":
+            raise TypeError(f"{above} of a state is no array of numbers: {state!r}")
+        return {above: array}
+    found: _Arrays = {}
+    for name, part in _parts(state).items():
+        found |= _arrays(part, f"{above}.{name}" if above else name)
+    return found
+
+
+def _parts(state: Any) -> dict[str, Any]:
+    """Return what a record or a mapping holds, by name."""
+    if isinstance(state, Mapping):
+        return dict(state)
+    return {entry.name: getattr(state, entry.name) for entry in fields(state)}
+
+
+def _restored(like: Any, arrays: _Arrays, marks: _Marks, above: str = "") -> Any:
+    """Return a state like one, of other arrays."""
+    if above in marks.later:
+        return _part(arrays, marks.later[above], above)
+    if like is None:
+        return None
+    if isinstance(like, Mapping) or is_dataclass(like):
+        parts = {
+            name: _restored(part, arrays, marks, f"{above}.{name}" if above else name)
+            for name, part in _parts(like).items()
+        }
+        return replace(like, **parts) if is_dataclass(like) else parts  # type: ignore[type-var]
+    array = arrays[above]
+    return array if isinstance(like, np.ndarray) else type(like)(array.item())
+
+
+def _part(arrays: _Arrays, records: Sequence[type[Any]], above: str) -> Any:
+    """Return a part that the first state lacks; None where these arrays do, too.
+
+    Raises:
+        TypeError: It is none of the records, and no number or array where those may be.
+    """
+    held = {
+        name.removeprefix(f"{above}."): values if values.ndim else values.item()
+        for name, values in arrays.items()
+        if name == above or name.startswith(f"{above}.")
+    }
+    if not held:
+        return None
+    (first, *more) = held.values()
+    if above in held and not more and type(first) in (records or (float,)):
+        return first
+    for record in records:
+        if record is np.ndarray:
+            continue
+        hints = get_type_hints(record)
+        kinds = {
+            name: float if hint is float else np.ndarray for name, hint in hints.items()
+        }
+        if {name: type(part) for name, part in held.items()} == kinds:
+            return record(**held)
+    raise TypeError(f"{above} is of another method")

@@ -23,11 +23,11 @@ from animtool.sim.colliders import Colliders, MovingBodies, Poses
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
-from animtool.systems.fields import Member
 from animtool.systems.surfaces import Bodies, RigidSystem, Surface
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
+    from animtool.systems.fields import Member
 
 State = TypeVar("State")
 # Told how far work is; None where nobody looks.

@@ -19,7 +19,7 @@ from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
-from animtool.transforms import Attribute, Reference, Track, Transforms
+from animtool.transforms import Attribute, PropRequest, Reference, Track, Transforms
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
@@ -63,19 +63,6 @@ _OF_CAMERAS = (
 )
 # In units of the stage, or in tenths of these.
 _LENGTHS = frozenset(_OF_CAMERAS[:7])
-
-
-@dataclass(frozen=True, slots=True)
-class PropRequest:
-    """What is to be read of a file."""
-
-    file: Path
-    prim: str  # path of the prim
-    path: str  # where it is to be written
-    attributes: tuple[str, ...] = ()  # names of attributes beside those of a camera
-    # File that shows it; the file itself with the prim, or another with its default
-    # prim. None shows nothing.
-    reference: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

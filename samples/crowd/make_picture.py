@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import save
-
-from animtool import bake
+from labelled import make_picture, save
 
 HERE = Path(__file__).parent
 
@@ -107,13 +104,5 @@ def draw(baked: Path, out: Path) -> None:
     save(figure, out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "square.usdc"
-        bake(HERE / "square.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "crowd.png")
+    make_picture(HERE / "square.scene.yaml", draw, *map(Path, sys.argv[1:2]))

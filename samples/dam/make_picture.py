@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import save
-
-from animtool import bake
+from labelled import make_picture, save
 
 HERE = Path(__file__).parent
 FRAMES = (8, 14, 22)
@@ -80,13 +77,5 @@ def draw(baked: Path, out: Path) -> None:
     save(figure, out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "dam.usdc"
-        bake(HERE / "dam.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "dam.png")
+    make_picture(HERE / "dam.scene.yaml", draw, *map(Path, sys.argv[1:2]))

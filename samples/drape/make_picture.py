@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import image_grid, save
+from labelled import image_grid, make_picture, save
 from picture import Array, Camera, Surface, render, triangulated
 from props import floor
-
-from animtool import bake
 
 HERE = Path(__file__).parent
 FRAMES = (1, 8, 16, 48)
@@ -55,13 +52,5 @@ def draw(baked: Path, out: Path) -> None:
     save(image_grid([row], [f"frame {frame}" for frame in FRAMES]), out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "drape.usdc"
-        bake(HERE / "drape.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "drape.png")
+    make_picture(HERE / "drape.scene.yaml", draw, *map(Path, sys.argv[1:2]))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -16,9 +15,7 @@ from pxr import Usd, UsdGeom
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
 from bodies import View, draw_faces
-from labelled import save
-
-from animtool import bake
+from labelled import make_picture, save
 
 HERE = Path(__file__).parent
 
@@ -56,13 +53,5 @@ def draw(baked: Path, out: Path) -> None:
     save(figure, out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "fall.usdc"
-        bake(HERE / "fall.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "fall.png")
+    make_picture(HERE / "fall.scene.yaml", draw, *map(Path, sys.argv[1:2]))

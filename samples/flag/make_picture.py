@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import image_grid, save
+from labelled import image_grid, make_picture, save
 from picture import Array, Camera, Surface, render, triangulated
 from props import rod
-
-from animtool import bake
 
 HERE = Path(__file__).parent
 FRAMES = (6, 18, 30, 42)
@@ -62,13 +59,5 @@ def draw(baked: Path, out: Path) -> None:
     save(image_grid([row], [f"frame {frame}" for frame in FRAMES]), out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "flag.usdc"
-        bake(HERE / "flag.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "flag.png")
+    make_picture(HERE / "flag.scene.yaml", draw, *map(Path, sys.argv[1:2]))

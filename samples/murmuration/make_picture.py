@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,9 +16,7 @@ from pxr import Usd, UsdGeom
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import save
-
-from animtool import bake
+from labelled import make_picture, save
 
 HERE = Path(__file__).parent
 
@@ -123,13 +120,5 @@ def draw(baked: Path, out: Path) -> None:
     save(figure, out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "murmuration.usdc"
-        bake(HERE / "murmuration.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "murmuration.png")
+    make_picture(HERE / "murmuration.scene.yaml", draw, *map(Path, sys.argv[1:2]))

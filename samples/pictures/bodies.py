@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from labelled import save
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom
 
@@ -80,21 +83,23 @@ def draw_faces(
 
 
 def draw_frames(
-    baked: str,
+    baked: Path,
+    out: Path,
+    *,
     path: str,
-    frames: list[int],
+    frames: Sequence[int],
     view: View,
     colours: list[str],
     limits: tuple[tuple[float, float], tuple[float, float]],
     columns: int,
-) -> Any:
-    """Return a figure of some frames of a bake, in rows."""
+) -> None:
+    """Write some frames of a bake as a picture, in rows."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    stage = Usd.Stage.Open(baked)
+    stage = Usd.Stage.Open(str(baked))
     rows = -(-len(frames) // columns)
     (left, right), (low, high) = limits
     width = 9.0 / columns
@@ -109,4 +114,4 @@ def draw_frames(
         axis.set(xticks=[], yticks=[], facecolor="#f2f0ec")
         axis.spines[:].set_visible(False)
         axis.set_title(f"frame {frame}", fontsize=9)
-    return figure
+    save(figure, out)

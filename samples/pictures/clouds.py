@@ -38,10 +38,11 @@ def cloud(stage: Usd.Stage, path: str, frame: float) -> tuple[Array, Array, Arra
 
 def draw_clouds(
     baked: Path,
+    out: Path,
+    *,
     path: str,
     frames: Sequence[int],
     view: tuple[float, float, float],
-    out: Path,
 ) -> None:
     """Write frames of a prim as a picture: ``view`` is turn, tilt and half a width."""
     import matplotlib as mpl

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from pxr import Usd, UsdGeom
 
 sys.path.append(str(Path(__file__).parents[1] / "pictures"))
 
-from labelled import image_grid, save
+from labelled import image_grid, make_picture, save
 from picture import Array, Camera, Surface, render, triangulated
 from props import box, floor
-
-from animtool import bake
 
 HERE = Path(__file__).parent
 FAMILIES = {
@@ -93,13 +90,5 @@ def draw(baked: Path, out: Path) -> None:
     save(image_grid(rows, list(FAMILIES.values()), ROWS), out)
 
 
-def main(out: Path) -> None:
-    """Bake the scene and write its picture."""
-    with TemporaryDirectory() as folder:
-        baked = Path(folder) / "sheets.usdc"
-        bake(HERE / "sheets.scene.yaml", baked)
-        draw(baked, out)
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "sheets.png")
+    make_picture(HERE / "sheets.scene.yaml", draw, *map(Path, sys.argv[1:2]))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from clock import Taken, now, since
-from figures import Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Bound, Clock, Row, ratio_rows, time_rows
 from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
@@ -89,15 +89,13 @@ def many(folder: Path, count: int, runs: int) -> list[Row]:
                 costs.append((done.report["seconds"] - spent(done)) / count * 1000)
     again = [batch(folder).taken for _ in range(runs)]
     faster = [one.wall / two.wall for one, two in zip(*taken.values(), strict=True)]
-    above, bounds = "wall above the work, an item [ms]", (PropRequest(False, 5),)
+    above, bounds = "wall above the work, an item [ms]", (Bound(False, 5),)
     return [
         *time_rows(section, "-j 1", taken[1]),
         Row(section, "-j 1", above, costs, *bounds, clock=Clock.WALL),
         *time_rows(section, "-j 2", taken[2]),
-        Row(
-            section, "-j 2", "times as fast", faster, PropRequest(True, 1.8), Clock.WALL
-        ),
-        *time_rows(section, "nothing changed", again, wanted=PropRequest(False, 1)),
+        Row(section, "-j 2", "times as fast", faster, Bound(True, 1.8), Clock.WALL),
+        *time_rows(section, "nothing changed", again, wanted=Bound(False, 1)),
     ]
 
 
@@ -132,7 +130,7 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
     done = [batch(folder, "-n") for _ in range(runs)]
     assert all(one.report["skipped"] == count for one in done)
     section, tool = "plan", f"{count} items"
-    limit = PropRequest(False, 5) if count == max(PLANNED) else None
+    limit = Bound(False, 5) if count == max(PLANNED) else None
     return [
         *time_rows(section, tool, [one.taken for one in done], wanted=limit),
         Row(section, tool, "peak memory [MB]", [one.peak_bytes / 1e6 for one in done]),
@@ -236,7 +234,7 @@ def accidents(folder: Path, count: int) -> list[Row]:
     first = reported(folder, environment, *limits)
     again = reported(folder, environment, *limits)
     section, tool = f"{count} items, 4 of them bad", "animtool batch"
-    made, bad = PropRequest(True, count - 4), PropRequest(False, 4)
+    made, bad = Bound(True, count - 4), Bound(False, 4)
     redone = again["done"] + again["failed"]
     return [
         Row(section, tool, "made", [first["done"]], made),
@@ -260,7 +258,7 @@ def lost(folder: Path, count: int) -> list[Row]:
     Path(inputs[count // 3]).rename(folder / "takes/kill.trouble")
     failed = reported(folder, environment)["failed"]
     tool = "animtool batch"
-    wanted = PropRequest(False, 1)
+    wanted = Bound(False, 1)
     rows.append(Row("one task kills its process", tool, "lost", [failed], wanted))
     return rows
 
@@ -296,7 +294,7 @@ def resumed(folder: Path, count: int) -> list[Row]:
     section = f"killed at random moments, {count} takes"
     return [
         Row(section, "animtool batch", "runs killed", [stopped]),
-        Row(section, "animtool batch", "files wrong", [wrong], PropRequest(False, 0)),
+        Row(section, "animtool batch", "files wrong", [wrong], Bound(False, 0)),
     ]
 
 
@@ -322,7 +320,7 @@ def farmed(folder: Path, count: int, chunk: int) -> list[Row]:
         *time_rows(section, "the first", alone[:1]),
         *time_rows(section, "the last", alone[-1:]),
         *time_rows(section, "all at once", [every]),
-        Row(section, "all at once", "refused", [refused], PropRequest(False, 0)),
+        Row(section, "all at once", "refused", [refused], Bound(False, 0)),
         *time_rows(section, "the whole, after", [settled.taken]),
     ]
 

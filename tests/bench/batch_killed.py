@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Clock, PropRequest, Row, tables, time_rows
+from figures import Bound, Clock, Row, tables, time_rows
 from measuring import HERE, begin, parser
 
 sys.path.insert(0, str(HERE.parent))
@@ -209,7 +209,7 @@ def checked(here: Folder, clean: Folder) -> list[Row]:
     ]
     twice = len(done) - len(set(done))
     left = [path for path in here.out.rglob(".animtool-*") if path.is_file()]
-    section, tool, none = here.section, "at the end", PropRequest(False, 0)
+    section, tool, none = here.section, "at the end", Bound(False, 0)
     return [
         Row(section, tool, "outputs missing", [here.count - len(names[1])], none),
         Row(section, tool, "outputs that differ", [differing], none),

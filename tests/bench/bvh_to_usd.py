@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from clock import Taken
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import HERE, ROOT, Run, begin, parser, run, taken_of
 
 PEAK = "peak memory [MB]"
 PEAK_PER_FILE = "peak / file [x]"
 ERROR = "largest error [cm]"
 # What a ratio needs of a tool that gives positions.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=0.1)
+NEAR_ENOUGH = Bound(at_least=False, bound=0.1)
 INNER = "wall without start-up [s]"
 SPEED = "CPU speed [MB/s]"
 BLENDER = "Blender"
@@ -86,7 +86,7 @@ class Bench:
         tool: str,
         measure: str,
         values: list[float] | float,
-        wanted: PropRequest | None = None,
+        wanted: Bound | None = None,
     ) -> None:
         """Keep a figure."""
         values = values if isinstance(values, list) else [values]
@@ -115,7 +115,7 @@ class Bench:
                 if i:  # The first warms the caches.
                     taken[name].append(once)
         for name, runs in taken.items():
-            wanted = PropRequest(False, bounds[name]) if name in bounds else None
+            wanted = Bound(False, bounds[name]) if name in bounds else None
             shown = f"{name} {small.name}" if name == "animtool bake" else name
             self.rows += time_rows(START_UP, shown, runs, wanted=wanted)
         pairs = zip(
@@ -123,7 +123,7 @@ class Bench:
         )
         own = [Taken(*(a - b for a, b in zip(*pair, strict=True))) for pair in pairs]
         self.rows += time_rows(
-            START_UP, "import animtool alone", own, wanted=PropRequest(False, 0.03)
+            START_UP, "import animtool alone", own, wanted=Bound(False, 0.03)
         )
 
     def _bake(self, source: Path, stem: Path) -> list[str]:
@@ -132,7 +132,7 @@ class Bench:
         return [*command, "--overwrite", "--format", "json"]
 
     def file(
-        self, section: str, source: Path, every: int, wanted: dict[str, PropRequest]
+        self, section: str, source: Path, every: int, wanted: dict[str, Bound]
     ) -> None:
         """Time every tool on one file, and measure what each got wrong."""
         options, long, size = self.options, section == "long", source.stat().st_size
@@ -202,7 +202,7 @@ class Bench:
         """Time the row parser against np.loadtxt."""
         options = self.options
         found = self.part("kernel", source, self.work, options.kernel_mb, options.runs)
-        wanted = PropRequest(True, 4)
+        wanted = Bound(True, 4)
         self._parts("row parser", found, "np.loadtxt", "parse_bvh_rows", wanted)
         for name in found["taken"]:
             speeds = [
@@ -215,7 +215,7 @@ class Bench:
         """Time the authoring of samples against a bare loop."""
         frames, joints = self.options.authoring_frames, 60
         found = self.part("authoring", self.work, frames, joints, self.options.runs)
-        wanted = PropRequest(False, 1.5)
+        wanted = Bound(False, 1.5)
         self._parts("authoring", found, "AnimationWriter", "layer route", wanted)
 
     def _parts(
@@ -224,7 +224,7 @@ class Bench:
         found: dict[str, Any],
         tool: str,
         base: str,
-        wanted: PropRequest,
+        wanted: Bound,
     ) -> None:
         """Add what the routes of `parts.py` took, and one over the other."""
         taken = {name: taken_of(found["taken"], name) for name in found["taken"]}
@@ -247,13 +247,13 @@ class Bench:
         if "authoring" in sections:
             self.authoring()
         if "medium" in sections:
-            bounds = {BLENDER: PropRequest(True, 5)}
+            bounds = {BLENDER: Bound(True, 5)}
             self.file("medium", self.options.medium, 1, bounds)
         if "long" in sections:
             bounds = {
-                BLENDER: PropRequest(True, 25),
-                "np.loadtxt": PropRequest(True, 0.4),
-                PEAK_PER_FILE: PropRequest(False, 3),
+                BLENDER: Bound(True, 25),
+                "np.loadtxt": Bound(True, 0.4),
+                PEAK_PER_FILE: Bound(False, 3),
             }
             self.file("long", long, self.options.every, bounds)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, in_turn, on_one_thread, parser, run_peer, taken_of
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "crowd" / "square.scene.yaml"
@@ -24,9 +24,9 @@ APART, GAP = 1.25, 10.0
 TOUCHING = 0.01
 OVERLAP, PROGRESS = "largest overlap [m]", "mean progress [m]"
 FRAMES = "frames with an overlap above 1 cm [%]"
-NONE = PropRequest(at_least=False, bound=TOUCHING)
-FAR = PropRequest(at_least=True, bound=20)
-TWICE = PropRequest(at_least=True, bound=2)
+NONE = Bound(at_least=False, bound=TOUCHING)
+FAR = Bound(at_least=True, bound=20)
+TWICE = Bound(at_least=True, bound=2)
 OWN, USUAL = "animtool, headway .4 s", "animtool"
 ROUTES = {
     OWN: ("crowds_animtool.py", "0.4"),
@@ -127,7 +127,7 @@ def growth(options: argparse.Namespace, folder: Path) -> list[Row]:
         medians.append(sorted(one.cpu for one in taken)[len(taken) // 2])
     least, most = options.counts[0], options.counts[-1]
     exponent = math.log(medians[-1] / medians[0]) / math.log(most / least)
-    bound = PropRequest(at_least=False, bound=1.15)
+    bound = Bound(at_least=False, bound=1.15)
     row = Row("growth", USUAL, "exponent of CPU time", [exponent], bound, Clock.CPU)
     return [*rows, row]
 
@@ -143,10 +143,10 @@ def layer(options: argparse.Namespace, folder: Path) -> list[Row]:
     rows += time_rows(section, "what is left of them alone", alone)
     rows += ratio_rows(
         section, "written", written, whole, name="all poses",
-        wanted=PropRequest(at_least=False, bound=3),
+        wanted=Bound(at_least=False, bound=3),
     )  # fmt: skip
     rows += ratio_rows(section, "written", written, alone, name="what is left")
-    size = PropRequest(at_least=False, bound=20)
+    size = Bound(at_least=False, bound=20)
     rows.append(Row(section, "written", "size [MB]", [report["bytes"] / 1e6], size))
     for name, unit in (
         ("error", "joint, off [m]"),

@@ -16,7 +16,7 @@ import mpmath
 import numpy as np
 import numpy.typing as npt
 from clock import Taken
-from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Row, ratio_rows, time_rows
 from measuring import (
     begin,
     floor_work,
@@ -37,7 +37,7 @@ Array = npt.NDArray[np.float64]
 SEED = 4
 ERROR = "largest error [1]"
 # What a ratio needs, where values are about 10: float32 is as near.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=1e-3)
+NEAR_ENOUGH = Bound(at_least=False, bound=1e-3)
 # Short runs go over the sample so often.
 OFTEN = 10
 BATCH, SINGLE = "all channels and frames, one call", "a call a value"
@@ -219,7 +219,7 @@ def rows_of(
             rows.append(Row(section, name, ERROR, [errors[name]]))
             near = [Accuracy(ERROR, errors[name], NEAR_ENOUGH)]
         if name != OWN:
-            bound = PropRequest(True, bounds[name]) if name in bounds else None
+            bound = Bound(True, bounds[name]) if name in bounds else None
             own = taken[OWN]
             rows += ratio_rows(section, name, runs, own, wanted=bound, accuracy=near)
     return rows

@@ -31,7 +31,7 @@ from deform_meshes import (
     write_points,
     write_take,
 )
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import (
     begin,
     floor_work,
@@ -52,8 +52,8 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin, skin_point
 
 ERROR = "largest error [1e-6]"
 # What a ratio needs, of points about 1 in size: float32 is as near.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=100.0)
-AHEAD = PropRequest(at_least=True, bound=1.0)
+NEAR_ENOUGH = Bound(at_least=False, bound=100.0)
+AHEAD = Bound(at_least=True, bound=1.0)
 OURS, INTO, ONE = "animtool", "animtool, out=", "animtool, a call a frame"
 
 
@@ -71,7 +71,7 @@ class Peer:
 
     name: str
     work: Work
-    bound: PropRequest | None = None
+    bound: Bound | None = None
     single: bool = True
     exact: bool = True
 
@@ -168,7 +168,7 @@ def measure_shapes(
         row[shape.indices] = shape.offsets
     matrix = matrix.reshape(len(shapes), -1)
     truth = (weights[:4] @ matrix).reshape(4, *points.shape) + points
-    bound = PropRequest(True, 1 / 1.5) if against_product else None
+    bound = Bound(True, 1 / 1.5) if against_product else None
     space = np.zeros((options.frames, matrix.shape[1]))
     product = Peer(
         "dense product alone",
@@ -189,7 +189,7 @@ def measure_shapes(
         options,
     )
     deformed = usd_blend(points, shapes, weights)
-    peer = Peer("UsdSkel, ComputeDeformedPoints", deformed, PropRequest(True, 3))
+    peer = Peer("UsdSkel, ComputeDeformedPoints", deformed, Bound(True, 3))
     return rows_of(
         section,
         lambda frames, out: blend_points(made, weights[frames], out=out),
@@ -223,7 +223,7 @@ def measure_skin(
         Peer(
             "UsdSkel, SkinPoints",
             usd_skin(made, moved, method),
-            PropRequest(True, bound),
+            Bound(True, bound),
         ),
         Peer("UsdSkel, ComputeSkinnedPoints", usd_query(made, moved, method)),
     ]
@@ -305,7 +305,7 @@ def measure_bake(options: argparse.Namespace) -> list[Row]:
     rows, unit = [], "ms/frame"
     for name, runs in taken.items():
         rows += time_rows("bake", name, runs, unit=unit, per=len(frames))
-    bound = PropRequest(False, 3)
+    bound = Bound(False, 3)
     rows += ratio_rows(
         "bake", whole, taken[whole], taken[alone], name=alone, wanted=bound
     )

@@ -28,7 +28,7 @@ class Clock(StrEnum):
 
 
 @dataclass(frozen=True)
-class PropRequest:
+class Bound:
     """A bound on a figure."""
 
     at_least: bool
@@ -54,7 +54,7 @@ class Accuracy:
 
     measure: str
     value: float
-    needed: PropRequest
+    needed: Bound
 
     def fault(self) -> str:
         """Return why the tool is not compared, or nothing where it is.
@@ -88,7 +88,7 @@ class Row:
     tool: str
     measure: str
     values: Sequence[float]
-    wanted: PropRequest | None = None
+    wanted: Bound | None = None
     clock: Clock = Clock.NONE
     ratio: bool = False
     note: str = ""
@@ -116,7 +116,7 @@ def time_rows(
     *,
     unit: str = "s",
     per: float = 1.0,
-    wanted: PropRequest | None = None,
+    wanted: Bound | None = None,
 ) -> list[Row]:
     """Return wall and CPU time beside each other.
 
@@ -144,7 +144,7 @@ def ratio_rows(
     base: Sequence[Taken],
     *,
     name: str = "animtool",
-    wanted: PropRequest | None = None,
+    wanted: Bound | None = None,
     accuracy: Iterable[Accuracy] = (),
 ) -> list[Row]:
     """Return how many times as long a tool takes as another, run by run in turn.

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, in_turn, on_one_thread, parser, run_peer, taken_of
 
 SEED, SEEN, RADIUS, SOFTENING = 3, 11, 1.0, 0.1
 WEIGHTS = np.array([0.8, 1.5, 0.15])
 ERROR = "largest error [m/s²]"
-NEAR_ENOUGH = PropRequest(at_least=False, bound=1e-9)
-GRIDS = PropRequest(at_least=True, bound=2.5)
+NEAR_ENOUGH = Bound(at_least=False, bound=1e-9)
+GRIDS = Bound(at_least=True, bound=2.5)
 # Members whose accelerations are also found from each other member.
 SAMPLE = 64
 OWN, SEES, SEVEN = "animtool", "animtool, 300 degrees", "animtool, 7 nearest"
@@ -95,7 +95,7 @@ def measure(options: argparse.Namespace, count: int, folder: Path) -> list[Row]:
                 accuracy=[Accuracy(ERROR, errors[name], NEAR_ENOUGH)],
             )  # fmt: skip
     if count >= options.memory_from:
-        least = PropRequest(at_least=False, bound=200)
+        least = Bound(at_least=False, bound=200)
         rows.append(Row(section, OWN, "memory a member [B]", sizes, least))
     return rows
 
@@ -115,7 +115,7 @@ def growth(rows: list[Row], counts: list[int]) -> list[Row]:
             exponent = math.log(medians[1] / medians[0]) / math.log(
                 counts[-1] / counts[0]
             )
-            bound = PropRequest(at_least=False, bound=1.1) if name == OWN else None
+            bound = Bound(at_least=False, bound=1.1) if name == OWN else None
             measure = "exponent of CPU time"
             found.append(Row("growth", name, measure, [exponent], bound, Clock.CPU))
     return found

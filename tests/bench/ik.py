@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, tables, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, tables, time_rows
 from ik_problems import Array, Case, Flags, read_cases
 from ik_serve import Asked
 from ik_tools import MINK, NEAR, OWN, PINK, SINGLE, TOOLBOX, TRAC, Tool, started, tools
@@ -26,7 +26,7 @@ from measuring import HERE, begin, parser, run
 SOLVED, COUNT = "solved [%]", "problems"
 MEDIAN, NINETY_FIVE = "median wall [us]", "95 % wall [us]"
 # What a ratio needs: a tool that gives up early is quick.
-SURE_ENOUGH = PropRequest(at_least=True, bound=95.0)
+SURE_ENOUGH = Bound(at_least=True, bound=95.0)
 # How far beyond its limits a joint may be.
 LIMITS = 1e-6
 # Of one pose of a clip.
@@ -187,7 +187,7 @@ def rows_of(
     section: str,
     answers: dict[str, list[Answer]],
     reached: tuple[float, float],
-    wanted: dict[tuple[str, str], PropRequest],
+    wanted: dict[tuple[str, str], Bound],
 ) -> list[Row]:
     """Return the figures of every tool, one value a run.
 
@@ -219,8 +219,8 @@ def rows_of(
 
 def arms(bench: Bench) -> Iterator[list[Row]]:
     """Poses of arms, from a start that has nothing to do with them."""
-    wanted = {(OWN, SOLVED): PropRequest(True, 100)}
-    ahead, same = PropRequest(True, 1), (TOOLBOX, TRAC)
+    wanted = {(OWN, SOLVED): Bound(True, 100)}
+    ahead, same = Bound(True, 1), (TOOLBOX, TRAC)
     wanted |= {(name, own): ahead for name in same for own in (OWN, SINGLE)}
     for path in sorted(bench.data.glob("arm_*.json")):
         case = bench.cases(path.stem)[0].first(bench.most)
@@ -232,8 +232,8 @@ def arms(bench: Bench) -> Iterator[list[Row]]:
 def bodies(bench: Bench) -> Iterator[list[Row]]:
     """Five effectors of a body, from a T pose."""
     wanted = {
-        (OWN, SOLVED): PropRequest(True, 100),
-        (OWN, MEDIAN): PropRequest(False, 500),
+        (OWN, SOLVED): Bound(True, 100),
+        (OWN, MEDIAN): Bound(False, 500),
     }
     for kind in ("pin3", "ball"):
         name = f"humanoid_{kind}"
@@ -249,11 +249,9 @@ def clips(bench: Bench) -> Iterator[list[Row]]:
         ("clip of panda", "clip_panda", 30),
         ("clip of humanoid, pin3", "clip_humanoid_pin3", 12),
     ):
-        wanted = {(tool, OWN): PropRequest(True, times) for tool in (MINK, PINK)}
-        wanted |= {
-            (tool, SINGLE): PropRequest(True, 1) for tool in (TOOLBOX, MINK, PINK)
-        }
-        wanted[OWN, SOLVED] = PropRequest(True, 100)
+        wanted = {(tool, OWN): Bound(True, times) for tool in (MINK, PINK)}
+        wanted |= {(tool, SINGLE): Bound(True, 1) for tool in (TOOLBOX, MINK, PINK)}
+        wanted[OWN, SOLVED] = Bound(True, 100)
         case = bench.cases(name)[0].first(bench.frames)
         asked = replace(NEAR, position=CLOSE, angle=CLOSE)
         answers = bench.timed(name, case, asked)
@@ -279,7 +277,7 @@ def hard(bench: Bench) -> Iterator[list[Row]]:
                     found.setdefault(tool.name, []).extend(good)
         rows = []
         for tool_name, good in found.items():
-            wanted = PropRequest(True, 100) if tool_name == OWN else None
+            wanted = Bound(True, 100) if tool_name == OWN else None
             share = 100 * float(np.mean(good))
             rows.append(Row(name, tool_name, SOLVED, [share], wanted))
             rows.append(Row(name, tool_name, COUNT, [len(good)]))

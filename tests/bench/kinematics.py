@@ -18,7 +18,7 @@ import mpmath
 import numpy as np
 import numpy.typing as npt
 from clock import Taken
-from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Row, ratio_rows, time_rows
 from measuring import (
     begin,
     floor_work,
@@ -42,7 +42,7 @@ SEED = 11
 DIGITS = 50
 ERROR = "largest error [m]"
 # What a ratio needs: float32 is as near.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=1e-5)
+NEAR_ENOUGH = Bound(at_least=False, bound=1e-5)
 OWN, INTO, ONE = "animtool", "animtool, out=", "animtool, a call a frame"
 PINOCCHIO = "Pinocchio, forwardKinematics"
 CONCAT = "UsdSkel, ConcatJointTransforms"
@@ -335,12 +335,12 @@ def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
     }
     title = f"{options.joints} joints, {options.frames} frames"
     peers = [CONCAT, QUERY, *([PINOCCHIO] if peer else [])]
-    ahead = PropRequest(at_least=True, bound=1.0)
+    ahead = Bound(at_least=True, bound=1.0)
     # None of these takes many frames, so a loop of its calls is all there is.
     bounds = {INTO: None, "numpy, quaternions": ahead} | dict.fromkeys(peers, ahead)
     rows = rows_of(f"{title}, one call", [*batch, *peers], OWN, bounds, taken, errors)
     for name in libraries:
-        bound = PropRequest(at_least=False, bound=2.0)
+        bound = Bound(at_least=False, bound=2.0)
         section = f"{title}, one call"
         rows += ratio_rows(
             section, INTO, taken[INTO], taken[name], name=name, wanted=bound
@@ -354,7 +354,7 @@ def rows_of(
     section: str,
     names: list[str],
     own: str,
-    bounds: dict[str, PropRequest | None],
+    bounds: dict[str, Bound | None],
     taken: dict[str, list[Taken]],
     errors: dict[str, float],
 ) -> list[Row]:

@@ -270,6 +270,22 @@ class Session:
             write_csv(path, about, rows, loaded=loaded)
 
 
+def draw(python: str, source: Path, *measures: str) -> None:
+    """Draw time against errors from a CSV, where the interpreter has matplotlib.
+
+    Args:
+        python: Its path.
+        source: The CSV; the plot is written beside it.
+        measures: What the names of the errors begin with.
+    """
+    known = [python, "-c", "import matplotlib"]
+    if subprocess.run(known, capture_output=True, check=False).returncode:
+        print(f"no plot was drawn: {python} has no matplotlib", file=sys.stderr)
+        return
+    script, plot = HERE / "peers" / "error_plot.py", source.with_suffix(".svg")
+    run([python, str(script), str(source), str(plot), *measures], report=False)
+
+
 def begin(
     options: argparse.Namespace,
     *interpreters: tuple[str | None, list[str]],

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from clock import Taken
-from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Row, ratio_rows, time_rows
 from measuring import (
     begin,
     in_process,
@@ -30,15 +30,15 @@ from animtool.mocap.cameras.camera import camera_numbers
 
 Array = npt.NDArray[np.float64]
 OWN = "animtool, mocap triangulate"
-PEERS: dict[str, tuple[str, PropRequest | None]] = {
+PEERS: dict[str, tuple[str, Bound | None]] = {
     "aniposelib, linear": ("linear", None),
-    "aniposelib, fast": ("fast", PropRequest(at_least=True, bound=20)),
-    "OpenCV, pairs and median": ("opencv", PropRequest(at_least=True, bound=5)),
+    "aniposelib, fast": ("fast", Bound(at_least=True, bound=20)),
+    "OpenCV, pairs and median": ("opencv", Bound(at_least=True, bound=5)),
 }
-POINTS_A_SECOND = PropRequest(at_least=True, bound=300_000)
+POINTS_A_SECOND = Bound(at_least=True, bound=300_000)
 RMS = "error RMS [mm]"
 # What any tool is compared at: it found the points, however near.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=50.0)
+NEAR_ENOUGH = Bound(at_least=False, bound=50.0)
 
 
 def errors(section: str, tool: str, points: Array, truth: Array) -> list[Row]:

@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, in_process, in_turn, on_one_thread, parser
 
 OWN, BOUNDED, NONNEGATIVE = "animtool", "scipy lsq_linear a frame", "scipy nnls a frame"
 # Frames a second, and error of weights, that the project means to keep.
-FASTEST = PropRequest(at_least=True, bound=200.0)
-EXACT = PropRequest(at_least=False, bound=0.03)
-MOST = PropRequest(at_least=False, bound=0.3)
-FASTER = PropRequest(at_least=True, bound=1.0)
+FASTEST = Bound(at_least=True, bound=200.0)
+EXACT = Bound(at_least=False, bound=0.03)
+MOST = Bound(at_least=False, bound=0.3)
+FASTER = Bound(at_least=True, bound=1.0)
 RMS = "weights RMS"
 # Whose weights are farther off did other work.
-NEAR = PropRequest(at_least=False, bound=0.1)
+NEAR = Bound(at_least=False, bound=0.1)
 
 
 def routes(path: Path, made: dict[str, np.ndarray]):

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Row, ratio_rows, time_rows
 from measuring import HERE, begin, in_turn, on_one_thread, parser, run, taken_of
 
 OWN, OPENSIM = "animtool", "OpenSim IK tool"
-FASTEST = PropRequest(at_least=True, bound=400.0)
-FASTER = PropRequest(at_least=True, bound=1.0)
+FASTEST = Bound(at_least=True, bound=400.0)
+FASTER = Bound(at_least=True, bound=1.0)
 ERROR = "markers to truth, RMS [mm]"
 # What is farther from the truth is wrong, not noise [m].
 WRONG = 0.015
@@ -82,13 +82,13 @@ def measure(
         rows.append(Row(section, tool, "frames / CPU s", speeds, bound))
         most = errors.get(OPENSIM)
         wanted = (
-            PropRequest(at_least=False, bound=most)
+            Bound(at_least=False, bound=most)
             if tool == OWN and most is not None
             else None
         )
         rows.append(Row(section, tool, ERROR, [errors[tool]], wanted))
         if tool != OWN:
-            held = PropRequest(at_least=False, bound=1000 * WRONG)
+            held = Bound(at_least=False, bound=1000 * WRONG)
             near = [Accuracy(ERROR, errors[tool], held)]
             rows += ratio_rows(
                 *(section, tool, taken[tool], taken[OWN]), wanted=FASTER, accuracy=near

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
-from measuring import begin, on_one_thread, parser, run_peer, taken_of
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
+from measuring import begin, draw, on_one_thread, parser, run_peer, taken_of
 
 # Of the melt that LAMMPS is measured by: density, temperature, cut-off, skin and step.
 DENSITY, TEMPERATURE, CUTOFF, SKIN, STEP = 0.8442, 1.44, 2.5, 0.3, 0.005
@@ -27,11 +27,11 @@ ROUTES = {
     OPENMM: "molecules_openmm.py",
 }
 POTENTIAL = "error of the first energy"
-SAME = PropRequest(at_least=False, bound=1e-4)
+SAME = Bound(at_least=False, bound=1e-4)
 # A peer may take 1/1.5 of our time, or must take longer.
 WANTED = {
-    LAMMPS: PropRequest(at_least=True, bound=1 / 1.5),
-    OPENMM: PropRequest(at_least=True, bound=1.0),
+    LAMMPS: Bound(at_least=True, bound=1 / 1.5),
+    OPENMM: Bound(at_least=True, bound=1.0),
 }
 METHODS = ("symplectic_euler", "velocity_verlet", "position_verlet", "rk4")
 
@@ -138,6 +138,7 @@ def main() -> None:
     if len(options.counts) > 1:
         rows += growth(rows, options.counts)
     session.finish(options.csv, rows)
+    draw(sys.executable, options.csv, "drift of energy")
 
 
 if __name__ == "__main__":

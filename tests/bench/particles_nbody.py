@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from clock import Taken
-from figures import Clock, PropRequest, Row, ratio_rows, time_rows
-from measuring import begin, on_one_thread, parser, run_peer
+from figures import Bound, Clock, Row, ratio_rows, time_rows
+from measuring import begin, draw, on_one_thread, parser, run_peer
 
 SEED, SAMPLE = 5, 200
 ERROR = "rms of relative errors"
@@ -26,12 +26,16 @@ AT = 2e-4
 ACCURACIES = ("3e-3", "1e-3", "3e-4", "1e-4", "3e-5")
 ANGLES = {
     REBOUND: ("nbody_rebound.py", (), ("0.7", "0.5", "0.3", "0.2")),
-    MONOPOLE: ("nbody_pytreegrav.py", ("monopole",), ("0.7", "0.4", "0.25")),
-    QUADRUPOLE: ("nbody_pytreegrav.py", ("quadrupole",), ("1", "0.7", "0.5")),
+    MONOPOLE: ("nbody_pytreegrav.py", ("monopole",), ("0.7", "0.4", "0.25", "0.2")),
+    QUADRUPOLE: ("nbody_pytreegrav.py", ("quadrupole",), ("1", "0.7", "0.5", "0.4")),
 }
-FASTER, DIRECT = (PropRequest(at_least=True, bound=b) for b in (1.5, 10.0))
+FASTER, DIRECT = (Bound(at_least=True, bound=b) for b in (1.5, 10.0))
 # Bodies up to which direct sums are timed.
 FEW = 20_000
+# Bodies from which on the next count has just the settings around the error.
+MANY = 10_000
+
+Settings = dict[str, tuple[str, ...]]
 
 
 def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -54,6 +58,17 @@ def exact(x: np.ndarray, masses: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
+def around(found: list[dict[str, Any]], error: float) -> tuple[str, ...]:
+    """Return the settings whose errors are next above and below an error.
+
+    Of a tool that stays above it, that is the setting with the least error.
+    """
+    by_error = sorted(found, key=lambda one: one["error"])
+    above = [one["setting"] for one in by_error if one["error"] >= error][:1]
+    below = [one["setting"] for one in by_error if one["error"] < error][-1:]
+    return tuple(below + above)
+
+
 def at_error(found: list[dict[str, Any]], error: float) -> Taken | None:
     """Return what a tool takes for an error, between its settings; None beyond them."""
     points = sorted(
@@ -70,8 +85,13 @@ def at_error(found: list[dict[str, Any]], error: float) -> Taken | None:
     return Taken(wall, cpu)
 
 
-def measure(options: argparse.Namespace, count: int, folder: Path) -> list[Row]:
-    """Time each tool by its settings, and compare them at one error."""
+def measure(
+    options: argparse.Namespace, count: int, folder: Path, settings: Settings
+) -> list[Row]:
+    """Time each tool by its settings, and compare them at one error.
+
+    ``settings`` of peers become those around that error where there are many bodies.
+    """
     x, masses = bodies(count)
     rows_of = np.random.default_rng(SEED + 1).choice(count, SAMPLE, replace=False)
     source = folder / f"{count}.npz"
@@ -97,8 +117,11 @@ def measure(options: argparse.Namespace, count: int, folder: Path) -> list[Row]:
     if not options.peer_python:
         return rows
     fastest: tuple[float, str, Taken] | None = None
-    for name, (script, more, angles) in ANGLES.items():
-        theirs = at_error(run(name, script, *more, *angles), AT)
+    for name, (script, more, _) in ANGLES.items():
+        found = run(name, script, *more, *settings[name])
+        theirs = at_error(found, AT)
+        if count >= MANY:
+            settings[name] = around(found, AT)
         if theirs is None or ours is None:
             continue
         rows += ratio_rows(section, f"{name} at {AT:g}", [theirs], [ours], wanted=None)
@@ -110,7 +133,8 @@ def measure(options: argparse.Namespace, count: int, folder: Path) -> list[Row]:
     if count <= FEW and ours is not None:
         (direct,) = run("rebound, direct", "nbody_rebound.py", "0")
         taken = [Taken(*pair) for pair in direct["taken"]]
-        rows += ratio_rows(section, "rebound, direct", taken, [ours], wanted=DIRECT)
+        wanted = DIRECT if count >= MANY else None
+        rows += ratio_rows(section, "rebound, direct", taken, [ours], wanted=wanted)
         run(OWN, "nbody_animtool.py", "0")
     return rows
 
@@ -120,9 +144,9 @@ def methods() -> list[Row]:
     steps = [
         f"{method}:{step}"
         for method in ("symplectic_euler", "midpoint", "velocity_verlet", "rk4")
-        for step in (0.04, 0.02, 0.01)
+        for step in (0.01, 0.005, 0.0025)
     ]
-    found = run_peer(sys.executable, "nbody_methods.py", 2, *steps, "rk4:0.0025")
+    found = run_peer(sys.executable, "nbody_methods.py", 2, *steps, "rk4:0.000625")
     rows = []
     for one in found["found"][:-1]:
         tool = one["setting"].replace(":", ", ")
@@ -161,12 +185,14 @@ def main() -> None:
     )
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
+        settings = {name: angles for name, (_, _, angles) in ANGLES.items()}
         for count in options.counts:
-            rows += measure(options, count, Path(folder))
+            rows += measure(options, count, Path(folder), settings)
     rows += methods()
     if len(options.counts) > 1:
         rows += growth(rows, options.counts)
     session.finish(options.csv, rows)
+    draw(sys.executable, options.csv, "drift of energy", "rms of ")
 
 
 if __name__ == "__main__":

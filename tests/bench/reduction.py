@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken, now, since
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, parser, run_peer, taken_of
 
 from animtool._types import FloatArray
@@ -95,7 +95,7 @@ class Bench:
         tool: str,
         measure: str,
         values: object,
-        *wanted: PropRequest,
+        *wanted: Bound,
     ) -> None:
         """Add one figure."""
         listed = values if isinstance(values, list) else [float(values)]  # type: ignore[arg-type]
@@ -107,7 +107,7 @@ class Bench:
         tool: str,
         samples: int,
         taken: list[Taken],
-        *wanted: PropRequest,
+        *wanted: Bound,
     ) -> None:
         """Add what some runs took, and how many samples a second that is."""
         self.rows += time_rows(section, tool, taken)
@@ -124,7 +124,7 @@ class Bench:
         measure: str,
     ) -> None:
         """Compare a tool with animtool, where it kept the tolerance."""
-        needed = PropRequest(at_least=False, bound=1.01 * self.options.degrees)
+        needed = Bound(at_least=False, bound=1.01 * self.options.degrees)
         near = [Accuracy(measure, error, needed)]
         self.rows += ratio_rows(section, tool, taken, own, accuracy=near)
 
@@ -142,7 +142,7 @@ class Bench:
         runs = self.options.runs
 
         def report(
-            tool: str, keys: int, error: float, taken: list[Taken], *wanted: PropRequest
+            tool: str, keys: int, error: float, taken: list[Taken], *wanted: Bound
         ) -> None:
             self.add(section, tool, KEYS, keys)
             self.add(section, tool, SAMPLES_PER_KEY, samples / keys, *wanted[:1])
@@ -156,10 +156,8 @@ class Bench:
         )
         keys = sum(len(k.frames) for k in fitted)
         dense = self.options.dense in section
-        wanted = (PropRequest(True, 15),) if dense else ()
-        report(
-            "animtool", keys, error, taken, *wanted, *(PropRequest(True, 1e5),) * dense
-        )
+        wanted = (Bound(True, 15),) if dense else ()
+        report("animtool", keys, error, taken, *wanted, *(Bound(True, 1e5),) * dense)
         counts = [len(k.frames) for k in fitted]
         self.add(section, "animtool", BUSY, busy_share(counts, len(frames)))
         inner = np.concatenate([k.smooth[1:-1] for k in fitted])
@@ -217,10 +215,10 @@ class Bench:
                 "animtool",
                 METRES,
                 found.error,
-                PropRequest(False, tolerance),
+                Bound(False, tolerance),
             )
             add(section, "animtool", ROUNDS, found.rounds)
-            wanted = (PropRequest(True, 1e5),) * (self.options.dense in section)
+            wanted = (Bound(True, 1e5),) * (self.options.dense in section)
             self.times(section, "animtool", found.samples, taken, *wanted)
 
 

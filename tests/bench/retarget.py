@@ -16,17 +16,17 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, PropRequest, Row, ratio_rows, time_rows
+from figures import Accuracy, Bound, Row, ratio_rows, time_rows
 from measuring import HERE, begin, in_turn, on_one_thread, parser, run, taken_of
 from retarget_case import case_of, measures
 
 OWN, MINK, THREE = "animtool", "mink", "three.js retargetClip"
 BIPED = HERE.parents[1] / "rigs/biped/biped.rig.yaml"
 TARGETS = ["child", "giant", "dwarf"]
-FASTEST = PropRequest(at_least=True, bound=8000.0)
-FASTER = PropRequest(at_least=True, bound=1.0)
+FASTEST = Bound(at_least=True, bound=8000.0)
+FASTER = Bound(at_least=True, bound=1.0)
 # A tool whose feet slide further does other work.
-HELD = PropRequest(at_least=False, bound=5.0)
+HELD = Bound(at_least=False, bound=5.0)
 DRIFT = "largest drift [mm]"
 # Of each measure of a take, what animtool is to reach.
 BOUNDS = {
@@ -90,7 +90,7 @@ def measure(
         values = measures(case, walk.contacts, results[tool])
         for title, value in values.items():
             most = BOUNDS.get(title) if own else None
-            bound = None if most is None else PropRequest(at_least=False, bound=most)
+            bound = None if most is None else Bound(at_least=False, bound=most)
             rows.append(Row(section, tool, title, [value], bound))
         if not own:
             near = [Accuracy(DRIFT, values[DRIFT], HELD)]

@@ -12,11 +12,11 @@ import tempfile
 from pathlib import Path
 
 from clock import Taken
-from figures import Clock, PropRequest, Row, time_rows
+from figures import Bound, Clock, Row, time_rows
 from measuring import ROOT, begin, in_turn, on_one_thread, parser, run
 
 SAMPLE = ROOT / "samples/retarget"
-FASTER = PropRequest(at_least=True, bound=1.8)
+FASTER = Bound(at_least=True, bound=1.8)
 
 
 def prepared(folder: Path, count: int) -> Path:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Clock, PropRequest, Row, ratio_rows, time_rows
+from figures import Bound, Clock, Row, ratio_rows, time_rows
 from measuring import begin, in_turn, on_one_thread, parser, run_peer, taken_of
 from scipy.spatial import cKDTree
 
@@ -27,8 +27,8 @@ SCRIPTS = {
     MUJOCO: "rigid_mujoco.py",
 }
 DEEPEST, MEAN = "deepest penetration [mm]", "mean penetration [mm]"
-FASTER = PropRequest(at_least=True, bound=1.0)
-GROWTH = PropRequest(at_least=False, bound=1.15)
+FASTER = Bound(at_least=True, bound=1.0)
+GROWTH = Bound(at_least=False, bound=1.15)
 
 
 def heap(count: int) -> dict[str, np.ndarray]:
@@ -103,7 +103,7 @@ def measure(
     for name in peers:
         deep, kinetic, height = found[name]
         rows += time_rows(section, name, taken[name])
-        bound = PropRequest(at_least=False, bound=1e3 * min(others)) if others else None
+        bound = Bound(at_least=False, bound=1e3 * min(others)) if others else None
         bound = bound if name == OWN else None
         rows.append(Row(section, name, MEAN, [1e3 * float(deep.mean())], bound))
         rows.append(Row(section, name, DEEPEST, [1e3 * float(deep.max())]))

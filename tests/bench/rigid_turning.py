@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import Clock, PropRequest, Row
+from figures import Bound, Clock, Row
 from measuring import begin, in_process, in_turn, on_one_thread, parser
 
 from animtool import _kernels
@@ -99,7 +99,7 @@ def measure(nut: Wingnut, runs: int) -> tuple[list[Row], list[Panel]]:
             rows.append(times_row)
             for measure, error in errors.items():
                 claims = name == RigidModel.methods[0] and steps == 1
-                bound = PropRequest(at_least=False, bound=CLAIMED[measure])
+                bound = Bound(at_least=False, bound=CLAIMED[measure])
                 rows.append(
                     Row(section, name, measure, [error], bound if claims else None)
                 )

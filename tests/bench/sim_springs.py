@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -18,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 from clock import Taken
-from figures import Accuracy, Clock, PropRequest, Row, ratio_rows, time_rows
-from measuring import HERE, begin, floors, parser, run, run_peer, taken_of
+from figures import Accuracy, Bound, Clock, Row, ratio_rows, time_rows
+from measuring import begin, draw, floors, parser, run_peer, taken_of
 
 from animtool.systems.springs import Family, Pins, SpringSystem, sheet
 
@@ -27,7 +26,7 @@ FRAMES = 24
 EACH = "CPU of a spring and step [ns]"
 EARLY, LATE = "RMS at frame 6 [mm]", "RMS at frame 12 [mm]"
 # What a ratio needs at both frames: a hundredth of the side of the sheet.
-NEAR_ENOUGH = PropRequest(at_least=False, bound=10.0)
+NEAR_ENOUGH = Bound(at_least=False, bound=10.0)
 # Steps a second. Explicit ones of the sheet of 20 are stable from 1479 on, by its
 # fastest motion at rest; the fewest here are 5 % more. Taichi is given 1704 or more.
 OWN = {
@@ -239,10 +238,10 @@ def as_near(found: Found, own: list[Found]) -> Found | None:
     return min(near, key=lambda one: one.cpu, default=None)
 
 
-def wanted(size: int, found: Found) -> PropRequest | None:
+def wanted(size: int, found: Found) -> Bound | None:
     """Return the least ratio that a peer is to have."""
     bound = WANTED[size].get(found.tool.replace(",", " ").split()[0])
-    return None if bound is None else PropRequest(at_least=True, bound=bound)
+    return None if bound is None else Bound(at_least=True, bound=bound)
 
 
 def rows(size: int, every: list[Found]) -> list[Row]:
@@ -260,7 +259,7 @@ def rows(size: int, every: list[Found]) -> list[Row]:
         bases = [] if found in own else [("animtool", own, wanted(size, found))]
         if found.tool.startswith(("newton", "mujoco")):
             # They are called for every step or frame.
-            bases.append((OWN_ALONE, alone, PropRequest(at_least=True, bound=1.0)))
+            bases.append((OWN_ALONE, alone, Bound(at_least=True, bound=1.0)))
         for name, others, bound in bases:
             base, near = as_near(found, others), found.near()
             if base is not None or any(one.fault() for one in near):
@@ -275,20 +274,9 @@ def rows(size: int, every: list[Found]) -> list[Row]:
                 )
         if found.tool == "animtool symplectic_euler":
             each = 1e9 * found.cpu / (springs * found.rate)
-            bound = PropRequest(at_least=False, bound=STEP)
+            bound = Bound(at_least=False, bound=STEP)
             made.append(Row(section, found.name, EACH, [each], bound, clock=Clock.CPU))
     return made
-
-
-def draw(python: str, source: Path) -> None:
-    """Draw the curves, where the interpreter has matplotlib."""
-    known = [python, "-c", "import matplotlib"]
-    if subprocess.run(known, capture_output=True, check=False).returncode:
-        print(f"no plot was drawn: {python} has no matplotlib", file=sys.stderr)
-        return
-    script = str(HERE / "peers" / "springs_plot.py")
-    plot = str(source.with_suffix(".svg"))
-    run([python, script, str(source), plot], report=False)
 
 
 def main() -> None:
@@ -314,7 +302,7 @@ def main() -> None:
             every += rows(size, bench.run())
             session.about += [f"{n}, {r}/s, did not run" for n, r in bench.lost]
     session.finish(options.csv, every)
-    draw(options.plot_python, options.csv)
+    draw(options.plot_python, options.csv, "RMS at ")
 
 
 if __name__ == "__main__":

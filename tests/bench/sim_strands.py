@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from clock import now, since
-from figures import Clock, PropRequest, Row
+from figures import Bound, Clock, Row
 from measuring import ROOT, begin, parser
 
 import animtool
@@ -167,7 +167,7 @@ def main() -> None:
         for measure in found[0]:
             wanted = None
             if name == "simulate" and measure == "simulated / wall [x]":
-                wanted = PropRequest(at_least=True, bound=3.0)
+                wanted = Bound(at_least=True, bound=3.0)
             values = [one[measure] for one in found]
             rows.append(Row(section, name, measure, values, wanted, clock(measure)))
         bare = [one["a particle and step [ns]"] for one in found]

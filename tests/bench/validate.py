@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from figures import PropRequest, Row, time_rows
+from figures import Bound, Row, time_rows
 from measuring import ROOT, begin, parser, run
 
 MANY, LIMBS, BONES = 500, 6, 10
@@ -49,7 +49,7 @@ def clip_text() -> str:
 
 
 def timed(
-    runs: int, section: str, tool: str, wanted: PropRequest | None, *arguments: object
+    runs: int, section: str, tool: str, wanted: Bound | None, *arguments: object
 ) -> list[Row]:
     """Return how long the command takes on files without a finding."""
     command = [sys.executable, "-m", "animtool", "validate", *map(str, arguments)]
@@ -76,10 +76,10 @@ def main() -> None:
         biped = ROOT / "rigs/biped/biped.rig.yaml"
         some, few = max(1, options.runs // 3), "a process a rig"
         rows = [
-            *timed(options.runs, few, "60 joints", PropRequest(False, 0.3), one),
-            *timed(options.runs, few, "the biped", PropRequest(False, 0.3), biped),
+            *timed(options.runs, few, "60 joints", Bound(False, 0.3), one),
+            *timed(options.runs, few, "the biped", Bound(False, 0.3), biped),
             *timed(some, "500 rigs", "-j 1", None, many, "-j", 1),
-            *timed(some, "500 rigs", "-j 2", PropRequest(False, 6.0), many, "-j", 2),
+            *timed(some, "500 rigs", "-j 2", Bound(False, 6.0), many, "-j", 2),
             *timed(some, "clip", f"{FRAMES} frames", None, clip),
         ]
     session.finish(options.csv, rows)

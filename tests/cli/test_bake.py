@@ -281,3 +281,23 @@ def test_a_mistyped_rate_is_refused_before_the_work(take: Path, tmp_path: Path) 
     done = animtool("bake", take, "-o", tmp_path / "o.usda", "--fps", "1000")
     assert done.code == 2
     assert "frames" in done.stderr
+
+
+def test_a_stopped_simulation_keeps_its_frames_and_the_exit_code(
+    tmp_path: Path,
+) -> None:
+    scene = tmp_path / "shot.scene.yaml"
+    forces = "forces: [{spring: {anchor: [0, 0, 0], k: 4000}}]"
+    emitters = "emitters: [{at: [1, 0, 0], bursts: [[0, 3]], mass: 1}]"
+    system = f"{{name: it, step: 0.01, method: euler, {emitters}, {forces}}}"
+    text = f"scene: animtool/1\nrange: [1, 48]\nsystems: [{{particles: {system}}}]\n"
+    scene.write_text(text, "utf-8")
+    output = tmp_path / "o.usda"
+    asked = "bake", scene, "-o", output, "--format", "json"
+    done = animtool(*asked)
+    assert (done.code, output.exists()) == (4, False)
+    done = animtool(*asked, "--keep-stopped")
+    found = json.loads(done.stdout)
+    assert (done.code, output.exists()) == (4, True)
+    assert [fault["code"] for fault in found["stopped"]][-1] == "SIM193"
+    assert f"before frame {found['end'] + 1:g}" in done.stderr

@@ -17,11 +17,11 @@ from animtool.formats.marker_arrays import write_marker_arrays
 from animtool.formats.marker_files import open_markers, write_markers
 from animtool.markers import Markers
 from animtool.maths import so3
-from animtool.mocap.clean_options import CleanOptions
+from animtool.mocap.options import CleanOptions
 from animtool.mocap.template.template import template_text
 from animtool.passes import find_pass
 from animtool.rig.write import rig_text
-from animtool.scene.written import convert_passed
+from animtool.scene.convert import convert_with_passes
 
 WALK = "samples/walk/walk.bvh"
 
@@ -50,7 +50,7 @@ def test_a_frequency_that_makes_no_sense_writes_nothing(
 def test_a_take_without_spikes_stays(root: Path, tmp_path: Path) -> None:
     output = tmp_path / "same.bvh"
     passes = [(find_pass("clean"), CleanOptions(keep_noise=True))]
-    report = convert_passed(root / WALK, output, passes)
+    report = convert_with_passes(root / WALK, output, passes)
     assert not report.notices
     before, after = (open_source(p).collect().motion for p in (root / WALK, output))
     assert abs(before.rotations.dense() - after.rotations.dense()).max() < 1e-6

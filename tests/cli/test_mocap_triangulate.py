@@ -54,7 +54,7 @@ def test_files_are_written_and_reported(capture: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "output", "code", "fault"),
     [
-        (("--gate", "0"), "out.npz", 2, "CAM015"),
+        (("--gate", "0"), "out.npz", 2, "CAP001"),
         ((), "out.bvh", 2, "OUT004"),
         (("--cameras", "none.toml"), "out.npz", 3, "IO001"),
         (("--cameras", "stage.cameras.yaml"), "out.npz", 3, "CAM002"),

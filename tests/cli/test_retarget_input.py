@@ -199,7 +199,7 @@ def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     drift = march["scores"][0]["scores"][0]
     assert drift["value"] <= 2 * drift["usual"]
     odd = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=-1")
-    assert "MAP008 passes[0].retarget.warn_above" in odd.stderr
+    assert "CAP001 passes[0].retarget.warn_above" in odd.stderr
 
 
 def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:

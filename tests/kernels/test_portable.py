@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.systems.springs.body import Loads, Paths, Springs
 
 HELD = np.array([0, 7])
 PARTICLES = 111
@@ -30,12 +31,11 @@ def network(rng: np.random.Generator) -> tuple[Any, int]:
     numbers = rng.uniform(0.5, 2, (len(ends), 4)) * [1, 90, 1, np.inf]
     weights = rng.uniform(0.5, 2, PARTICLES)
     weights[HELD] = 0
-    return _kernels.SpringNetwork(
-        weights, rng.uniform(0, 1, PARTICLES), ends, numbers, NOBODY,
-        np.array([0.1, -0.2, -9.81, 0, 0]), np.zeros(1), HELD,
-        rng.normal(size=(1, 2, 3)), np.zeros(0, np.int64), np.zeros((0, 2)),
-        np.zeros((1, 0, 3)), np.zeros((1, 1, 3)),
-    ), len(ends)  # fmt: skip
+    drags, places = rng.uniform(0, 1, PARTICLES), rng.normal(size=(1, 2, 3))
+    made, gravity = Springs(ends, *numbers.T.copy()), np.array([0.1, -0.2, -9.81])
+    loads = Loads(weights, drags, made, NOBODY, gravity, (0.0, 0.0), HELD)
+    paths = Paths(np.zeros(1), places, np.zeros((1, 0, 3)), np.zeros((1, 1, 3)))
+    return loads.network(paths), len(ends)
 
 
 def springs(rng: np.random.Generator) -> list[np.ndarray]:

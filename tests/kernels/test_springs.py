@@ -7,7 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool import _kernels
+from animtool.systems.springs.body import Draws, Loads, Paths, Springs
 
+CALM = (0.0, 0.0)
+NO_FACES = np.zeros((0, 3), np.int64)
 SEEDS = st.integers(0, 2**31)
 
 
@@ -41,15 +44,17 @@ def test_the_order_is_of_the_springs_and_not_of_their_list(seed: int) -> None:
     assert one.tolist() == other.tolist()
 
 
+def random_springs(ends: np.ndarray, rng: np.random.Generator) -> Springs:
+    """Return springs that never tear."""
+    rest, stiffness, damping, _ = rng.uniform(0.5, 2, (len(ends), 4)).T.copy()
+    return Springs(ends, rest, stiffness, damping, np.full(len(ends), np.inf))
+
+
 def network(ends: np.ndarray, count: int, rng: np.random.Generator) -> object:
-    numbers = rng.uniform(0.5, 2, (len(ends), 4))
-    numbers[:, 3] = np.inf
-    nowhere = np.zeros((1, 0, 3))
-    return _kernels.SpringNetwork(
-        rng.uniform(0.5, 2, count), np.zeros(count), ends, numbers,
-        np.zeros((0, 3), np.int64), np.zeros(5), np.zeros(1), np.zeros(0, np.int64),
-        nowhere, np.zeros(0, np.int64), np.zeros((0, 2)), nowhere, np.zeros((1, 1, 3)),
-    )  # fmt: skip
+    springs, nowhere = random_springs(ends, rng), np.zeros((1, 0, 3))
+    weights, still = rng.uniform(0.5, 2, count), np.zeros(3)
+    loads = Loads(weights, np.zeros(count), springs, NO_FACES, still, CALM)
+    return loads.network(Paths(np.zeros(1), nowhere, nowhere, np.zeros((1, 1, 3))))
 
 
 def projected(ends: np.ndarray, count: int, seed: int) -> np.ndarray:
@@ -150,19 +155,18 @@ def test_forces_are_those_of_all_springs_that_are_whole(seed: int) -> None:
 
 def led(ends: np.ndarray, count: int, rng: np.random.Generator) -> tuple[object, dict]:
     """Return springs with pins and targets on their way, in gravity and drag."""
-    numbers = rng.uniform(0.5, 2, (len(ends), 4))
-    numbers[:, 3] = np.inf
+    springs = random_springs(ends, rng)
     held = np.flatnonzero(rng.random(count) < 0.1)
     drawn = np.flatnonzero(rng.random(count) < rng.choice([0, 0.1]))
     weights = rng.uniform(0.5, 2, count)
     weights[held] = 0
     ways = [rng.normal(size=(2, len(some), 3)) for some in (held, drawn)]
-    made = _kernels.SpringNetwork(
-        weights, rng.uniform(0, 1, count), ends, numbers, np.zeros((0, 3), np.int64),
-        np.array([0, 0, -9.81, 0, 0]), np.array([0.0, 1.0]), held, ways[0], drawn,
-        rng.uniform(0.5, 2, (len(drawn), 2)), ways[1], np.zeros((2, 1, 3)),
-    )  # fmt: skip
-    return made, {"held": held, "way": ways[0]}
+    drags = rng.uniform(0, 1, count)
+    draws = Draws(drawn, *rng.uniform(0.5, 2, (len(drawn), 2)).T.copy())
+    paths = Paths(np.array([0.0, 1.0]), *ways, np.zeros((2, 1, 3)))
+    gravity = np.array([0, 0, -9.81])
+    loads = Loads(weights, drags, springs, NO_FACES, gravity, CALM, held, draws)
+    return loads.network(paths), {"held": held, "way": ways[0]}
 
 
 @given(SEEDS, st.sampled_from([(1, 3), (3, 1)]))

@@ -10,11 +10,20 @@ from fuzz.kernels.springs import CALLS
 from fuzz.targets.kernels import call
 
 from animtool import _kernels
+from animtool.systems.springs.body import Loads, Paths, Springs
 
 HUGE = 2**31 - 1
 BAD: list[tuple[str, str, Any]] = [
     ("SpringNetwork", "inverse_masses", -1.0),
-    ("SpringNetwork", "numbers", np.nan),
+    ("SpringNetwork", "rest", -1.0),
+    ("SpringNetwork", "stiffness", np.inf),
+    ("SpringNetwork", "damping", np.nan),
+    ("SpringNetwork", "limit", np.nan),
+    ("SpringNetwork", "gravity", np.inf),
+    ("SpringNetwork", "air_drag", np.nan),
+    ("SpringNetwork", "air_lift", np.inf),
+    ("SpringNetwork", "anchor_stiffness", np.nan),
+    ("SpringNetwork", "anchor_damping", np.inf),
     ("SpringNetwork", "ends", -1),
     ("SpringNetwork", "triangles", -1),
     ("SpringNetwork", "triangles", 10**6),
@@ -127,12 +136,10 @@ def test_layers_are_of_as_many_particles() -> None:
 
 
 def test_no_particles_keep_apart() -> None:
-    nothing, none = np.zeros((1, 0, 3)), np.zeros(0, np.int64)
-    network = _kernels.SpringNetwork(
-        np.zeros(0), np.zeros(0), np.zeros((0, 2), np.int64), np.zeros((0, 4)),
-        np.zeros((0, 3), np.int64), np.zeros(5), np.zeros(1), none, nothing,
-        none, np.zeros((0, 2)), nothing, np.zeros((1, 1, 3)),
-    )  # fmt: skip
+    nothing, none = np.zeros((1, 0, 3)), np.zeros((0, 3), np.int64)
+    loads = Loads(np.zeros(0), np.zeros(0), Springs.none(), none, np.zeros(3), (0, 0))
+    wind = np.zeros((1, 1, 3))
+    network = loads.network(Paths(np.zeros(1), nothing, nothing, wind))
     layers = _kernels.SpringLayers(network, np.zeros((0, 3)), 0.1, 0.0, 0.1)
     state = np.zeros((2, 0, 3))
     found = _kernels.part_springs(network, layers, state[0], state, 0.1)

@@ -6,9 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.maths.filters import best_cutoff, lowpass, lowpass_turns, noise_level
+from animtool.maths.filters import (
+    best_cutoff,
+    lowpass,
+    lowpass_turns,
+    noise_level,
+    put_between,
+)
 
 RATE = 120.0
 TIMES = np.arange(1200) / RATE
@@ -72,3 +79,12 @@ def test_cutoff_of_a_sine_in_noise(frequency: float, noise: float) -> None:
 def test_what_has_no_noise_is_left_alone() -> None:
     assert best_cutoff(np.sin(9 * TIMES)[:, None], RATE) is None
     assert best_cutoff(np.ones((50, 3)), RATE) is None
+
+
+def test_missing_values_are_put_between_their_neighbours() -> None:
+    nan = np.nan
+    values = np.array([[nan, 1, nan], [2, nan, nan], [nan, nan, nan], [5, 4, nan]])
+    found = put_between(values, np.array([0.0, 1.0, 3.0, 4.0]))
+    expected = [[2, 1, 0], [2, 1.75, 0], [4, 3.25, 0], [5, 4, 0]]
+    assert_allclose(found, expected, rtol=1e-15)
+    assert np.isnan(values).sum() == 8

@@ -107,9 +107,9 @@ def test_every_fault_of_a_scene_has_its_line(beast: Path) -> None:
     assert done.code == 3
     for option, code in (
         ("what", "SIM030"),
-        ("damping", "SIM031"),
-        ("drag", "SIM031"),
-        ("radius", "SIM031"),
+        ("damping", "SIM004"),
+        ("drag", "SIM004"),
+        ("radius", "SIM004"),
         ("weight", "SCN014"),
         ("save", "SIM032"),
     ):

@@ -183,4 +183,4 @@ def test_a_start_becomes_a_fraction(start: FractionLike) -> None:
 def test_a_start_that_is_no_frame(start: FractionLike) -> None:
     with pytest.raises(OptionError) as caught:
         BakeOptions(start=start)
-    assert caught.value.code == "SCN026"
+    assert caught.value.code == "SCN033"

@@ -163,20 +163,6 @@ def repeated(every: int) -> Edit:
     return edit
 
 
-def at_lower_rate(own: float, rate: float) -> Edit:
-    """Show motion of one rate at another by repeating frames."""
-
-    def edit(take: Take) -> Take:
-        frames = (
-            np.floor(np.arange(take.motion.frames) * own / rate + 1e-9) * rate / own
-        )
-        return at_frames(
-            take, np.round(frames).astype(int).clip(0, take.motion.frames - 1)
-        )
-
-    return edit
-
-
 def sides_exchanged(first: float, last: float = 1.0, only: str = "") -> Edit:
     """Exchange the channels of left and right joints in part of the take."""
 

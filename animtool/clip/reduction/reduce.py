@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clip.reduction import WEIGHT_TOLERANCE
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
     SHELL,
@@ -19,6 +18,7 @@ from animtool.clip.reduction.points import (
     reach,
     subtree_largest,
 )
+from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
 from animtool.maths.fit import FittedKeys, fit_keys
 from animtool.maths.so3 import IDENTITY

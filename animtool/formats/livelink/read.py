@@ -14,6 +14,7 @@ from animtool.errors import Fault, OptionError, Severity, counted, listed, namin
 from animtool.formats.livelink.columns import AXES, PARTS, Recording, read_recording
 from animtool.formats.livelink.timecodes import RowFrames, row_frames
 from animtool.maths.euler import to_quaternion
+from animtool.maths.filters import put_between
 from animtool.maths.so3 import align_signs, slerp
 from animtool.motion import Channel, Motion
 from animtool.rates import FractionLike, rate_option
@@ -149,7 +150,7 @@ def _motion(
 ) -> Motion:
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
     at = np.arange(int(times[-1]) + 1)
-    raw = _filled(recording.weights[frames.rows], times)
+    raw = put_between(recording.weights[frames.rows], times)
     moved = links.apply(raw, len(rig.shapes))
     weights = np.stack(
         [_between(column, times, at, dropped) for column in moved.T], axis=-1
@@ -158,7 +159,7 @@ def _motion(
     for part, angles in _turned(recording).items():
         if part not in joints:
             continue
-        turns = to_quaternion(_filled(angles[frames.rows], times), "YXZ")
+        turns = to_quaternion(put_between(angles[frames.rows], times), "YXZ")
         local = local_rotations(rig, joints[part], turns)
         values = _turns_between(align_signs(local), times, at, dropped)
         which = np.array([joints[part]])
@@ -168,17 +169,6 @@ def _motion(
         rotations.compact(),
         weights=Channel.from_dense(weights[..., None]) if len(rig.shapes) else None,
     )
-
-
-def _filled(values: FloatArray, times: IntArray) -> FloatArray:
-    """Return values ``(N, C)``, missing ones put in between; of none, 0."""
-    made = values.copy()
-    for column in made.T:
-        there = np.isfinite(column)
-        if not there.all():
-            found = there.any()
-            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
-    return made
 
 
 def _between(

@@ -18,6 +18,7 @@ from animtool.formats.mot.coordinates import (
 )
 from animtool.formats.mot.table import MotionTable, check_once, read_table
 from animtool.ik.sub_rig import following
+from animtool.maths.filters import put_between
 from animtool.motion import Channel, Motion
 from animtool.rates import (
     HIGHEST_WRITTEN_RATE,
@@ -87,7 +88,7 @@ def read_mot(
         hint = "write inDegrees=yes or no in its header"
         warning = Severity.WARNING
         notices.append(Fault("MOF107", message, str(path), (), hint, warning))
-    values = _filled(table.values[:, at], table.times)
+    values = put_between(table.values[:, at], table.times)
     if not degrees:
         turning = [one.turns for one in columns]
         values[:, turning] = np.degrees(values[:, turning])
@@ -144,17 +145,6 @@ def _matched(
         raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
     check_once(table.path, tuple(columns), tuple(table.names[c] for c in at), None)
     return at, columns, lost
-
-
-def _filled(values: FloatArray, times: FloatArray) -> FloatArray:
-    """Return values ``(R, C)``, missing ones put in between; of none, 0."""
-    made = values.copy()
-    for column in made.T:
-        there = np.isfinite(column)
-        if not there.all():
-            found = there.any()
-            column[:] = np.interp(times, times[there], column[there]) if found else 0.0
-    return made
 
 
 def _even(

@@ -16,8 +16,6 @@ from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.units import UpAxis
 
-# Coefficients of a lens, in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6.
-DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 # What a camera is called whose file has it alone and without a name.
 UNNAMED = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.

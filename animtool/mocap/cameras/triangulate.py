@@ -18,7 +18,6 @@ from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
 from animtool.mocap.cameras.noise import measured_noise
 from animtool.mocap.cameras.observations import Observations, matched
-from animtool.mocap.cameras.options import TriangulateOptions
 from animtool.mocap.cameras.report import (
     Tallies,
     Triangulation,
@@ -26,6 +25,7 @@ from animtool.mocap.cameras.report import (
     gap_notices,
 )
 from animtool.mocap.cameras.stale import Moved, PoseChange, moved_ranges, pose_change
+from animtool.mocap.options import TriangulateOptions
 
 # Observations that are worked on at once: what they take stays below 50 MB.
 BLOCK = 500_000
@@ -58,7 +58,7 @@ def triangulate(
     Raises:
         OptionError: Cameras and observations do not belong together (CAM011, CAM014),
             there is one camera (CAM012), no point is seen by two (CAM013), or an
-            option is out of range (CAM015).
+            option is out of range (CAP001).
     """
     options = options or TriangulateOptions()
     _check_options(options)
@@ -71,11 +71,11 @@ def _check_options(options: TriangulateOptions) -> None:
         value = getattr(options, name)
         if value is not None and not 0 < value < np.inf:
             message = f"{name} must be above 0 and finite, not {value:g}"
-            raise OptionError(Fault("CAM015", message, where=name))
+            raise OptionError(Fault("CAP001", message, where=name))
     if not 0 <= options.min_angle < np.pi / 2:
         degrees = np.degrees(options.min_angle)
         message = f"the least angle must be from 0 to below 90 degrees, not {degrees:g}"
-        raise OptionError(Fault("CAM015", message, where="min_angle"))
+        raise OptionError(Fault("CAP001", message, where="min_angle"))
 
 
 class _Run:

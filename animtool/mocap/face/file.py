@@ -24,7 +24,6 @@ from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
 # Weights of a landmark's vertices add up to 1 as far as text is exact.
 SUM_TOLERANCE = 1e-3
-MAX_VERTEX = 2**31 - 1
 
 Vertex = Annotated[int, Ge(0)]
 

@@ -10,11 +10,11 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
-from animtool.mocap.markers.fill_options import FillOptions
 from animtool.mocap.markers.geometry import distances
 from animtool.mocap.markers.predict import follow, predict
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
+from animtool.mocap.options import FillOptions
 
 if TYPE_CHECKING:
     from animtool.mocap.markers.skeleton import SkeletonMarkers, Subject

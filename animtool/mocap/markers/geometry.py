@@ -8,8 +8,6 @@ import numpy as np
 
 from animtool._types import FloatArray
 
-# Soft tissue moves a marker by some millimetres, and so do two clothes [m].
-TISSUE = 0.004
 # Frames looked at of a long take: distances do not need all of them.
 MAX_FRAMES = 1500
 # Frames from which a spread is known.

@@ -12,10 +12,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity
+from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.legs import leg_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
-from animtool.mocap.retarget.options import RetargetOptions
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of
@@ -177,7 +177,7 @@ def _odd_scale(scale: float) -> list[Fault]:
 def _named_rig(options: RetargetPassOptions) -> Path:
     if options.rig is None:
         message = "rig must name the file of a rig"
-        raise OptionError(Fault("MAP008", message))
+        raise OptionError(Fault("CAP001", message))
     return options.rig
 
 
@@ -238,11 +238,11 @@ def checked_blocks(
 
 
 def _check_bound(options: Any) -> None:
-    """Refuse a bound of scores that is none (MAP008)."""
+    """Refuse a bound of scores that is none (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
         message = f"warn_above must be finite and 0 or more, not {bound:g}"
-        raise OptionError(Fault("MAP008", message))
+        raise OptionError(Fault("CAP001", message))
 
 
 def _checks(options: Any) -> OptionChecks:

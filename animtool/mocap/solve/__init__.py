@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.calibration import Calibration, calibrate
-from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 
 __all__ = [

@@ -20,12 +20,12 @@ from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
 from animtool.markers import Markers
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
     marker_model,
     seen_markers,
 )
-from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.run import check_units, in_world_of
 from animtool.mocap.solve.sampling import (
     ROBUST,

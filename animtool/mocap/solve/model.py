@@ -28,7 +28,7 @@ LESS_BY_JOINT = 0.3
 
 
 @dataclass(frozen=True)
-class MarkerModel:
+class MarkerProblem:
     """E markers of a template that a capture has, on a rig of Q coordinates.
 
     Attributes:
@@ -113,7 +113,7 @@ class MarkerModel:
         turned = np.einsum("feij,ej->fei", linear, self.offsets)
         return np.asarray(world.positions[:, self.joints] + turned)
 
-    def changed(self, rig: Rig, offsets: FloatArray) -> MarkerModel:
+    def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
         """Return the model with other bones and offsets ``(E, 3)``."""
         markers = tuple(
             replace(marker, offset=tuple(offset))
@@ -124,7 +124,9 @@ class MarkerModel:
         return _built(rig, replace(self.template, markers=markers), self.columns)
 
 
-def marker_model(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerModel:
+def marker_model(
+    rig: Rig, template: MarkerTemplate, columns: IntArray
+) -> MarkerProblem:
     """Return the model of the markers that a capture has.
 
     Args:
@@ -152,10 +154,10 @@ def marker_model(rig: Rig, template: MarkerTemplate, columns: IntArray) -> Marke
     return _built(rig, replace(template, markers=markers), columns[used])
 
 
-def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerModel:
+def _built(rig: Rig, template: MarkerTemplate, columns: IntArray) -> MarkerProblem:
     goals = [Goal(marker.joint, marker.offset) for marker in template.markers]
     problem = build(rig, goals)
-    return MarkerModel(problem, template, columns, template.joints(rig))
+    return MarkerProblem(problem, template, columns, template.joints(rig))
 
 
 def rigid_motions(

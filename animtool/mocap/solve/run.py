@@ -13,13 +13,13 @@ from animtool.errors import Fault, OptionError, Severity, counted, listed
 from animtool.ik.fit import FitOptions, fit
 from animtool.markers import Markers
 from animtool.maths import so3
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
-    MarkerModel,
+    MarkerProblem,
     marker_model,
     seen_markers,
 )
-from animtool.mocap.solve.options import SolveOptions
 from animtool.mocap.solve.report import SolveScore
 from animtool.mocap.solve.sampling import (
     ROBUST,
@@ -71,7 +71,7 @@ class MarkerSolve:
         notices: Warnings.
     """
 
-    model: MarkerModel
+    model: MarkerProblem
     match: MarkerMatch
     positions: FloatArray
     markers: Markers
@@ -216,7 +216,7 @@ def solve_markers(
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 
 
-def sampled_noise(model: MarkerModel, sample: FloatArray, least: float) -> FloatArray:
+def sampled_noise(model: MarkerProblem, sample: FloatArray, least: float) -> FloatArray:
     """Return how far markers of ``(F, E, 3)`` are off, by an axis ``(E,)`` [m].
 
     Far off first, such that a rig that is not the subject's is told from wrong labels.
@@ -240,7 +240,7 @@ def in_world_of(rig: Rig, markers: Markers) -> FloatArray:
     return so3.rotate(np.array(turn), markers.positions)
 
 
-def check_units(model: MarkerModel, sample: FloatArray) -> None:
+def check_units(model: MarkerProblem, sample: FloatArray) -> None:
     """Refuse markers ``(F, E, 3)`` that are in other units than a rig (SOL005)."""
     rest = model.points(model.starts(sample[:1]))[0]
     ratios = []

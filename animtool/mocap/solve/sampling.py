@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.ik.fit import FitOptions, fit
-from animtool.mocap.solve.model import MIN_MARKERS, MarkerModel, seen_markers
+from animtool.mocap.solve.model import MIN_MARKERS, MarkerProblem, seen_markers
 
 # Median length of three numbers of standard deviation 1.
 MEDIAN_LENGTH = 1.538
@@ -16,8 +16,6 @@ MEDIAN_LENGTH = 1.538
 ROBUST = 8.0
 # A marker that is seen in fewer frames is as far off as the others.
 FEW = 5
-# Poses of frames by themselves have no time between them.
-NO_TIME = FitOptions(1.0, math.inf)
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
@@ -29,7 +27,7 @@ def sampled_frames(positions: FloatArray, count: int) -> IntArray:
 
 
 def sampled_poses(
-    model: MarkerModel, positions: FloatArray, noise: FloatArray
+    model: MarkerProblem, positions: FloatArray, noise: FloatArray
 ) -> FloatArray:
     """Return poses ``(F, Q)`` of frames that are each looked for by themselves."""
     starts = model.starts(positions)
@@ -63,7 +61,7 @@ def usual_noise(misses: FloatArray, least: float) -> FloatArray:
 
 
 def misses_of(
-    model: MarkerModel, coordinates: FloatArray, positions: FloatArray
+    model: MarkerProblem, coordinates: FloatArray, positions: FloatArray
 ) -> FloatArray:
     """Return how far markers are off poses ``(F, E)`` [m], NaN where missing."""
     return np.asarray(

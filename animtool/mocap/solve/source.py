@@ -12,7 +12,7 @@ import numpy as np
 from animtool.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
-from animtool.mocap.solve.options import SolveOptions
+from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate
@@ -95,7 +95,8 @@ def triangulated(
 
     Raises:
         FormatError: A file cannot be read.
-        OptionError: Cameras and observations do not fit each other (CAM011 to CAM015).
+        OptionError: Cameras and observations do not fit each other (CAM011 to
+            CAM014), or an option is out of range (CAP001).
     """
     from animtool.mocap.cameras.file import load_all_cameras
     from animtool.mocap.cameras.observations import read_observations

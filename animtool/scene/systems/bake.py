@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool.clock import MAX_FRAMES
 from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
@@ -23,7 +23,12 @@ from animtool.shot import FrameRange
 from animtool.units import UpAxis
 from animtool.usd.chunks import Growing, save_grown, system_files
 from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
-from animtool.usd.layers import StageMetadata, check_prim_path, layer_span
+from animtool.usd.layers import (
+    StageMetadata,
+    author_metadata,
+    check_prim_path,
+    layer_span,
+)
 from animtool.usd.names import legal_name
 from animtool.usd.point_writer import CachedMesh
 from animtool.usd.simulated import (
@@ -65,7 +70,8 @@ class SystemPrims:
             own = replace(own, times=own.times + held)
         systems = self.scene.systems
         run = SystemRun(systems, prims.seconds(codes[-1]), own, draft.progress)
-        rows = run.rows(codes, prims.start, job.metadata.fps)
+        keep = plan.options.keep_stopped
+        rows = run.rows(codes, prims.start, job.metadata.fps, keep_stopped=keep)
         if draft.report is None:
             self._begin(draft)
         files: list[Path] = []
@@ -75,6 +81,7 @@ class SystemPrims:
             assert plan.output is not None
             names, size = system_files(plan.output), plan.options.chunk
             files, written = chunk_simulated(job, rows, draft.layer, names, size)
+            self._end(draft, run, draft.layer)
             run.note(written)
             refuse_warnings(run.notices, strict=plan.options.strict)
             run.save_states(folder)
@@ -84,6 +91,7 @@ class SystemPrims:
 
             def grow(growing: Growing) -> None:
                 written.extend(grow_simulated(job, rows, growing))
+                self._end(draft, run, growing.layer)
                 run.note(written)
                 refuse_warnings(run.notices, strict=plan.options.strict)
                 run.save_states(folder)
@@ -124,6 +132,13 @@ class SystemPrims:
             up=metadata.up,
         )
 
+    def _end(self, draft: Draft, run: SystemRun, layer: Any) -> None:
+        """Let a layer of systems alone end with the last frame that they reached."""
+        if run.stopped is not None and self.watch is None:
+            last = self.codes[run.done - 1]
+            author_metadata(layer, replace(self.job.metadata, last=last))
+            draft.layer = layer
+
     def _report(
         self,
         draft: Draft,
@@ -135,12 +150,18 @@ class SystemPrims:
         report = draft.report
         assert report is not None
         report.notices += run.notices
+        report.stopped = run.stopped
         report.result.outputs[:0] = files
         report.result.bytes += sum(map(size_of, files))
         for take in report.takes:
             take.meshes += run.reports(written)
             take.simulated += run.simulated
         if self.watch is None:
+            if run.stopped is not None:
+                report.result.span = layer_span(draft.layer)
+                stopped = report.takes[0]
+                stopped.source_frames = stopped.written.samples = run.done
+                stopped.written.last = report.result.span.last
             worst = max(written, key=lambda found: found.error)
             (take,) = report.takes
             take.written.sampled = list(worst.sampled)

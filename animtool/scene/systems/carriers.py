@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from animtool.scene.systems.character_motion import (
     no_mesh,
 )
 from animtool.sim.colliders import Poses, joint_poses
+from animtool.transforms import PropRequest
 from animtool.units import UpAxis
 
 # Between two of these a prim goes straight, whatever turns it [1/s].
@@ -106,7 +106,7 @@ class OnPrim:
 
     def over_time(self) -> Poses:
         """Return where it is over time, the frame of 0 s among its times."""
-        from animtool.usd.transform_reader import PropRequest, open_prop
+        from animtool.usd.transform_reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
         codes, start = np.zeros(1), 0.0
@@ -121,6 +121,3 @@ class OnPrim:
         found = prop.track.sample(codes)
         times = (codes - start) / float(prop.fps)
         return Poses(times, found.translations, so3.align_signs(found.rotations))
-
-
-Carrier: TypeAlias = OnJoint | OnVertex | OnPrim

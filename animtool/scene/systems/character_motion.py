@@ -24,6 +24,7 @@ from animtool.scene.sources import open_source
 from animtool.sim.colliders import Collider, Sheet, Sphere, rig_colliders
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
+from animtool.systems.fields import CharacterModel
 from animtool.take import Take, TakeStream
 from animtool.units import UpAxis
 
@@ -194,51 +195,24 @@ class SkinMotion:
         """Take note that no time before one will be asked for [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class CharacterCollider:
-    """A character in motion: the capsules of its rig, or a mesh."""
-
-    file: Path  # A clip or a scene
-    restitution: float  # share of the speed into the surface that comes back [1]
-    friction: float  # coulomb's coefficient [1]
-    margin: float  # distance that is kept; of a mesh half its thickness [m]
-    # Name of the rig's mesh that is met in place of capsules; None is these.
-    mesh: str | None = None
-    closed: bool = False  # whether the mesh is met from outside alone
-
-    def problems(self) -> list[tuple[str, str]]:
-        """Return names of what makes no sense, and why."""
-        if self.mesh is None or self.margin > 0:
-            return []
-        why = "its margin must be above 0: it is half the thickness of the mesh"
-        return [("margin", why)]
-
-    def colliders(self, characters: CharacterMotions) -> list[Collider]:
-        """Return the capsules that are met."""
-        if self.mesh is not None:
-            return []
-        material = self.restitution, self.friction, self.margin
-        return characters.of(self.file).colliders(material)
-
-    def sheets(self, characters: CharacterMotions) -> list[Sheet]:
-        """Return the mesh that is met."""
-        if self.mesh is None:
-            return []
-
-        motion = SkinMotion(characters.of(self.file), self.mesh)
-        like = self.margin, self.closed, self.mesh, self.restitution, self.friction
-        return [Sheet(motion, *like)]
-
-
 def character_colliders(
-    met: Sequence[CharacterCollider], characters: CharacterMotions
+    met: Sequence[CharacterModel], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
     """Return the capsules and the meshes of characters, each once."""
-    ones: dict[tuple[Path, str | None], CharacterCollider] = {}
+    ones: dict[tuple[str, str | None], CharacterModel] = {}
     for one in met:
-        ones.setdefault((one.file, one.mesh), one)
-    colliders = [each for one in ones.values() for each in one.colliders(characters)]
-    return colliders, [each for one in ones.values() for each in one.sheets(characters)]
+        ones.setdefault((str(one.file), one.mesh), one)
+    colliders: list[Collider] = []
+    sheets: list[Sheet] = []
+    for (file, mesh), one in ones.items():
+        character = characters.of(Path(file))
+        if mesh is None:
+            material = one.restitution, one.friction, one.margin
+            colliders += character.colliders(material)
+        else:
+            like = one.margin, one.closed, mesh, one.restitution, one.friction
+            sheets.append(Sheet(SkinMotion(character, mesh), *like))
+    return colliders, sheets
 
 
 class CharacterWatch:

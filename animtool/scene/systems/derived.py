@@ -27,7 +27,7 @@ from animtool.scene.entries import SystemSetup
 from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
-from animtool.scene.systems.surroundings import Surroundings
+from animtool.scene.systems.surroundings import AROUND, Surroundings
 from animtool.systems.fields import (
     CarryingJointModel,
     CarryingPrimModel,
@@ -45,6 +45,7 @@ from animtool.systems.fields import (
     SystemSpec,
     SystemSurfaceModel,
 )
+from animtool.transforms import PropRequest
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ Reader: TypeAlias = Callable[[Location, Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Prototype:
-    """A mesh, and the phases of its cycle."""
+    """A mesh, and the phases of its cycle; those that are equal are shown by one."""
 
     path: Path
     prim: str | None  # of a USD file
@@ -124,6 +125,8 @@ class PartReader(EntryReader):
     def __init__(self, document: Document, roots: Sequence[Path]) -> None:
         super().__init__(document, roots)
         self.carriers: list[Path] = []
+        # Populations often share their gaits, which take long to read.
+        self._gaits: dict[GaitsSource, GaitsSource] = {}
 
     def parts(
         self, at: Location, model: FileModel, keys: Collection[str] | None = None
@@ -229,7 +232,7 @@ class PartReader(EntryReader):
         return made
 
     def gaits(self, at: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return clips of a rig; they are looked at now."""
+        """Return clips of a rig; they are looked at now, once for all of one rig."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.input((*at, "rig"), model.rig)
@@ -241,6 +244,7 @@ class PartReader(EntryReader):
         if rig is None or len(found) < 1 + len(clips):
             return None
         made = GaitsSource(rig, tuple(found[1:]))
+        made = self._gaits.setdefault(made, made)
         try:
             made()
         except AnimtoolError as error:
@@ -322,7 +326,7 @@ class PartReader(EntryReader):
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
         """Return a prim that carries others."""
-        from animtool.usd.transform_reader import PropRequest, open_prop
+        from animtool.usd.transform_reader import open_prop
 
         path = self.input((*at, "file"), model.file)
         if path is None:
@@ -341,9 +345,6 @@ class PartReader(EntryReader):
         for why in part.faults() if check and part is not None else ():
             self.note(at, Fault("SIM020", why))
         return part
-
-
-AROUND = ("colliders", "characters", "systems", "meshes")
 
 
 def read_spec(
@@ -375,9 +376,7 @@ def read_spec(
     if record is None and (faults or not (sound and reader.sound)):
         return None
     followed = (*outside.files, *reader.files)
-    colliders, characters, surfaces, meshes = (
-        tuple(met.get(key, ())) for key in AROUND
-    )
-    around = Surroundings(colliders, characters, surfaces, meshes, followed)
+    read = {key: tuple(parts) for key, parts in met.items()}
+    around = Surroundings(**read, followed=followed, at=at)
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, around, parts, record, at, carriers, resume)

@@ -24,8 +24,7 @@ from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
-from animtool.scene.systems.character_motion import CharacterCollider
-from animtool.scene.systems.surroundings import MovingMesh, SurfaceCollider
+from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.fields import (
     CharacterModel,
@@ -37,7 +36,7 @@ from animtool.systems.fields import (
 )
 
 if TYPE_CHECKING:
-    from animtool.systems.particles.forces.force import Force
+    from animtool.systems.particles.forces.base import Force
 
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
@@ -154,18 +153,19 @@ class EntryReader:
         place = self.named(at, entry, PLACES, "place", "SIM021")
         return MeshSurface(place) if isinstance(place, Mesh) else place
 
-    def mesh(self, at: Location, model: MovingMeshModel) -> MovingMesh | None:
-        """Return the mesh of a USD file, whose points may move."""
+    def mesh(self, at: Location, model: MovingMeshModel) -> MovingMeshModel | None:
+        """Return the mesh of a USD file, whose points may move, with its whole path."""
         path = self.input((*at, "file"), model.file)
         if path is None:
             return None
         self.files.append(path)
-        mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
+        mesh = model.model_copy(update={"file": str(path)})
         try:
-            for option, why in mesh.sheet().problems():
-                self.note((*at, option), Fault("SIM020", why))
+            moving_sheet(mesh)
         except AnimtoolError as error:
             self.note((*at, "prim"), replace(error.faults[0], code="SIM051"))
+        else:
+            self.note_ranges(at, model)
         return mesh
 
     def poses(self, at: Location, model: PlacedModel, code: str) -> Poses | None:
@@ -227,22 +227,21 @@ class EntryReader:
             so3.multiply(turns, place[3:]),
         )
 
-    def met(self, at: Location, model: CharacterModel) -> CharacterCollider | None:
-        """Return a character, and what touching it does."""
+    def met(self, at: Location, model: CharacterModel) -> CharacterModel | None:
+        """Return a character that is run into, with the whole path of its file."""
         path = self.character(at, model)
         if path is None:
             return None
-        found = CharacterCollider(path, **model.model_dump(exclude={"file", "source"}))
-        for option, why in found.problems():
-            self.note((*at, option), Fault("SIM020", why))
-        return found
+        self.note_ranges(at, model)
+        if model.mesh is not None and model.margin <= 0:
+            why = "its margin must be above 0: it is half the thickness of the mesh"
+            self.note((*at, "margin"), Fault("SIM020", why))
+        return model.model_copy(update={"file": str(path)})
 
-    def surface(self, at: Location, model: SystemSurfaceModel) -> SurfaceCollider:
+    def surface(self, at: Location, model: SystemSurfaceModel) -> SystemSurfaceModel:
         """Return a surface of the scene that an entry names."""
-        found = SurfaceCollider(**dict(model), at=at)
-        for option, why in found.problems():
-            self.note((*at, option), Fault("SIM020", why))
-        return found
+        self.note_ranges(at, model)
+        return model
 
     def character(self, at: Location, model: NamedCharacter) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""

@@ -154,7 +154,7 @@ def check_names(
             hint = nearest(name, known) or f"there are {listed(known)}"
             hint = hint if known else "the scene has no systems"
             message = f"no system is named {name!r}"
-            document.add("SCN080", (*at, i), message, hint)
+            document.add("SCN063", (*at, i), message, hint)
 
 
 def _check_name(

@@ -5,25 +5,26 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.errors import Fault, FormatError, Severity, ToleranceError, excerpt
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
-from animtool.scene.systems.saved import Clocked, write_state
 from animtool.scene.systems.simulation import (
     SystemProgress,
     located_systems,
     open_systems,
 )
+from animtool.systems.saved import Clocked, write_states
 from animtool.systems.simulation import ON_STEP, EntryRun, Reached, SeenAhead
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
@@ -72,6 +73,8 @@ class SystemRun:
         systems: What is simulated.
         seconds: How long each took [s].
         written: Numbers of those that are written.
+        stopped: Why the frames ended before the last; None where they did not.
+        done: How many frames there were.
     """
 
     def __init__(
@@ -86,6 +89,8 @@ class SystemRun:
         self.systems = systems
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
+        self.stopped: ToleranceError | None = None
+        self.done = 0
         self._own = own
         self._phases: Phases | None = None
         self._frames: Progress = None
@@ -134,16 +139,35 @@ class SystemRun:
         return [said for opened in self._open if (said := opened.report())]
 
     def rows(
-        self, codes: Sequence[Fraction], first: Fraction, fps: Fraction
+        self,
+        codes: Sequence[Fraction],
+        first: Fraction,
+        fps: Fraction,
+        *,
+        keep_stopped: bool = False,
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system that is written is then."""
+        """Yield every time code with what each system that is written is then.
+
+        With ``keep_stopped`` they end before the first frame that a system does not
+        reach, unless that is the first of all.
+        """
         times = [float((code - first) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
         self._see_ahead(times)
         show = None if self._phases is None else self._phases.last()
         self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
-            yield float(code), [self._row(i, t) for i in self.written]
+            try:
+                row = [self._row(i, t) for i in self.written]
+            except ToleranceError as error:
+                if not (k and keep_stopped):
+                    raise ToleranceError(_before(code, error)) from error
+                kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
+                note = Fault("SIM193", kept, severity=Severity.NOTE)
+                self.stopped = ToleranceError([*_before(code, error), note])
+                break
+            yield float(code), row
+            self.done = k + 1
             self._keep(code)
             if show is not None:
                 show((k + 1) / len(codes))
@@ -213,7 +237,7 @@ class SystemRun:
             system, run = self.systems[i], self._open[i].run
             clocked = Clocked(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
-                write_state(folder / name, clocked, state)
+                write_states(folder / name, {"": (clocked, state)})
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()
@@ -243,6 +267,13 @@ class SystemRun:
             )
             for i, found in zip(self.written, written, strict=True)
         ]
+
+
+def _before(code: Fraction, error: ToleranceError) -> list[Fault]:
+    """Return the faults of a system that stopped, the last with the frame."""
+    *others, last = error.faults
+    message = f"{last.message}, before frame {float(code):g}"
+    return [*others, replace(last, message=message)]
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:

@@ -13,10 +13,10 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
-from animtool.scene.systems.saved import Clocked, read_state
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.saved import Clocked, open_states
 from animtool.systems.simulation import (
     EntryRun,
     Joined,
@@ -95,7 +95,8 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     """Go on from the state of a file."""
     path = member.setup.resume
     assert path is not None
-    run.state = read_state(path, clocked(member, run), run.state)
+    with open_states(path) as saved:
+        run.state = saved.read("", clocked(member, run), run.state)
     if isinstance(run.simulation, Resumed):
         t = run.time(run.state.steps)
         why = run.simulation.misfit(run.state.state, t)

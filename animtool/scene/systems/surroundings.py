@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +12,12 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.faces import triangulated
-from animtool.options import Checked
 from animtool.scene.systems.character_motion import (
-    CharacterCollider,
     CharacterMotions,
     character_colliders,
 )
 from animtool.sim.colliders import Collider, Colliders, Sheet
-from animtool.sim.colliders.collider import Friction, Restitution
+from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
 from animtool.systems.simulation import EntryRun
 from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
@@ -28,36 +26,23 @@ if TYPE_CHECKING:
     from animtool.usd.point_reader import MeshSource
 
 
+# Keys of an entry that name what it runs into.
+AROUND = ("colliders", "characters", "systems", "meshes")
 # Times of which the points are kept: both ends of a step, and those of a look within.
 KEPT = 4
 
 
-@dataclass(frozen=True, slots=True)
-class MovingMesh:
-    """A mesh that goes, turns and changes shape as its file says."""
+def moving_sheet(mesh: MovingMeshModel) -> Sheet:
+    """Return a mesh of a file, read with its whole path, as what particles run into.
 
-    file: Path  # the USD file
-    prim: str  # path of the mesh
-    frame: float | None = None  # time code that comes at 0 s; None is the first
-    radius: float = 0.005  # half its thickness [m]
-    closed: bool = False  # whether it is met from outside alone
-    # Share of the speed into the surface that comes back [0, 1].
-    restitution: float = 0.0
-    friction: float = 0.0  # coulomb's coefficient [1]
+    Raises:
+        OptionError: There is no such mesh, or it makes no sense (SIM051).
+    """
+    from animtool.usd.point_reader import open_mesh
 
-    def sheet(self) -> Sheet:
-        """Return it as what particles run into."""
-        from animtool.usd.point_reader import open_mesh
-
-        source = open_mesh(self.file, self.prim, UpAxis.Y)
-        return Sheet(
-            _Motion(source, self.frame),
-            self.radius,
-            self.closed,
-            self.prim,
-            self.restitution,
-            self.friction,
-        )
+    motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
+    material = mesh.restitution, mesh.friction
+    return Sheet(motion, mesh.radius, mesh.closed, mesh.prim, *material)
 
 
 class _Motion:
@@ -106,25 +91,18 @@ class _Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceCollider(Checked):
-    """Cloth, a volume or rigid bodies of the scene."""
-
-    system: str
-    restitution: Restitution  # share of the speed into the surface that comes back [1]
-    friction: Friction  # Coulomb's coefficient [1]
-    at: Location  # of the entry
-    two_way: bool = False  # whether it feels what runs into it
-
-
-@dataclass(frozen=True, slots=True)
 class Surroundings:
-    """Shapes, characters, surfaces of the scene and meshes of files."""
+    """Shapes, characters, surfaces of the scene and meshes of files.
+
+    Characters and meshes are as their file has them, but for the whole path.
+    """
 
     colliders: tuple[Collider, ...] = ()
-    characters: tuple[CharacterCollider, ...] = ()
-    surfaces: tuple[SurfaceCollider, ...] = ()
-    meshes: tuple[MovingMesh, ...] = ()
+    characters: tuple[CharacterModel, ...] = ()
+    systems: tuple[SystemSurfaceModel, ...] = ()
+    meshes: tuple[MovingMeshModel, ...] = ()
     followed: tuple[Path, ...] = ()  # USD files that colliders and emitters go with
+    at: Location = ()  # of the entry
 
     @staticmethod
     def of(every: Sequence[Surroundings]) -> Surroundings:
@@ -134,25 +112,25 @@ class Surroundings:
             first,
             **{
                 name: sum((getattr(one, name) for one in more), getattr(first, name))
-                for name in ("colliders", "characters", "surfaces", "meshes")
+                for name in AROUND
             },
         )
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Systems that are run into, and where they are named."""
-        return tuple((one.system, (*one.at, "system")) for one in self.surfaces)
+        return tuple((one.system, at) for one, at in self._named("system"))
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
         """Those whose bodies are pushed, and where that is said."""
-        named = (one for one in self.surfaces if one.two_way)
-        return tuple((one.system, (*one.at, "two_way")) for one in named)
+        named = self._named("two_way")
+        return tuple((one.system, at) for one, at in named if one.two_way)
 
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that are read along with the scene."""
-        return (*(one.file for one in self.characters), *self.followed)
+    def _named(self, key: str) -> Iterator[tuple[SystemSurfaceModel, Location]]:
+        """Yield systems that are run into, each with the place of a key of it."""
+        for i, one in enumerate(self.systems):
+            yield one, (*self.at, "systems", i, key)
 
     @property
     def reads(self) -> list[str]:
@@ -160,15 +138,15 @@ class Surroundings:
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
-            *(one.file.name for one in self.characters),
-            *(one.system for one in self.surfaces),
+            *(Path(str(one.file)).name for one in self.characters),
+            *(one.system for one in self.systems),
             *(mesh.prim for mesh in self.meshes),
         ]
 
     @property
     def anything(self) -> bool:
         """Whether there is anything to run into."""
-        return bool(self.colliders or self.characters or self.surfaces or self.meshes)
+        return any(getattr(self, name) for name in AROUND)
 
     @property
     def count(self) -> int:
@@ -192,7 +170,7 @@ class Surroundings:
         capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
         bodies: list[Bodies] = []
-        for one in self.surfaces:
+        for one in self.systems:
             other = opened[one.system]
             material = one.restitution, one.friction
             if other.rigid:
@@ -201,5 +179,5 @@ class Surroundings:
             seen = other.surface()
             thick = seen.radius, seen.closed
             sheets.append(Sheet(seen, *thick, one.system, *material))
-        sheets += [*(mesh.sheet() for mesh in self.meshes), *skins]
+        sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

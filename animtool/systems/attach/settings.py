@@ -46,7 +46,7 @@ def _number(
     """Return the range of an option, in both directions up to the most."""
     bound = f"{least:g} or more" if reached else f"more than {least:g}"
     bound = bound if math.isfinite(least) else "finite"
-    return Range(bound, "SIM031", least, most, reached, finite=True)
+    return Range(bound, "SIM004", least, most, reached, finite=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,14 +211,14 @@ def _check_number(options: SimulateOptions, name: str) -> None:
 def _check_finite(values: tuple[float, ...], name: str) -> None:
     if not all(map(math.isfinite, values)):
         message = f"{name} holds a number that is not finite"
-        raise OptionError(Fault("SIM031", message))
+        raise OptionError(Fault("SIM004", message))
 
 
 def _check_length(options: SimulateOptions, name: str) -> None:
     try:
         parse_length(getattr(options, name))
     except ValueError as error:
-        raise OptionError(Fault("SIM031", f"{name}: {error}")) from error
+        raise OptionError(Fault("SIM004", f"{name}: {error}")) from error
 
 
 def _check_thickness(options: SimulateOptions) -> None:
@@ -228,7 +228,7 @@ def _check_thickness(options: SimulateOptions) -> None:
     if not parse_length(options.thickness) > 0:
         message = f"thickness is {options.thickness!r}; it must be more than 0"
         hint = "leave it out where cloth may go through itself"
-        raise OptionError(Fault("SIM031", message, hint=hint))
+        raise OptionError(Fault("SIM004", message, hint=hint))
 
 
 def _check_save(options: SimulateOptions) -> None:

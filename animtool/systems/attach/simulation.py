@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -27,11 +27,25 @@ from animtool.systems.attach.poses import (
     seam_weights,
     travel_between,
 )
-from animtool.systems.attach.saved import Saved
 from animtool.systems.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.systems.attach.stepping import State
 from animtool.systems.attach.strands import chain_rotations
+from animtool.systems.saved import Clocked
+from animtool.systems.simulation import Reached
 from animtool.units import parse_length
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedFrame:
+    """States of attachments at one frame, to go on from."""
+
+    frame: float  # its time code
+    states: Mapping[str, State]  # by the attachment's name
+
+
+def saved_state(body: Body, frame: float) -> tuple[str, Clocked]:
+    """Return what a file calls the state of an attachment at a frame, and its clock."""
+    return f"{frame!r}/{body.name}", Clocked(body.kind, frame, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +76,7 @@ class Simulation:
         rate: Fraction,
         start: Fraction,
         step: Fraction,
-        resumed: Saved | None = None,
+        resumed: SavedFrame | None = None,
         early: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> None:
@@ -73,7 +87,8 @@ class Simulation:
         """
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []  # of the bodies, once a frame was seen
-        self.saved: list[Saved] = []  # states at the frames that are asked for
+        # States at the frames that are asked for, and the steps of each a frame.
+        self.saved: dict[str, tuple[Clocked, Reached[State]]] = {}
         self.codes: list[float] = []  # time codes that were gone through
         self.resumed = resumed  # states that it goes on from
         self.closing: Closing | None = None  # of a cycle
@@ -179,9 +194,9 @@ class Simulation:
             for actor in self.actors:
                 actor.state = self.resumed.states[actor.body.name]
         if code in self.options.save_at:
-            states = {actor.body.name: actor.state for actor in self.actors}
-            steps = {actor.body.name: actor.steps for actor in self.actors}
-            self.saved.append(Saved(code, steps, states))
+            for actor in self.actors:
+                name, clocked = saved_state(actor.body, code)
+                self.saved[name] = clocked, Reached(actor.steps, actor.state)
 
     def _cycle(self, motion: Motion) -> Motion:
         """Return a cycle whose attachments end as they began."""

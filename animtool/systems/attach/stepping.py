@@ -13,13 +13,14 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.attach.network import Network, reach
 from animtool.systems.attach.settings import Settings
+from animtool.systems.simulation import growing
 from animtool.systems.springs.body import (
     Draws,
+    Loads,
     Paths,
     Springs,
     gathered,
     spring_layers,
-    spring_network,
 )
 from animtool.systems.springs.motion import Through
 from animtool.systems.springs.records import SelfContact
@@ -57,7 +58,7 @@ class State:
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Where cloth went through itself ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=nowhere)
+    passages: IntArray = field(default_factory=nowhere, metadata=growing())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,11 +166,10 @@ class SheetStepper:
         """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.network, self.tally, self._settings = network, tally, settings
         masses = masses_of(network)
-        self._inverse = 1.0 / masses
-        self._inverse[network.held] = 0.0
-        self._springs = _springs(network, settings, masses, self._inverse)
+        inverse = 1.0 / masses
+        inverse[network.held] = 0.0
         drawn = network.free if settings.frequency else network.free[:0]
-        self._draws = Draws(
+        draws = Draws(
             drawn,
             masses[drawn] * settings.frequency**2,
             masses[drawn] * (2 * settings.damping * settings.frequency),
@@ -177,11 +177,18 @@ class SheetStepper:
         # Cloth feels the air by its triangles, other things by their speed alone.
         self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
         slowing = 0.0 if cloth else settings.drag
-        self._gravity = settings.gravity * down + slowing * self._wind
         pressure = AIR * settings.drag if cloth else 0.0
-        self._pressures = pressure, pressure / 2
-        self._drags = np.full(network.count, slowing)
-        self._torn = np.zeros(len(self._springs.rest), np.uint8)
+        self._loads = Loads(
+            inverse,
+            np.full(network.count, slowing),
+            _springs(network, settings, masses, inverse),
+            network.triangles,
+            settings.gravity * down + slowing * self._wind,
+            (pressure, pressure / 2),
+            network.held,
+            draws,
+        )
+        self._torn = np.zeros(len(self._loads.springs.rest), np.uint8)
         self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
         self._layers: _kernels.SpringLayers | None = None
 
@@ -209,31 +216,23 @@ class SheetStepper:
         """Return the network on its way through a frame."""
         held, drawn = (
             np.ascontiguousarray(motions.targets[:, rows])
-            for rows in (self.network.held, self._draws.particles)
+            for rows in (self.network.held, self._loads.draws.particles)
         )
         if self._ready is not None and self._ready[:2] == (motions.cells, span):
             network = self._ready[2]
             network.lead(held, drawn)
             return network
         knots = np.linspace(0.0, span, motions.cells + 1)
-        network = spring_network(
-            self._inverse,
-            self._drags,
-            self._springs,
-            self.network.triangles,
-            self._gravity,
-            self._pressures,
-            self.network.held,
-            self._draws,
-            Paths(knots, held, drawn, self._wind[None, None]),
-        )
+        paths = Paths(knots, held, drawn, self._wind[None, None])
+        network = self._loads.network(paths)
         self._ready = motions.cells, span, network
         return network
 
     def _stretch(self, x: FloatArray) -> float:
         links = self.network.stiff
         i, j = links.ends.T
-        counted = (self._inverse[i] + self._inverse[j] > 0) & (links.rests > 0)
+        weights = self._loads.inverse_masses
+        counted = (weights[i] + weights[j] > 0) & (links.rests > 0)
         lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
         longer = lengths / links.rests[counted] - 1
         return float(longer.max(initial=0.0))

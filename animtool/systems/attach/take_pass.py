@@ -8,15 +8,24 @@ from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
 from animtool.errors import Fault, OptionError, Severity, counted, listed, percent
 from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.systems.attach.actor import Actor
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
 from animtool.systems.attach.network import odd_surface
-from animtool.systems.attach.saved import Saved, read_states, write_states
 from animtool.systems.attach.settings import SimulateOptions, option_checks
-from animtool.systems.attach.simulation import Closing, Simulation
+from animtool.systems.attach.simulation import (
+    Closing,
+    SavedFrame,
+    Simulation,
+    saved_state,
+)
+from animtool.systems.attach.stepping import State
+from animtool.systems.saved import open_states, write_states
+from animtool.systems.simulation import Reached
 from animtool.systems.springs.motion import through_notices
 from animtool.take import TakeStream
 
@@ -24,6 +33,8 @@ from animtool.take import TakeStream
 PARDON = 1.5
 # A joint turned by less than this moves nothing that would be missed [rad].
 LEAST_SWING = math.radians(0.1)
+# Of particles and triangles of any cloth.
+MAX_INDEX = 1 << 31
 
 
 def of_named_frames(simulation: Simulation) -> list[Fault]:
@@ -223,7 +234,7 @@ def simulate(
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
             SKIN001 to SKIN006), or a file of states is none (SIM035).
         OptionError: An option makes no sense, with every such fault (SCN014, SCN015,
-            SCN025, SIM030 to SIM032), the rig does not fit (SIM030, SIM033), or a
+            SCN025, SIM004, SIM030, SIM032), the rig does not fit (SIM030, SIM033), or a
             file of states does not (SIM035).
     """
     _check(options)
@@ -262,11 +273,36 @@ def _blocks(
 
 def _resumed(
     bodies: Sequence[Body], options: SimulateOptions, folder: Path
-) -> Saved | None:
+) -> SavedFrame | None:
+    """Return the latest states of a file."""
     if options.resume is None:
         return None
-    sizes = {body.name: body.network.count for body in bodies}
-    return read_states(folder / options.resume, sizes)
+    path = folder / options.resume
+    states: dict[str, State] = {}
+    faults: list[Fault] = []
+    with open_states(path) as saved:
+        # Of a system that is saved the one state has no name.
+        frames = [float(name.partition("/")[0]) for name in saved.names if name]
+        if not frames:
+            message = "it has no state of any frame"
+            raise OptionError(Fault("SIM035", message, str(path)))
+        frame = max(frames)
+        for body in bodies:
+            count = body.network.count
+            start = Reached(0, State(np.zeros((count, 3)), np.zeros((count, 3))))
+            try:
+                state = saved.read(*saved_state(body, frame), start).state
+            except OptionError as error:
+                faults += error.faults
+                continue
+            passages = state.passages
+            if (abs(passages) > MAX_INDEX).any() or (passages[:, 0] >= count).any():
+                message = f"{body.name} has passages with an index that no cloth has"
+                faults.append(Fault("SIM035", message, str(path)))
+            states[body.name] = state
+    if faults:
+        raise OptionError(faults)
+    return SavedFrame(frame, states)
 
 
 def moves(options: SimulateOptions) -> bool:

@@ -67,6 +67,9 @@ class Falls:
         )
 
 
+_Pose = tuple[FloatArray, FloatArray]
+
+
 @dataclass(frozen=True)
 class _Falling:
     """The bodies of one who falls."""
@@ -120,6 +123,7 @@ class Falling:
         make: Any = find_force("gravity")
         self._gravity = make(acceleration=tuple((-GRAVITY * self._up).tolist()))
         self._known: dict[tuple[int, bytes], _Falling] = {}
+        self._posed: dict[int, tuple[tuple[bytes, ...], _Pose]] = {}
 
     @staticmethod
     def possible(rig: Rig) -> bool:
@@ -190,11 +194,18 @@ class Falling:
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
-    def poses(self, falls: Falls, k: int) -> tuple[FloatArray, FloatArray]:
+    def poses(self, falls: Falls, k: int) -> _Pose:
         """Return local places ``(J, 3)`` [m] and turns ``(J, 4)`` of one who fell.
 
-        Those of the first joint are in the world.
+        Those of the first joint are in the world. Who rests has the pose before.
         """
+        agent = int(falls.agents[k])
+        seen = falls.positions[k].tobytes(), falls.motion[k].tobytes()
+        if agent not in self._posed or self._posed[agent][0] != seen:
+            self._posed[agent] = seen, self._pose(falls, k)
+        return self._posed[agent][1]
+
+    def _pose(self, falls: Falls, k: int) -> _Pose:
         agent = int(falls.agents[k])
         rig = self._rigs[agent]
         falling = self._falling(agent, falls.positions[k], falls.turns[k])

@@ -33,7 +33,7 @@ from animtool.systems.flocks.steering import (
     own_ways,
     steered,
 )
-from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.forces.base import Force
 from animtool.systems.simulation import Diagnostics, SimContext
 
 

@@ -20,6 +20,7 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.colours import Colouring, Quantities, log_density
+from animtool.systems.matter import normals
 from animtool.systems.molecules.atoms import BOLTZMANN, Atoms, Placing, refuse
 from animtool.systems.molecules.forces import (
     Acting,
@@ -27,8 +28,8 @@ from animtool.systems.molecules.forces import (
     MoleculeSystem,
     Trap,
 )
-from animtool.systems.molecules.spec import MoleculesModel
-from animtool.systems.molecules.thermostat import bath_factor
+from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
+from animtool.systems.particles.emitter import uniforms
 from animtool.systems.simulation import Diagnostics, SimContext, StoppedError
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
@@ -37,6 +38,8 @@ MEGAPASCALS = 1.66053906717
 OVERLAP = 1000.0
 # Steps over 1/ω of the stiffest crystal, from which on they are refused, and advised.
 LONGEST, ADVISED = 1.0, 0.1
+# Seed of the numbers of a bath over that of the system.
+_BATH = 2000
 # Share of the box that an atom may go through in a step.
 FARTHEST = 0.25
 # Energy gained or lost, in what there was of either kind, from which on it blew up.
@@ -284,3 +287,45 @@ class Molecules:
             gained = now.total - state.heat - begin.total
             values["energy_drift"] = gained / usual
         return {key: one for key, one in values.items() if math.isfinite(one)}
+
+
+def bath_factor(
+    model: ThermostatModel,
+    seed: int,
+    step: int,
+    t: float,
+    dt: float,
+    kinetic: float,
+    freedom: int,
+) -> float:
+    """Return by how much velocities change in a step, by a bath.
+
+    Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
+    rescaling, Journal of Chemical Physics 126, 2007, equation A7.
+
+    Args:
+        model: The bath.
+        seed: Of the system.
+        step: Number of the step, which chooses what is random.
+        t: Time at its end [s].
+        dt: The step [ps].
+        kinetic: Energy [kJ/mol].
+        freedom: Degrees of freedom.
+    """
+    from scipy.special import gammaincinv
+
+    if not kinetic > 0 or freedom < 1:
+        return 1.0
+    times, temperatures = np.array(model.temperatures).T
+    usual = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
+    (first, others) = np.clip(
+        uniforms(seed + _BATH, np.array([step]), 2)[0], 2.0**-53, 1 - 2.0**-53
+    )
+    normal = float(normals(first))
+    # The sum of the squares of all normal numbers but one.
+    squares = 2 * float(gammaincinv((freedom - 1) / 2, others)) if freedom > 1 else 0.0
+    kept = float(np.exp(-dt / model.relaxation))
+    share = usual / kinetic * (1 - kept)
+    square = kept + share * (normal**2 + squares) + 2 * normal * np.sqrt(kept * share)
+    factor = float(np.sqrt(max(square, 0.0)))
+    return -factor if normal * np.sqrt(share) + np.sqrt(kept) < 0 else factor

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from animtool.systems.particles.emitter import Emitter as Emitter
     from animtool.systems.particles.forces import FORCES as FORCES
     from animtool.systems.particles.forces import find_force as find_force
-    from animtool.systems.particles.forces.force import Force as Force
+    from animtool.systems.particles.forces.base import Force as Force
     from animtool.systems.particles.places import BoxPlace as BoxPlace
     from animtool.systems.particles.places import Disc as Disc
     from animtool.systems.particles.places import MeshSurface as MeshSurface
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "emitter": ("Emitter",),
     "forces": ("FORCES", "find_force"),
-    "forces.force": ("Force",),
+    "forces.base": ("Force",),
     "places": ("BoxPlace", "Disc", "MeshSurface", "Point", "SpherePlace"),
     "run": ("ParticleFrame", "ParticleRun"),
     "setup": ("KillRegion", "Particles"),

@@ -16,11 +16,6 @@ from animtool.sim.colliders.shapes import Mesh
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
-_Radius: TypeAlias = Annotated[
-    float, Range("above 0", "SIM021", 0.0, reached=False, finite=True)
-]
-
-
 class _Checked:
     """A place whose fields declare their ranges."""
 

@@ -27,7 +27,7 @@ from animtool.sim.colliders import (
     Shape,
     Sphere,
 )
-from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import Bodies, outline
 from animtool.systems.rigid.joints import KINDS, Joints, within

@@ -18,7 +18,7 @@ from animtool.physics import Physics
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
-from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import Joints, joints_of, together

@@ -9,8 +9,12 @@ from animtool.plugins import lazy_names
 if TYPE_CHECKING:
     from animtool.systems.springs.body import Body as Body
     from animtool.systems.springs.body import Springs as Springs
+    from animtool.systems.springs.body import Welded as Welded
     from animtool.systems.springs.body import join as join
     from animtool.systems.springs.body import springs_between as springs_between
+    from animtool.systems.springs.body import weld as weld
+    from animtool.systems.springs.drawing import Tearing as Tearing
+    from animtool.systems.springs.drawing import tear_surface as tear_surface
     from animtool.systems.springs.motion import SpringMotion as SpringMotion
     from animtool.systems.springs.paths import Pins as Pins
     from animtool.systems.springs.paths import Targets as Targets
@@ -21,38 +25,25 @@ if TYPE_CHECKING:
     from animtool.systems.springs.records import SpringOptions as SpringOptions
     from animtool.systems.springs.resting import Rest as Rest
     from animtool.systems.springs.resting import find_rest as find_rest
-    from animtool.systems.springs.shapes import Welded as Welded
     from animtool.systems.springs.shapes import block as block
     from animtool.systems.springs.shapes import rope as rope
     from animtool.systems.springs.shapes import sheet as sheet
     from animtool.systems.springs.shapes import strand as strand
     from animtool.systems.springs.shapes import surface as surface
     from animtool.systems.springs.shapes import tetrahedra as tetrahedra
-    from animtool.systems.springs.shapes import weld as weld
     from animtool.systems.springs.simulating import simulate_springs as simulate_springs
     from animtool.systems.springs.system import SpringSystem as SpringSystem
-    from animtool.systems.springs.tearing import Tearing as Tearing
-    from animtool.systems.springs.tearing import tear_surface as tear_surface
 
 _MODULES = {
-    "body": ("Body", "Springs", "join", "springs_between"),
+    "body": ("Body", "Springs", "Welded", "join", "springs_between", "weld"),
+    "drawing": ("Tearing", "tear_surface"),
     "motion": ("SpringMotion",),
     "paths": ("Pins", "Targets"),
     "records": ("Air", "Family", "SelfContact", "Solver", "SpringOptions"),
     "resting": ("Rest", "find_rest"),
-    "shapes": (
-        "Welded",
-        "block",
-        "rope",
-        "sheet",
-        "strand",
-        "surface",
-        "tetrahedra",
-        "weld",
-    ),
+    "shapes": ("block", "rope", "sheet", "strand", "surface", "tetrahedra"),
     "simulating": ("simulate_springs",),
     "system": ("SpringSystem",),
-    "tearing": ("Tearing", "tear_surface"),
 }
 _PUBLIC = {
     name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names

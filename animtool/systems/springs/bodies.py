@@ -1,30 +1,45 @@
-"""The particles and springs of an entry, with the names of places on them."""
+"""Bodies of entries: particles and springs, with the names of places on them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import spelled
-from animtool.errors import Fault, listed
-from animtool.options import OF_ENTRY, range_faults
-from animtool.systems.springs import Body, Family
-from animtool.systems.springs.drawing import Shape
+from animtool.errors import Fault, counted, listed
+from animtool.maths.faces import edge_counts, sides
+from animtool.systems.springs import (
+    Body,
+    Family,
+    block,
+    join,
+    rope,
+    sheet,
+    strand,
+    surface,
+    tetrahedra,
+)
+from animtool.systems.springs.checks import some_of
+from animtool.systems.springs.drawing import Curves, Faces, Shape
+from animtool.systems.springs.motion import warning
+from animtool.systems.springs.spec import (
+    ClothModel,
+    RopeModel,
+    SpringsModel,
+    StrandsModel,
+    VolumeModel,
+)
 
-# Of many that are odd in the same way, those that are named.
-MAX_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.
 MOST = 10_000_000
 # The least mass of a system, or of a particle that has one of its own [kg].
 LIGHTEST = 1e-30
-# By name; None are those left out.
-Families: TypeAlias = Mapping[str, Family | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +62,16 @@ class BodyEntry:
 
     spec: Any
     parts: Mapping[str, Any]
-    families: Families = field(default_factory=dict)
+    # By name; None are those left out.
+    families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
     faults: list[Fault] = field(default_factory=list)
     sound: bool = True  # whether nothing was noted that leaves no body
 
     def add(self, fault: Fault, *keys: str | int, doubt: bool = False) -> None:
-        """Add a fault at a key of the entry."""
-        self.faults.append(replace(fault, where=spelled(keys)))
+        """Add a fault at a key of the entry, and at its own below that."""
+        own = (fault.where,) if fault.where else ()
+        self.faults.append(replace(fault, where=spelled((*keys, *own))))
         self.sound &= doubt
 
     def note(
@@ -63,96 +80,240 @@ class BodyEntry:
         """Note a fault at a key of the entry."""
         self.add(Fault(code, message, hint=hint), *keys)
 
-    def doubt(
-        self, code: str, message: str, *keys: str | int, hint: str | None = None
-    ) -> None:
-        """Note a fault of what something stands in for."""
-        self.add(Fault(code, message, hint=hint), *keys, doubt=True)
-
     def mass_of(self, key: str, mass: float) -> float:
         """Return a mass; what is none is noted, and 1 kg stands in for it."""
         if mass >= LIGHTEST:
             return mass
         allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
-        self.doubt("SIM040", f"its mass must be {allowed}, not {mass:g} kg", key)
+        message = f"its mass must be {allowed}, not {mass:g} kg"
+        self.add(Fault("SIM040", message), key, doubt=True)
         return 1.0
 
 
-def families_of(entry: BodyEntry, model: FileModel) -> Families:
-    """Return the families of springs of an entry.
+def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
+    """Return a rope; None where what is noted leaves none."""
+    if not 2 <= model.count <= MOST:
+        message = f"a rope has 2 to {MOST} particles, not {model.count}"
+        entry.note("SIM050", message, "count")
+    if model.start == model.end:
+        message = "it begins and ends at one place"
+        entry.note("SIM050", message, "to")
+    tip = model.tip_mass
+    if tip is not None:
+        tip = entry.mass_of("tip_mass", tip)
+    if not entry.sound:
+        return None
+    count = model.count
+    body = rope(
+        model.start,
+        model.end,
+        count,
+        entry.families["structural"],
+        mass=entry.mass / count,
+        tip_mass=tip,
+        bend=entry.families["bend"],
+    )
+    places = {"start": np.array([0]), "end": np.array([count - 1])}
+    shape = Curves(np.array([count]), 2 * model.radius, body.springs)
+    return SpringBody(body, places, shape)
 
-    One of impossible numbers is noted, and one without force stands in for it.
-    """
-    entries = dict(model)
-    families = {
-        name: None if keys is None else _family(entry, name, dict(keys))
-        for name, keys in entries.items()
+
+def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
+    """Return strands; None where what is noted leaves none."""
+    points = entry.parts["points"]
+    if points is not None and not (
+        points.ndim == 3 and points.shape[1] >= 2 and points.shape[2] == 3
+    ):
+        message = f"strands have the shape (strands, 2 or more, 3), not {points.shape}"
+        entry.note("SIM050", message, "points")
+    if points is None or not entry.sound:
+        return None
+    many, length = points.shape[:2]
+    each = entry.mass / (many * length)
+    along, bend = entry.families["structural"], entry.families["bend"]
+    body = join([strand(row, along, mass=each, bend=bend) for row in points])
+    numbers = np.arange(many * length).reshape(many, length)
+    places = {"roots": numbers[:, 0], "tips": numbers[:, -1]}
+    shape = Curves(np.full(many, length), 2 * model.radius, body.springs)
+    return SpringBody(body, places, shape)
+
+
+def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
+    """Return cloth; None where what is noted leaves none."""
+    if model.mesh is not None:
+        why = "is for a sheet, and this is of a mesh"
+        _refuse_keys(entry, model, {"corner", "across", "up", "resolution"}, why)
+        return _mesh_cloth(entry, model.mesh.prim)
+    columns, rows = model.resolution
+    _check_grid(entry, "cloth", model.resolution)
+    if not np.cross(model.across, model.up).any():
+        message = "it has no area: across and up are nothing, or along each other"
+        entry.note("SIM050", message, "across")
+    if not entry.sound:
+        return None
+    both = model.springs.diagonals is None or model.springs.diagonals.ways == "both"
+    crossing = entry.families["diagonals"]
+    body = sheet(
+        columns,
+        rows,
+        mass=entry.mass / (columns * rows),
+        structural=entry.families["structural"],
+        diagonal=None if both else crossing,
+        diagonals=crossing if both else None,
+        bend=entry.families["bend"],
+        corner=model.corner,
+        across=model.across,
+        up=model.up,
+    )
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    quads = np.stack(
+        [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1
+    )
+    counts = np.full((rows - 1) * (columns - 1), 4)
+    places = {
+        "bottom_left": grid[0, :1],
+        "bottom_right": grid[0, -1:],
+        "top_left": grid[-1, :1],
+        "top_right": grid[-1, -1:],
+        **_grid_sides(grid, ("bottom", "top"), ("left", "right")),
     }
-    if not any(families.values()):
-        message = "it has no springs, and its particles fall apart"
-        hint = f"give it some of {', '.join(entries)}"
-        entry.doubt("SIM050", message, "springs", hint=hint)
-    return families
+    return SpringBody(body, places, Faces(counts, quads.reshape(-1), body.springs))
 
 
-def _family(entry: BodyEntry, name: str, keys: dict[str, Any]) -> Family:
-    """Return a family; ropes and strands may have the axial stiffness instead."""
-    axial, stiffness = keys.get("axial_stiffness"), keys.pop("stiffness")
-    if not _has_one_stiffness(entry, name, stiffness, axial, keys["rest"]):
-        return Family(0.0)
-    keys.pop("ways", None)  # which diagonals they are
-    family = Family(stiffness or 0.0, **keys)
-    faults = range_faults(family, OF_ENTRY)
-    if family.rest == 0 and (family.tear or 0) > 0:
-        message, hint = "springs of no length tear at once", "leave tear out"
-        faults.append(Fault("SIM042", message, hint=hint, where="tear"))
-    for fault in faults:
-        entry.add(fault, "springs", name, fault.where or "", doubt=True)
-    return Family(0.0) if faults else family
+def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
+    mesh = entry.parts["mesh"]
+    if mesh is None:
+        return None
+    faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
+    share, flat = _shares(mesh.points, *faces)
+    light = np.flatnonzero(share == 0)
+    if len(light):
+        message = f"points of {prim} are in no face with an area: {some_of(light)}"
+        entry.note("SIM051", message, "mesh", "prim")
+    if not entry.sound:
+        return None
+    families: Mapping[str, Any] = entry.families
+    body = surface(mesh.points, *faces, mass=entry.mass * share, **families)
+    often = edge_counts(*faces)
+    border = np.unique(often[0][often[1] == 1])
+    notices = _odd_mesh(prim, mesh.points, flat, often)
+    return SpringBody(body, {"border": border}, Faces(*faces, body.springs), notices)
 
 
-def _has_one_stiffness(
-    entry: BodyEntry,
-    name: str,
-    stiffness: float | None,
-    axial: float | None,
-    rest: float,
-) -> bool:
-    """Note a family that has both stiffnesses or none, or axial without length."""
-    both = "stiffness [N/m] of each spring, or axial_stiffness [N], force over strain"
-    if axial is None:
-        if stiffness is not None:
-            return True
-        message, where = "it has no stiffness", []
-    elif stiffness is not None:
-        message = "it has both stiffness and axial_stiffness"
-        where = ["axial_stiffness"]
-    elif rest == 0:
-        message = "springs without a length at rest have no axial_stiffness"
-        where, both = ["axial_stiffness"], "stiffness, or a rest above 0"
-    else:
-        return True
-    entry.doubt("SIM190", message, "springs", name, *where, hint=f"give {both}")
-    return False
+def _shares(
+    points: FloatArray, counts: IntArray, indices: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Return each point's share of the area ``(N,)``, and faces that have none."""
+    starts = np.cumsum(counts) - counts
+    middle = np.add.reduceat(points[indices], starts) / counts[:, None]
+    ahead = sides(counts, indices)[:, 1]
+    face = np.repeat(np.arange(len(counts)), counts)
+    spans = np.cross(points[indices] - middle[face], points[ahead] - middle[face])
+    areas = np.linalg.norm(np.add.reduceat(spans, starts), axis=1) / 2
+    size = np.ptp(points, axis=0).max()
+    areas[areas <= 1e-12 * size * size] = 0.0
+    return _share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
-def check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
-    """Note a grid of too few particles some way, or of too many."""
-    if min(resolution) < 2 or math.prod(resolution) > MOST:
-        *first, last = resolution
-        given = f"{listed(first)} and {last}"
-        message = f"{what} has 2 particles or more each way, and {MOST} at most"
-        message += f", not {given}"
-        entry.note("SIM050", message, "resolution")
+def _odd_mesh(
+    prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
+) -> tuple[Fault, ...]:
+    """Return warnings of what cloth bears, and nobody means."""
+    _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    double = np.flatnonzero(often[same.reshape(-1)] > 1)
+    remarks = {}
+    if len(flat):
+        remarks[f"faces without an area: {some_of(flat)}"] = "the air passes them"
+    if len(double):
+        text = f"points at one place, which nothing holds together: {some_of(double)}"
+        remarks[text] = "merge them"
+    many = shared[0][shared[1] > 2]
+    if len(many):
+        text = f"{counted(len(many), 'side')} of more than two faces, such as "
+        remarks[text + f"{many[0, 0]} to {many[0, 1]}"] = "it bends less there"
+    return tuple(
+        warning("SIM153", f"{prim} has {text}", hint) for text, hint in remarks.items()
+    )
 
 
-def refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
-    """Note keys that an entry gives, and that are for what it is not, and why."""
-    for key in sorted(keys & model.model_fields_set):
-        entry.note("SIM050", f"{key} {why}", key)
+def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
+    """Return a volume; None where what is noted leaves none."""
+    if model.tetrahedra is not None:
+        why = "is for a block, and this is of tetrahedra"
+        _refuse_keys(entry, model, {"corner", "size", "resolution"}, why)
+        return _tetrahedra(entry)
+    x, y, z = model.resolution
+    _check_grid(entry, "a volume", model.resolution)
+    if min(model.size) <= 0:
+        message = f"its size must be above 0 each way, not {listed(model.size)}"
+        entry.note("SIM050", message, "size")
+    if not entry.sound:
+        return None
+    body = block(
+        (x, y, z),
+        model.size,
+        mass=entry.mass / (x * y * z),
+        corner=model.corner,
+        **entry.families,
+    )
+    grid = np.arange(x * y * z).reshape(z, y, x)
+    names = ("back", "front"), ("bottom", "top"), ("left", "right")
+    return SpringBody(body, _grid_sides(grid, *names), _skin(body))
 
 
-def share_out(
+def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
+    points, cells = (entry.parts["tetrahedra"][name] for name in ("points", "cells"))
+    edges = entry.families["structural"]
+    if edges is None:
+        message = "tetrahedra have structural springs, along their edges"
+        entry.note("SIM050", message, "springs")
+    for name in ("face_diagonals", "body_diagonals"):
+        if entry.families[name] is not None:
+            message = f"{name} are for a block, and this is of tetrahedra"
+            entry.note("SIM050", message, "springs", name)
+    if points is None or cells is None or edges is None:
+        return None
+    message = _tetrahedra_fault(points, cells)
+    if message:
+        entry.note("SIM051", message, "tetrahedra")
+    if not entry.sound:
+        return None
+    corners = cells.astype(np.int64)
+    share = _volumes(points, corners)
+    body = tetrahedra(points, corners, edges, mass=entry.mass * share)
+    return SpringBody(body, {"skin": np.unique(body.triangles)}, _skin(body))
+
+
+def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
+    if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
+        return f"points have the shape (particles, 3), not {points.shape}"
+    if cells.ndim != 2 or cells.shape[1:] != (4,) or not len(cells):
+        return f"cells have the shape (tetrahedra, 4), not {cells.shape}"
+    if cells.min() < 0 or cells.max() >= len(points):
+        return f"a corner is none of the {len(points)} points"
+    light = np.flatnonzero(_volumes(points, cells.astype(np.int64)) == 0)
+    if len(light):
+        return f"points are in no tetrahedron with a volume: {some_of(light)}"
+    return ""
+
+
+def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Return each point's share of the volume ``(N,)``."""
+    sides = points[cells[:, 1:]] - points[cells[:, :1]]
+    volumes = np.abs(np.linalg.det(sides))
+    size = np.ptp(points, axis=0).max()
+    volumes[volumes <= 1e-12 * size**3] = 0.0
+    corners = np.full(len(cells), 4)
+    return _share_out(volumes, corners, cells.ravel(), len(points))
+
+
+def _skin(body: Body) -> Faces:
+    triangles = body.triangles
+    counts = np.full(len(triangles), 3)
+    return Faces(counts, triangles.ravel(), body.springs, closed=True)
+
+
+def _share_out(
     sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
 ) -> FloatArray:
     """Return each point's share ``(N,)`` [1] of cells that divide among corners.
@@ -165,8 +326,34 @@ def share_out(
     return np.asarray(own / (total if total > 0 else 1.0), np.float64)
 
 
-def some_of(numbers: IntArray) -> str:
-    """Return the first of some numbers, and how many more there are."""
-    more = len(numbers) - MAX_NAMED
-    text = ", ".join(map(str, numbers[:MAX_NAMED].tolist()))
-    return f"{text} and {more} more" if more > 0 else text
+def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
+    """Note a grid of too few particles some way, or of too many."""
+    if min(resolution) < 2 or math.prod(resolution) > MOST:
+        *first, last = resolution
+        given = f"{listed(first)} and {last}"
+        message = f"{what} has 2 particles or more each way, and {MOST} at most"
+        message += f", not {given}"
+        entry.note("SIM050", message, "resolution")
+
+
+def _grid_sides(grid: IntArray, *names: tuple[str, str]) -> dict[str, IntArray]:
+    """Return the particles at both ends of each axis of a grid, by their names."""
+    return {
+        name: np.take(grid, end, axis).ravel()
+        for axis, both in enumerate(names)
+        for name, end in zip(both, (0, -1), strict=True)
+    }
+
+
+def _refuse_keys(entry: BodyEntry, model: FileModel, keys: set[str], why: str) -> None:
+    """Note keys that an entry gives, and that are for what it is not, and why."""
+    for key in sorted(keys & model.model_fields_set):
+        entry.note("SIM050", f"{key} {why}", key)
+
+
+BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
+    ClothModel: _cloth,
+    RopeModel: _rope,
+    StrandsModel: _strands,
+    VolumeModel: _volume,
+}

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.systems.springs.records import Family, SelfContact
 
-# Fields of `Springs` that are the columns of kernels, in their order.
-COLUMNS = ("rest", "stiffness", "damping", "limit")
+# Which springs are torn, in the order of kernels ``(S,)``.
+Flags: TypeAlias = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,17 @@ class Springs:
     @staticmethod
     def none() -> Springs:
         """Return no springs."""
-        empty = np.zeros(0)
-        return Springs(np.zeros((0, 2), np.int64), empty, empty, empty, empty)
+        return Springs(np.zeros((0, 2), np.int64), *np.zeros((4, 0)))
 
     def select(self, rows: IntArray | BoolArray) -> Springs:
         """Return some of them, by number in an order, or by a mask ``(S,)``."""
         return Springs(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def lengths(self, points: FloatArray) -> FloatArray:
+        """Return how long they are ``(S,)`` [m] with particles at points ``(N, 3)``."""
+        ways = points[self.ends[:, 1]] - points[self.ends[:, 0]]
+        lengths: FloatArray = np.linalg.norm(ways, axis=1)
+        return lengths
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,18 +99,15 @@ def springs_between(
     lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
     stiffness = np.full(len(pairs), float(family.stiffness))
     if family.axial_stiffness is not None:
-        stiffness = np.divide(
-            family.axial_stiffness, lengths, out=stiffness, where=lengths > 0
-        )
+        np.divide(family.axial_stiffness, lengths, out=stiffness, where=lengths > 0)
     critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
+    damping = family.damping + family.ratio * critical
     limit = np.full(len(pairs), np.inf)
     if family.tear is not None:
         with np.errstate(invalid="ignore"):
             limit = lengths * (1 + family.tear)
         limit[np.isnan(limit)] = np.inf
-    return Springs(
-        pairs, lengths, stiffness, family.damping + family.ratio * critical, limit
-    )
+    return Springs(pairs, lengths, stiffness, damping, limit)
 
 
 def gathered(springs: Sequence[Springs]) -> Springs:
@@ -152,6 +155,50 @@ def join(bodies: Sequence[Body]) -> Body:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Welded:
+    """A body some of whose particles became one.
+
+    Attributes:
+        body: The rest of them; its springs and triangles are those of before.
+        rows: The particle that each of before is now ``(N,)``.
+        gap: Largest distance between two that became one [m].
+    """
+
+    body: Body
+    rows: IntArray
+    gap: float
+
+
+def weld(body: Body, pairs: ArrayLike) -> Welded:
+    """Return a body in which particles are one: masses add up.
+
+    Args:
+        body: Particles and springs.
+        pairs: Particles that go, and those whose place they take ``(J, 2)``.
+
+    >>> from animtool.systems.springs import Family, join, rope
+    >>> one = rope([0, 0, 0], [1, 0, 0], 2, Family(10.0), mass=1.0)
+    >>> two = rope([1, 0, 0], [2, 0, 0], 2, Family(10.0), mass=1.0)
+    >>> made = weld(join([one, two]), [[2, 1]])
+    >>> made.rows.tolist(), made.body.masses.tolist(), made.body.springs.ends.tolist()
+    ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
+    """
+    joined = np.asarray(pairs, np.int64).reshape(-1, 2)
+    place = np.arange(len(body.positions))
+    for gone, kept in joined.tolist():
+        # All that are one with either stand where the one that stays does.
+        place[place == place[gone]] = place[kept]
+    stay, rows = np.unique(place, return_inverse=True)
+    rows = rows.reshape(-1)
+    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[place], axis=1)
+    masses = np.zeros(len(stay))
+    np.add.at(masses, rows, body.masses)
+    springs = replace(body.springs, ends=rows[body.springs.ends])
+    welded = Body(body.positions[stay], masses, springs, rows[body.triangles])
+    return Welded(welded, rows, float(gaps.max(initial=0.0)))
+
+
 class Draws(NamedTuple):
     """What draws particles to points, by springs of no length."""
 
@@ -160,7 +207,8 @@ class Draws(NamedTuple):
     damping: FloatArray  # ``(A,)`` [N s/m]
 
 
-NO_DRAWS = Draws(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+NOBODY: IntArray = np.zeros(0, np.int64)
+NO_DRAWS = Draws(NOBODY, np.zeros(0), np.zeros(0))
 
 
 class Paths(NamedTuple):
@@ -172,45 +220,43 @@ class Paths(NamedTuple):
     wind: FloatArray  # ``(K or 1, 1, 3)`` [m/s]
 
 
-def spring_network(
-    inverse_masses: FloatArray,
-    drags: FloatArray,
-    springs: Springs,
-    triangles: IntArray,
-    gravity: FloatArray,
-    pressures: tuple[float, float],
-    held: IntArray,
-    draws: Draws,
-    paths: Paths,
-) -> _kernels.SpringNetwork:
-    """Return what kernels step.
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """N particles, springs between them, and what acts on them."""
 
-    Args:
-        inverse_masses: Of particles ``(N,)`` [1/kg], 0 of those that are held.
-        drags: What slows each, over its mass and speed ``(N,)`` [1/s].
-        springs: In the order in which they are gone through.
-        triangles: What the air acts on ``(T, 3)``.
-        gravity: ``(3,)`` [m/s²].
-        pressures: Drag and lift of triangles, over area and the square of speed.
-        held: Particles that are ``(P,)``.
-        draws: What draws others.
-        paths: Of both, and of the air.
-    """
-    return _kernels.SpringNetwork(
-        inverse_masses=inverse_masses,
-        drags=drags,
-        ends=np.ascontiguousarray(springs.ends),
-        numbers=np.stack([getattr(springs, name) for name in COLUMNS], axis=1),
-        triangles=triangles,
-        field=np.array([*gravity, *pressures], np.float64),
-        knots=paths.knots,
-        held=held,
-        held_path=paths.held,
-        anchors=draws.particles,
-        anchor_numbers=np.stack([draws.stiffness, draws.damping], axis=1),
-        anchor_path=paths.drawn,
-        winds=paths.wind,
-    )
+    inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 of particles that are held
+    drags: FloatArray  # what slows each, over its mass and speed ``(N,)`` [1/s]
+    springs: Springs
+    triangles: IntArray  # what the air acts on ``(T, 3)``
+    gravity: FloatArray  # ``(3,)`` [m/s²]
+    pressures: tuple[float, float]  # of air: drag and lift over area and speed²
+    held: IntArray = field(default_factory=NOBODY.copy)  # particles ``(P,)``
+    draws: Draws = NO_DRAWS
+
+    def network(self, paths: Paths) -> _kernels.SpringNetwork:
+        """Return what kernels step, going through springs in their order."""
+        springs, draws = self.springs, self.draws
+        return _kernels.SpringNetwork(
+            inverse_masses=self.inverse_masses,
+            drags=self.drags,
+            ends=np.ascontiguousarray(springs.ends),
+            rest=springs.rest,
+            stiffness=springs.stiffness,
+            damping=springs.damping,
+            limit=springs.limit,
+            triangles=self.triangles,
+            gravity=self.gravity,
+            air_drag=self.pressures[0],
+            air_lift=self.pressures[1],
+            knots=paths.knots,
+            held=self.held,
+            held_path=paths.held,
+            anchors=draws.particles,
+            anchor_stiffness=draws.stiffness,
+            anchor_damping=draws.damping,
+            anchor_path=paths.drawn,
+            winds=paths.wind,
+        )
 
 
 def spring_layers(

@@ -11,26 +11,22 @@ from animtool._types import IntArray
 from animtool.errors import Fault
 from animtool.quantities import length_text
 from animtool.systems.simulation import SimContext
-from animtool.systems.springs import Body, SpringSystem, Welded, find_rest, join, weld
-from animtool.systems.springs.entry import (
-    SpringEntry,
-    contact_of,
-    join_pairs,
-    options_of,
-    wind_of,
+from animtool.systems.springs import (
+    Body,
+    Pins,
+    SpringSystem,
+    Targets,
+    Welded,
+    find_rest,
+    join,
+    weld,
 )
+from animtool.systems.springs.entry import SpringEntry, join_pairs
 from animtool.systems.springs.motion import warning
-from animtool.systems.springs.pins import (
-    Tie,
-    Ties,
-    air_of,
-    moved_to_pins,
-    ties_of,
-    wind_ties,
-)
+from animtool.systems.springs.paths import combined
+from animtool.systems.springs.pins import air_of, moved_to_pins, ties_of, wind_ties
 from animtool.systems.springs.simulation import SpringSimulation, SpringView
-from animtool.systems.springs.spec import SpringsModel
-from animtool.systems.springs.spec_parts import FaceWindModel
+from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
@@ -38,13 +34,7 @@ APART = 1e-4
 
 
 def build(spec: SpringsModel, context: SimContext) -> SpringSimulation:
-    """Return springs that are joined, or those of one entry, at their beginning.
-
-    Raises:
-        FormatError: The file of a character is malformed.
-        OptionError: Something makes no sense.
-        ToleranceError: An error is to be kept, and it blew up at once.
-    """
+    """Return springs that are joined, or those of one entry, at their beginning."""
     return _Building(spec, context).simulation()
 
 
@@ -69,7 +59,7 @@ class _Building:
         """Return them with what each entry shows."""
         context = self._context
         made = SpringSimulation(
-            self._system, options_of(self._spec), context.begin, context
+            self._system, self._spec.options, context.begin, context
         )
         springs = 0
         views: list[SpringView] = []
@@ -82,49 +72,51 @@ class _Building:
         made.views = views
         return made
 
-    def _placed(self) -> tuple[list[Body], list[list[Tie]]]:
+    def _placed(self) -> tuple[list[Body], list[list[Pins | Targets]]]:
         """Return bodies where pins have them, and what ties each."""
         bodies, ties, begin = [], [], self._context.begin
         for entry in self._entries:
-            body, pins = entry.body.body, entry.pins
-            poses = [pin.poses(self._context.poses) for pin in pins]
-            points = moved_to_pins(pins, poses, body.positions, begin)
-            own = ties_of(pins, poses, points, begin)
+            body = entry.body.body
+            pins = [(pin, pin.poses(self._context.poses)) for pin in entry.pins]
+            points = moved_to_pins(pins, body.positions, begin)
+            ties.append(ties_of(pins, points))
             held = points.copy()
-            for tie in own:
-                if tie.stiffness is None:
-                    held[tie.particles] = tie.start
+            for pin, frame in pins:
+                if pin.model.stiffness is None:
+                    held[pin.particles] = pin.start(frame, points, begin)
             gap = float(np.linalg.norm(held - points, axis=1).max())
             self._say_apart("pins hold particles", gap)
-            windy = isinstance(wind_of(entry.spec), FaceWindModel)
-            faces = windy or contact_of(entry.spec) is not None
-            none = np.zeros((0, 3), np.int64)
-            triangles = body.triangles if faces else none
+            windy = isinstance(entry.spec.air, FaceWindModel)
+            faces = windy or entry.spec.contact is not None
+            triangles = body.triangles if faces else body.triangles[:0]
             bodies.append(replace(body, positions=held, triangles=triangles))
-            ties.append(own)
         return bodies, ties
 
-    def _made(self, welded: Welded, ties: Sequence[Sequence[Tie]]) -> SpringSystem:
+    def _made(
+        self, welded: Welded, ties: Sequence[Sequence[Pins | Targets]]
+    ) -> SpringSystem:
         spec, context = self._spec, self._context
-        every, count = Ties(), len(welded.body.positions)
-        resistance, air, contact = np.zeros(count), None, None
+        every: list[Pins | Targets] = []
+        resistance = np.zeros(len(welded.body.positions))
+        air, contact = None, None
         for entry, rows, own in zip(self._entries, self._rows, ties, strict=True):
-            for tie in own:
-                every.add(tie, rows)
+            tied = list(own)
             slowing = entry.spec.drag * entry.body.body.masses
-            wind = wind_of(entry.spec)
-            if wind is not None and not isinstance(wind, FaceWindModel):
+            wind = entry.spec.air
+            if isinstance(wind, FaceWindModel) or wind is None:
+                np.add.at(resistance, rows, slowing)
+                air = air if wind is None else air_of(wind)
+            else:
                 span = context.begin, context.last
                 points = welded.body.positions[rows]
-                every.add(wind_ties(wind, points, slowing, span), rows)
-            else:
-                np.add.at(resistance, rows, slowing)
-            air = air_of(wind) if isinstance(wind, FaceWindModel) else air
-            contact = contact_of(entry.spec) or contact
+                tied.append(wind_ties(wind, points, slowing, span))
+            for tie in tied:
+                every.append(replace(tie, particles=rows[np.asarray(tie.particles)]))
+            contact = entry.spec.contact or contact
         system = SpringSystem(
             welded.body,
-            pins=every.pins,
-            targets=every.targets,
+            pins=combined([tie for tie in every if isinstance(tie, Pins)]),
+            targets=combined([tie for tie in every if isinstance(tie, Targets)]),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,
@@ -141,16 +133,11 @@ class _Building:
         if not rest.solved:
             message = f"no rest was found: forces of {rest.residual:.2g} N are left"
             hint = "let it settle in a preroll, with drag"
-            self._warn("SIM152", message, hint, "settle")
+            self._notices.append(warning("SIM152", message, hint, "settle"))
         return system.starting_at(rest.positions)
 
     def _say_apart(self, what: str, gap: float) -> None:
         if gap > APART:
-            message = (
-                f"{what} {length_text(gap)} from where they are built: springs pull"
-            )
+            message = f"{what} {length_text(gap)} from where they are built: springs "
             hint = "place them so that they fit, or give pins an offset"
-            self._warn("SIM150", message, hint, "pins")
-
-    def _warn(self, code: str, message: str, hint: str, key: str) -> None:
-        self._notices.append(replace(warning(code, message, hint), where=key))
+            self._notices.append(warning("SIM150", f"{message}pull", hint, "pins"))

@@ -6,35 +6,32 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.errors import Fault, OptionError, counted
 from animtool.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.motion import warning
-from animtool.systems.springs.paths import Pins, Targets
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
 # Of many that are wrong in the same way, those that are named.
 MAX_NAMED = 5
 
 
-def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
-    """Raise where particles, springs or what holds them make no sense.
+def some_of(numbers: IntArray) -> str:
+    """Return the first of some numbers, and how many more there are."""
+    more = len(numbers) - MAX_NAMED
+    text = ", ".join(map(str, numbers[:MAX_NAMED].tolist()))
+    return f"{text} and {more} more" if more > 0 else text
 
-    Raises:
-        OptionError: A mass is not above 0 of a particle that is not held (SIM040); a
-            position is not finite (SIM041); a spring joins what is not there or has an
-            impossible number (SIM042); a pin or target is of a particle that is not
-            there, or held twice (SIM043).
-    """
+
+def check_body(body: Body, held: IntArray, drawn: IntArray) -> None:
+    """Raise where particles, springs or what holds them make no sense."""
     count = len(body.positions)
-    held = _members(pins.particles)
-    faults = _named("SIM041", "its position is not finite", _odd(body.positions))
+    odd = np.flatnonzero(~np.isfinite(body.positions).all(axis=1))
+    faults = _named("SIM041", "its position is not finite", odd)
     faults += _particle_faults(held, "pins", count)
-    if len(np.unique(held)) < len(held):
-        values, often = np.unique(held, return_counts=True)
-        faults += _named("SIM043", "it is pinned twice", values[often > 1])
-    if targets is not None:
-        faults += _particle_faults(_members(targets.particles), "targets", count)
+    values, often = np.unique(held, return_counts=True)
+    faults += _named("SIM043", "it is pinned twice", values[often > 1])
+    faults += _particle_faults(drawn, "targets", count)
     free = np.ones(count, bool)
     free[held[(held >= 0) & (held < count)]] = False
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -45,33 +42,15 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
     faults += _named("SIM040", "its mass is not above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)
     outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
-    faults += [
-        Fault("SIM042", f"triangle {i} has a corner that is not there", where="body")
-        for i in np.flatnonzero(outside)[:MAX_NAMED].tolist()
-    ]
+    faults += _first("triangle {} has a corner that is not there", outside)
     if faults:
         raise OptionError(faults)
-
-
-def check_limit(speed: float) -> None:
-    """Raise where no speed of pins and targets would be below a limit.
-
-    Raises:
-        OptionError: It is not above 0 (SIM004).
-    """
-    if not speed > 0:
-        message = f"speed_limit must be above 0, not {speed:g}"
-        raise OptionError(Fault("SIM004", message, where="speed_limit"))
 
 
 def check_path(
     name: str, positions: ArrayLike, times: ArrayLike | None, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times ``(K,)`` and positions ``(K, count, 3)`` of a path.
-
-    Raises:
-        OptionError: They do not fit each other, or are not finite (SIM044).
-    """
+    """Return times ``(K,)`` [s] and positions ``(K, count, 3)`` [m] of a path."""
     path = np.array(positions, np.float64)
     moments = np.zeros(1) if times is None else np.asarray(times, np.float64)
     if times is None and path.shape == (count, 3):
@@ -100,19 +79,9 @@ def start_notices(body: Body) -> list[Fault]:
     if not lost:
         return []
     which = "every spring" if lost == len(gaps) else f"{lost} of {len(gaps)} springs"
-    message = (
-        f"the ends of {which} are at one place: with no direction they pull nothing "
-        "until something parts them"
-    )
-    return [Fault("SIM140", message, where="body", severity=Severity.WARNING)]
-
-
-def _members(particles: ArrayLike) -> IntArray:
-    return np.asarray(particles, np.int64).reshape(-1)
-
-
-def _odd(values: FloatArray) -> IntArray:
-    return np.flatnonzero(~np.isfinite(values).all(axis=1))
+    message = f"the ends of {which} are at one place: with no direction they pull "
+    message += "nothing until something parts them"
+    return [warning("SIM140", message, None, "body")]
 
 
 def _named(
@@ -129,6 +98,14 @@ def _named(
     return faults
 
 
+def _first(message: str, bad: BoolArray | np.bool) -> list[Fault]:
+    """Return a fault of a body (SIM042) for each of the first that are bad."""
+    return [
+        Fault("SIM042", message.format(i), where="body")
+        for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
+    ]
+
+
 def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
     lost = particles[(particles < 0) | (particles >= count)]
     message = f"there is no particle {{}}: they are 0 to {count - 1}"
@@ -139,39 +116,24 @@ def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]
 
 
 def _spring_faults(springs: Springs, count: int) -> list[Fault]:
-    numbers = {
-        "length at rest": springs.rest,
-        "stiffness": springs.stiffness,
-        "damping": springs.damping,
-    }
-    lost = (springs.ends < 0) | (springs.ends >= count)
-    found: list[tuple[BoolArray, str]] = [
-        (lost[:, 0] | lost[:, 1], "joins a particle that is not there"),
-        (springs.ends[:, 0] == springs.ends[:, 1], "joins a particle to itself"),
-    ]
+    lost = ((springs.ends < 0) | (springs.ends >= count)).any(axis=1)
+    faults = _first("spring {} joins a particle that is not there", lost)
+    same = springs.ends[:, 0] == springs.ends[:, 1]
+    faults += _first("spring {} joins a particle to itself", same)
     with np.errstate(invalid="ignore"):
-        found += [
-            (
-                ~((values >= 0) & np.isfinite(values)),
-                f"has a {name} that is not 0 or more",
-            )
-            for name, values in numbers.items()
-        ]
-        found.append((~(springs.limit >= springs.rest), "tears before it is stretched"))
-    return [
-        Fault("SIM042", f"spring {i} {message}", where="body")
-        for bad, message in found
-        for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
-    ]
+        for column, name in (
+            (springs.rest, "length at rest"),
+            (springs.stiffness, "stiffness"),
+            (springs.damping, "damping"),
+        ):
+            bad = ~((column >= 0) & np.isfinite(column))
+            faults += _first(f"spring {{}} has a {name} that is not 0 or more", bad)
+        early = ~(springs.limit >= springs.rest)
+    return faults + _first("spring {} tears before it is stretched", early)
 
 
 def check_self_contact(contact: SelfContact, body: Body) -> None:
-    """Raise where a body cannot keep apart from itself in this way.
-
-    Raises:
-        OptionError: A number is out of its range, positions at rest do not fit, or the
-            body has no triangles (SIM045), with every such fault.
-    """
+    """Raise where a body cannot keep apart from itself in this way (SIM045)."""
     messages = [fault.message for fault in range_faults(contact)]
     if not len(body.triangles):
         messages.append("a body without triangles does not keep apart from itself")
@@ -204,21 +166,14 @@ def tangle_notices(
     )
     if not pierced:
         return []
-    places = counted(pierced, "place")
-    message = (
-        f"{what} begins in a tangle: its edges go through its triangles in {places}"
-    )
+    message = f"{what} begins in a tangle: its edges go through its triangles in "
+    message += counted(pierced, "place")
     hint = "what is through is not told from what is not: it may stay so"
     return [warning("SIM166", message, hint)]
 
 
 def check_options(options: SpringOptions) -> Solver:
-    """Return the solver that options name, and raise where they make no sense.
-
-    Raises:
-        OptionError: There is no such solver (SIM001), or a number is out of its range
-            (SIM004).
-    """
+    """Return the solver that options name; raise SIM001 or SIM004 where none is."""
     faults = []
     names = [str(solver) for solver in Solver]
     if options.solver not in names:
@@ -231,27 +186,9 @@ def check_options(options: SpringOptions) -> Solver:
     return Solver(options.solver)
 
 
-def check_substeps(solver: Solver, rate: float, most: float) -> None:
-    """Raise where a solver needs more steps a second than it may take.
-
-    Raises:
-        OptionError: It does (SIM004).
-    """
-    if rate <= most:
-        return
-    message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g} at most"
-    hint = "take xpbd or auto, less stiffness or damping, or more mass"
-    raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
-
-
-def check_keeping_apart(wanted: Solver) -> None:
-    """Raise where a solver does not keep a surface apart from itself.
-
-    Raises:
-        OptionError: It does not (SIM046).
-    """
-    if wanted in {Solver.AUTO, Solver.XPBD}:
-        return
-    message = f"{wanted} does not keep a surface apart from itself"
-    hint = "take xpbd or auto"
-    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+def check_keeping_apart(solver: Solver) -> None:
+    """Raise where a solver does not keep a surface apart from itself (SIM046)."""
+    if solver not in {Solver.AUTO, Solver.XPBD}:
+        message = f"{solver} does not keep a surface apart from itself"
+        hint = "take xpbd or auto"
+        raise OptionError(Fault("SIM046", message, where="solver", hint=hint))

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, pairwise
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.frames import CurvesFrame, MeshFrame
 from animtool.maths.faces import sides
 from animtool.systems.springs.body import Springs
-from animtool.systems.springs.tearing import Tearing, tear_surface
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
+# What keeps a turn as small as it may be where neighbours leave it open.
+LEAST_TURN = 1e-9
+# Over which points that no particle carries alone are looked at for their speed [s].
+EPSILON_TIME = 1e-4
 
 
 @dataclass(frozen=True)
@@ -36,15 +39,12 @@ class Curves:
         return bool(np.isfinite(self.springs.limit).any())
 
     def row(
-        self, points: FloatArray, velocities: FloatArray, torn: Flags
+        self, points: FloatArray, velocities: FloatArray, torn: BoolArray
     ) -> CurvesFrame:
-        """Return what is drawn of points and velocities ``(N, 3)`` [m, m/s].
-
-        Springs that are torn are ``(S,)``.
-        """
+        """Return curves of ``(N, 3)`` [m, m/s] where springs are torn ``(S,)``."""
         if not torn.any():
             return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
-        last = np.zeros(len(points), np.bool_)
+        last = np.zeros(len(points), bool)
         last[np.cumsum(self.counts) - 1] = True
         gone = torn[self._next] & (self._next >= 0)
         last[:-1] |= gone
@@ -76,26 +76,24 @@ class Faces:
         sides = self._sides[self._sides >= 0]
         return bool(np.isfinite(self.springs.limit[sides]).any())
 
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:  # noqa: ARG002
-        """Return what is drawn of points and velocities ``(N, 3)`` [m, m/s].
-
-        What is to part has a shape of its own.
-        """
+    def row(
+        self,
+        points: FloatArray,
+        velocities: FloatArray,
+        torn: BoolArray,  # noqa: ARG002
+    ) -> MeshFrame:
+        """Return what is drawn; what is to part has a shape of its own."""
         return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
-    def parted(self, torn: Flags, places: FloatArray) -> TornMesh | Faces:
-        """Return the surface that parts where springs of its sides ever tear ``(S,)``.
-
-        Places are those of particles at rest ``(N, 3)`` [m].
-        """
+    def parted(self, torn: BoolArray, places: FloatArray) -> Tearing | Faces:
+        """Return it as it parts at springs ``(S,)``, at rest at ``(N, 3)`` [m]."""
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
-        made = tear_surface(
+        return tear_surface(
             self.counts, self.indices, self._sides, self.springs, torn, places
         )
-        return TornMesh(made)
 
-    def whole(self, torn: Flags) -> tuple[IntArray, IntArray]:
+    def whole(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
         """Return corners a face, and corners, of faces without a torn side ``(S,)``."""
         open_sides = torn[self._sides] & (self._sides >= 0)
         starts = np.cumsum(self.counts) - self.counts
@@ -106,23 +104,6 @@ class Faces:
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
         return _between(self.springs, sides(self.counts, self.indices))
-
-
-@dataclass(frozen=True)
-class TornMesh:
-    """A surface of particles that parts."""
-
-    tearing: Tearing  # how
-
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:
-        """Return what is drawn at a frame; see `Faces.row`."""
-        made = self.tearing
-        return MeshFrame(
-            made.points(points, torn),
-            made.velocities(points, velocities, torn),
-            made.counts,
-            made.indices,
-        )
 
 
 Shape: TypeAlias = Curves | Faces
@@ -138,3 +119,252 @@ def _between(springs: Springs, pairs: IntArray) -> IntArray:
     wanted = np.sort(pairs, axis=1) @ [size, 1]
     at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
     return np.where(known[at] == wanted, first[at], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tearing:
+    """A surface with more points, so that it can part and stays the same polygons.
+
+    A tear goes through the middle of each side whose spring tears, from there on
+    through the face to the next such side, or to the middle of the face where it
+    ends. Each half goes with the particles of its end: until the spring tears, both
+    halves meet where they did; then each is as at rest, turned as what is around its
+    particle. No face goes.
+
+    Points are the particles, two halves for each side that ever tears, and middles of
+    faces.
+
+    Attributes:
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face.
+        size: Number of points.
+        springs: Those that ever tear along sides ``(E,)``.
+        ends: Their particles ``(E, 2)``.
+        ways: Half the way from the first end to the second, at rest ``(E, 3)`` [m].
+        turning: How particles at tears turn.
+        middles: Of faces.
+    """
+
+    counts: IntArray
+    indices: IntArray
+    size: int
+    springs: IntArray
+    ends: IntArray
+    ways: FloatArray
+    turning: _Turning
+    middles: tuple[_Middle, ...]
+
+    def row(
+        self, points: FloatArray, velocities: FloatArray, torn: BoolArray
+    ) -> MeshFrame:
+        """Return what is drawn of particles at a frame, as `Faces.row` does."""
+        made = self.points(points, torn), self.velocities(points, velocities, torn)
+        return MeshFrame(*made, self.counts, self.indices)
+
+    def points(self, particles: FloatArray, torn: BoolArray) -> FloatArray:
+        """Return all points ``(size, 3)`` [m].
+
+        Args:
+            particles: ``(N, 3)`` [m].
+            torn: Which springs are ``(S,)``.
+        """
+        now = torn[self.springs]
+        first, second = (particles[self.ends[:, k]] for k in (0, 1))
+        halves = np.stack([(first + second) / 2] * 2, axis=1)
+        turns = self.turning.at(particles)
+        for k, sign in ((0, 1.0), (1, -1.0)):
+            own = turns[self.turning.rows(self.ends[now, k])]
+            ways = sign * np.einsum("eij,ej->ei", own, self.ways[now])
+            halves[now, k] = particles[self.ends[now, k]] + ways
+        middles = [middle.at(particles, torn, self.turning, turns)
+                   for middle in self.middles]  # fmt: skip
+        return np.concatenate([particles, halves.reshape(-1, 3), *middles])
+
+    def velocities(
+        self, particles: FloatArray, speeds: FloatArray, torn: BoolArray
+    ) -> FloatArray:
+        """Return how fast all points go ``(size, 3)`` [m/s].
+
+        Args:
+            particles: ``(N, 3)`` [m].
+            speeds: Theirs ``(N, 3)`` [m/s].
+            torn: Which springs are ``(S,)``.
+        """
+        ahead = self.points(particles + EPSILON_TIME * speeds, torn)
+        behind = self.points(particles - EPSILON_TIME * speeds, torn)
+        found = (ahead - behind) / (2 * EPSILON_TIME)
+        found[: len(speeds)] = speeds
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turning:
+    """How particles turn with their neighbours."""
+
+    which: IntArray  # the particles, ascending ``(P,)``
+    owners: IntArray  # numbers of particles in it, one a neighbour ``(K,)``
+    neighbours: IntArray  # particles that stay next to them ``(K,)``
+    ways: FloatArray  # to them at rest ``(K, 3)`` [m]
+
+    def rows(self, particles: IntArray) -> IntArray:
+        """Return where particles stand among those that turn."""
+        return np.searchsorted(self.which, particles)
+
+    def at(self, particles: FloatArray) -> FloatArray:
+        """Return their turns ``(P, 3, 3)``, as small as neighbours leave them open."""
+        now = particles[self.neighbours] - particles[self.which[self.owners]]
+        spread = np.zeros((len(self.which), 3, 3))
+        np.add.at(spread, self.owners, now[:, :, None] * self.ways[:, None, :])
+        size = np.abs(spread).max(axis=(1, 2), initial=0.0)
+        size[size == 0] = 1.0
+        return least_turns(spread, size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Middle:
+    """The middle of a face, once for each of the parts that meet there."""
+
+    corners: IntArray  # of the face ``(C,)``
+    parts: IntArray  # of each corner ``(C,)``
+    springs: IntArray  # between a part and the next, around the face ``(P,)``
+    ways: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
+
+    def at(
+        self,
+        particles: FloatArray,
+        torn: BoolArray,
+        turning: _Turning,
+        turns: FloatArray,
+    ) -> FloatArray:
+        """Return where it is for each part ``(P, 3)`` [m]."""
+        gone = torn[self.springs]
+        groups = int(gone.sum())
+        if groups < 2:
+            middle = particles[self.corners].mean(axis=0)
+            return np.tile(middle, (len(gone), 1))
+        # What comes behind the last that is gone meets what comes before the first.
+        group = np.mod(np.cumsum(gone) - gone, groups)
+        own = turns[turning.rows(self.corners)]
+        places = particles[self.corners] + np.einsum("cij,cj->ci", own, self.ways)
+        of = group[self.parts]
+        sums = np.zeros((groups, 3))
+        np.add.at(sums, of, places)
+        found: FloatArray = sums[group] / np.bincount(of)[group][:, None]
+        return found
+
+
+def tear_surface(
+    counts: IntArray,
+    indices: IntArray,
+    sides: IntArray,
+    springs: Springs,
+    torn: BoolArray,
+    places: FloatArray,
+) -> Tearing:
+    """Return how a surface parts.
+
+    Args:
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face ``(C,)``.
+        sides: The spring along each side ``(C,)``, from its corner on; -1 for none.
+        springs: Between the particles.
+        torn: Which of them ever tear ``(S,)``.
+        places: Where particles are at rest ``(N, 3)`` [m].
+
+    >>> from animtool.systems.springs import Family, sheet
+    >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
+    >>> sides = np.array([0, 5, 2, 4, 1, 6, 3, 5])
+    >>> torn = np.isin(np.arange(7), [0, 2])
+    >>> made = tear_surface(np.array([4, 4]), np.array([0, 1, 4, 3, 1, 2, 5, 4]),
+    ...                     sides, body.springs, torn, body.positions)
+    >>> made.counts.tolist(), made.indices.tolist()
+    ([4, 4, 4], [1, 2, 5, 4, 7, 1, 4, 9, 8, 3, 0, 6])
+    """
+    cut = torn[sides] & (sides >= 0)
+    crossed = np.unique(sides[cut])
+    ends = springs.ends[crossed]
+    named = zip(crossed.tolist(), ends.tolist(), strict=True)
+    # Points of both halves of a side, by its spring and its end.
+    halves = {
+        (spring, end): len(places) + 2 * i + k
+        for i, (spring, pair) in enumerate(named)
+        for k, end in enumerate(pair)
+    }
+    size = len(places) + 2 * len(crossed)
+    starts = np.cumsum(counts) - counts
+    whole = ~np.logical_or.reduceat(cut, starts)
+    middles: list[_Middle] = []
+    parts: list[Sequence[int]] = []  # corners of each
+    for face in np.flatnonzero(~whole).tolist():
+        own = slice(starts[face], starts[face] + counts[face])
+        corners = indices[own]
+        torn_sides = np.where(cut[own], sides[own], -1)
+        runs = list(_runs(corners.tolist(), torn_sides.tolist()))
+        rings = [
+            [halves[before, run[0]], *run, halves[after, run[-1]]]
+            for before, run, after in runs
+        ]
+        if len(runs) == 2:
+            parts += rings
+            continue
+        if len(runs) > 2:
+            parts += [[size + i, *ring] for i, ring in enumerate(rings)]
+        else:
+            parts += [[size, *two] for two in pairwise(rings[0])]
+        middles.append(_middle(runs, places, places[corners].mean(axis=0)))
+        size += len(runs)
+    between = places[ends[:, 1]] - places[ends[:, 0]]
+    lengths = np.linalg.norm(between, axis=1)
+    shares = springs.rest[crossed] / np.where(lengths > 0, lengths, 1.0) / 2
+    at = [ends.ravel(), *(middle.corners for middle in middles)]
+    left = sides[~cut & (sides >= 0)]
+    return Tearing(
+        np.append(counts[whole], np.array([len(part) for part in parts], np.int64)),
+        np.append(
+            indices[np.repeat(whole, counts)], np.array([*chain(*parts)], np.int64)
+        ),
+        size,
+        crossed,
+        ends,
+        between * shares[:, None],
+        _turning(np.unique(np.concatenate(at)), springs.ends[np.unique(left)], places),
+        tuple(middles),
+    )
+
+
+# A run of corners that stay together, between the springs that tear at both ends.
+_Run: TypeAlias = tuple[int, list[int], int]
+
+
+def _runs(corners: Sequence[int], cut: Sequence[int]) -> Iterator[_Run]:
+    """Yield runs of corners of a face whose sides are cut at springs; -1 is none."""
+    count = len(corners)
+    crossed = [i for i in range(count) if cut[i] >= 0]
+    for one, other in zip(crossed, [*crossed[1:], crossed[0] + count], strict=True):
+        run = [corners[i % count] for i in range(one + 1, other + 1)]
+        yield cut[one], run, cut[other % count]
+
+
+def _middle(runs: Sequence[_Run], places: FloatArray, at: FloatArray) -> _Middle:
+    """Return the middle of a face of runs, which at rest is at a place ``(3,)`` [m]."""
+    order = np.array([corner for _, run, _ in runs for corner in run])
+    parts = np.array([i for i, (_, run, _) in enumerate(runs) for _ in run])
+    after = np.array([after for _, _, after in runs])
+    return _Middle(order, parts, after, at - places[order])
+
+
+def least_turns(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return turns ``(..., 3, 3)`` by covariances of that shape, of some sizes."""
+    small = LEAST_TURN * sizes[..., None, None] * np.eye(3)
+    u, _, v = np.linalg.svd(spreads + small)
+    u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
+    turns: FloatArray = u @ v
+    return turns
+
+
+def _turning(which: IntArray, pairs: IntArray, places: FloatArray) -> _Turning:
+    """Return how ascending particles ``(P,)`` turn with those of pairs ``(K, 2)``."""
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.isin(both[:, 0], which)]
+    ways = places[both[:, 1]] - places[both[:, 0]]
+    return _Turning(which, np.searchsorted(which, both[:, 0]), both[:, 1], ways)

@@ -5,44 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from animtool._types import IntArray
+from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
 from animtool.systems.fields import Member
-from animtool.systems.springs import SelfContact, Solver, SpringOptions
-from animtool.systems.springs.bodies import BodyEntry, SpringBody, families_of
+from animtool.systems.springs import Family, Solver
+from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
 from animtool.systems.springs.drawing import Faces
-from animtool.systems.springs.entry_bodies import (
-    cloth_body,
-    rope_body,
-    strands_body,
-    volume_body,
-)
 from animtool.systems.springs.pins import Join, Pin, air_of, numbered, read_pins
-from animtool.systems.springs.spec import (
-    ClothModel,
-    RopeModel,
-    SpringsModel,
-    StrandsModel,
-    VolumeModel,
-)
-from animtool.systems.springs.spec_parts import (
-    FaceWindModel,
-    SelfContactModel,
-    WindModel,
-)
-
-_BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
-    ClothModel: cloth_body,
-    RopeModel: rope_body,
-    StrandsModel: strands_body,
-    VolumeModel: volume_body,
-}
+from animtool.systems.springs.spec import FaceWindModel, SpringsModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,23 +34,22 @@ class SpringEntry:
     @property
     def joined(self) -> list[tuple[str, str]]:
         """Systems that it is one with, and the keys that say so."""
-        return [(join.system, f"{join.where}.system") for join in self.joins]
+        return [(join.to.system, f"{join.where}.system") for join in self.joins]
 
     @property
     def reads(self) -> list[str]:
         """What acts on them, in words."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
-        reads += [f"{join.system}, joined" for join in self.joins]
-        reads += ["the wind"] if wind_of(self.spec) is not None else []
-        reads += ["itself"] if contact_of(self.spec) is not None else []
+        reads += [f"{join.to.system}, joined" for join in self.joins]
+        reads += ["the wind"] if self.spec.air is not None else []
+        reads += ["itself"] if self.spec.contact is not None else []
         return reads
 
     @property
     def title(self) -> str:
         """What they are called in words."""
-        body = self.body.body
-        particles = counted(len(body.positions), "particle")
-        return f"{particles} with {counted(len(body.springs.rest), 'spring')}"
+        particles, springs, *_ = self.counts.values()
+        return f"{counted(particles, 'particle')} with {counted(springs, 'spring')}"
 
     @property
     def counts(self) -> dict[str, int]:
@@ -91,35 +67,17 @@ class SpringEntry:
         bodies = {member.name: member.record.body for member in members}
         faults = []
         for join in self.joins:
-            faults += _join_faults(join, bodies[join.system])
-        apart = any(contact_of(member.spec) for member in members)
+            faults += _join_faults(join, bodies[join.to.system])
+        apart = any(member.spec.contact is not None for member in members)
         # One that wants it itself has been told.
-        if apart and contact_of(self.spec) is None and "solver" in self.spec.shared():
-            faults += _faults_of(
-                lambda: check_keeping_apart(Solver(options_of(self.spec).solver))
-            )
+        if apart and self.spec.contact is None and "solver" in self.spec.shared():
+            solver = Solver(self.spec.options.solver)
+            faults += _faults_of(lambda: check_keeping_apart(solver))
         return faults
 
 
-def wind_of(spec: SpringsModel) -> WindModel | None:
-    """Return the air of an entry; None is still, and faces bear none."""
-    return cast(WindModel | None, getattr(spec, "wind", None))
-
-
-def contact_of(spec: SpringsModel) -> SelfContact | None:
-    """Return how the surface of an entry keeps apart from itself; None goes through."""
-    model: SelfContactModel | None = getattr(spec, "self_contact", None)
-    return None if model is None else SelfContact(**dict(model))
-
-
-def options_of(spec: SpringsModel) -> SpringOptions:
-    """Return the solver of an entry, and its steps."""
-    names = ("solver", "step", "error", "stretch")
-    return SpringOptions(**{name: getattr(spec, name) for name in names})
-
-
 def _join_faults(join: Join, other: SpringBody) -> list[Fault]:
-    numbers, faults = numbered(join.others, other)
+    numbers, faults = numbered(join.to.particles, other)
     where = f"{join.where}.particles"
     located = [replace(fault, where=f"{where}[{i}]") for i, fault in faults]
     if not faults and len(numbers) not in {1, len(join.particles)}:
@@ -138,8 +96,8 @@ def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
     pairs = [np.zeros((0, 2), np.int64)]
     for member, start in zip(members, starts, strict=False):
         for join in member.record.joins:
-            k = names.index(join.system)
-            others = np.array(numbered(join.others, members[k].record.body)[0])
+            k = names.index(join.to.system)
+            others = np.array(numbered(join.to.particles, members[k].record.body)[0])
             two = np.broadcast_arrays(join.particles + start, others + starts[k])
             pairs.append(np.stack(two, axis=1))
     return np.concatenate(pairs)
@@ -150,11 +108,12 @@ def read_entry(
 ) -> tuple[SpringEntry | None, list[Fault]]:
     """Return what an entry is made of, None where faults leave nothing, and these."""
     entry = BodyEntry(spec, parts)
-    entry.families = families_of(entry, spec.springs)
+    entry.families = _families(entry)
     entry.mass = entry.mass_of("mass", spec.mass)
-    body = _BODIES[type(spec)](entry, spec)
-    _check_wind(entry, wind_of(spec))
-    _check_options(entry)
+    body = BODIES[type(spec)](entry, spec)
+    _check_wind(entry)
+    for fault in _faults_of(lambda: _check_solver(spec)):
+        entry.add(fault)
     if spec.error is not None and any(one.two_way for one in spec.systems):
         message = "steps that keep an error are found by simulating several times, and "
         message += "bodies would be pushed each time"
@@ -166,6 +125,46 @@ def read_entry(
     return SpringEntry(spec, body, pins, joins), entry.faults
 
 
+def _families(entry: BodyEntry) -> dict[str, Family | None]:
+    """Return families of springs by name; None are those left out."""
+    models = dict(entry.spec.springs)
+    families = {
+        name: None if model is None else _family(entry, name, model)
+        for name, model in models.items()
+    }
+    if not any(families.values()):
+        message = "it has no springs, and its particles fall apart"
+        hint = f"give it some of {', '.join(models)}"
+        entry.add(Fault("SIM050", message, hint=hint), "springs", doubt=True)
+    return families
+
+
+def _family(entry: BodyEntry, name: str, model: Any) -> Family:
+    """Return a family; one without force stands in for one of impossible numbers."""
+    stiffness, axial = model.stiffness, getattr(model, "axial_stiffness", None)
+    family = record_of(Family, model, stiffness=stiffness or 0.0)
+    hint = "stiffness [N/m] of each spring, or axial_stiffness [N], force over strain"
+    message = ""
+    if stiffness is None and axial is None:
+        message = "it has no stiffness"
+    elif None not in {stiffness, axial}:
+        message = "it has both stiffness and axial_stiffness"
+    elif axial is not None and family.rest == 0:
+        message = "springs without a length at rest have no axial_stiffness"
+        hint = "stiffness, or a rest above 0"
+    if message:
+        where = None if axial is None else "axial_stiffness"
+        faults = [Fault("SIM190", message, hint=f"give {hint}", where=where)]
+    else:
+        faults = range_faults(family, OF_ENTRY)
+        if family.rest == 0 and (family.tear or 0) > 0:
+            message, hint = "springs of no length tear at once", "leave tear out"
+            faults.append(Fault("SIM042", message, hint=hint, where="tear"))
+    for fault in faults:
+        entry.add(fault, "springs", name, doubt=True)
+    return Family(0.0) if faults else family
+
+
 def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
     """Return what a check raises."""
     try:
@@ -175,21 +174,18 @@ def _faults_of(check: Callable[[], object]) -> Sequence[Fault]:
     return ()
 
 
-def _check_options(entry: BodyEntry) -> None:
-    def check() -> None:
-        solver = check_options(options_of(entry.spec))
-        if contact_of(entry.spec) is not None:
-            check_keeping_apart(solver)
-
-    for fault in _faults_of(check):
-        entry.add(fault, fault.where or "")
+def _check_solver(spec: SpringsModel) -> None:
+    solver = check_options(spec.options)
+    if spec.contact is not None:
+        check_keeping_apart(solver)
 
 
-def _check_wind(entry: BodyEntry, model: WindModel | None) -> None:
-    if model is None:
+def _check_wind(entry: BodyEntry) -> None:
+    wind = entry.spec.air
+    if wind is None:
         return
-    if any(after[0] <= before[0] for before, after in pairwise(model.gusts)):
+    if any(after[0] <= before[0] for before, after in pairwise(wind.gusts)):
         entry.note("SIM044", "its times must ascend", "wind", "gusts")
-    if isinstance(model, FaceWindModel):
-        for fault in range_faults(air_of(model), OF_ENTRY):
-            entry.add(fault, "wind", fault.where or "")
+    if isinstance(wind, FaceWindModel):
+        for fault in range_faults(air_of(wind), OF_ENTRY):
+            entry.add(fault, "wind")

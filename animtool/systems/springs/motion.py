@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
 from animtool.sim.trajectory import Trajectory
+from animtool.systems.simulation import growing, later
+from animtool.systems.springs.body import Flags
 from animtool.systems.springs.records import Solver
 
 # Steps that a cell of time is divided into, at most.
@@ -37,37 +38,67 @@ class Through:
 
 
 @dataclass(frozen=True, slots=True)
+class SpringState:
+    """Springs at the begin of a cell of time, so that they can be gone on with."""
+
+    motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
+    torn: Flags
+    substeps: int  # steps in a cell
+    least: int  # steps in a cell of xpbd, at least
+    calm: int = 0  # cells of xpbd without need of as many steps
+    # State a step before, of bdf2.
+    before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    # Where the surface is through itself ``(C, 3)``, as kernels have it.
+    passages: IntArray = field(
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Grid:
-    """Where a motion stands on its grid of time, so that it can be gone on with."""
+    """Where a motion is on its grid of time, and what happened in the cells so far."""
 
     solver: Solver  # what takes it on
     origin: float  # time of the grid's first cell [s]
     cell: float  # length of each [s]
     index: int  # of the cell to cross next
-    substeps: int  # steps in a cell
-    state: FloatArray  # at its start ``(2, N, 3)``
-    torn: npt.NDArray[np.uint8]  # which springs are, in the order of kernels ``(S,)``
-    before: FloatArray | None = None  # state a step before, of bdf2
-    calm: int = 0  # cells of xpbd without need of as many steps
-    least: int = 1  # steps in a cell of xpbd, at least
-    # The largest so far of springs of xpbd that is not mostly their own give [1].
+    state: SpringState  # at its start
+    # The largest of springs of xpbd that is not mostly their own give [1].
     stretch: float = 0.0
-    steps: int = 0  # taken so far
-    evaluations: int = 0  # of all springs so far
+    steps: int = 0
+    evaluations: int = 0  # of all springs
     lost: bool = False  # whether a cell could not be crossed
     unresolved: int = 0  # particles left inside colliders, at most
     # What rigid colliders were pushed by in the last cells ``(C, 7)``: impulse, moment
     # about the origin, and the mass that touched each at once, at most.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
-    # Where the surface is through itself ``(C, 3)``, as kernels have it.
-    passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     # What went through the surface, at most.
     through: Through = field(default_factory=Through)
 
     @property
     def time(self) -> float:
-        """Where it stands [s]."""
+        """Where it is [s]."""
         return self.origin + self.index * self.cell
+
+    def crossed(
+        self,
+        cells: int,
+        state: SpringState,
+        steps: int,
+        evaluations: int,
+        inside: int,
+        pushes: FloatArray,
+    ) -> Grid:
+        """Return where it is after cells that took steps to a state."""
+        return replace(
+            self,
+            index=self.index + cells,
+            state=state,
+            steps=self.steps + steps,
+            evaluations=self.evaluations + evaluations,
+            unresolved=max(self.unresolved, inside),
+            pushes=pushes,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +123,7 @@ class SpringMotion(Trajectory):
     reason: str
     step: float
     stretch: float
-    torn: npt.NDArray[np.bool_]
+    torn: BoolArray
     unresolved: int
     passed: int = 0
     cut: int = 0
@@ -101,15 +132,14 @@ class SpringMotion(Trajectory):
 def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
     """Return warnings of what went through a surface (SIM144, SIM165, SIM167)."""
     notices = []
+    thicker = "take a shorter step, or a greater thickness"
     if through.passed:
         message = f"{counted(through.passed, 'particle')} went through {what}"
-        hint = "take a shorter step, or a greater thickness"
-        notices.append(warning("SIM144", message, hint))
+        notices.append(warning("SIM144", message, thicker))
     if through.cut:
         times = counted(through.cut, "pair")
         message = f"{times} of edges cut through each other in {what}"
-        hint = "take a shorter step, or a greater thickness"
-        notices.append(warning("SIM167", message, hint))
+        notices.append(warning("SIM167", message, thicker))
     if through.rate:
         message = f"parts of {what} went over each other by many thicknesses in a step"
         hint = "take a shorter step"
@@ -119,6 +149,8 @@ def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
     return notices
 
 
-def warning(code: str, message: str, hint: str) -> Fault:
+def warning(
+    code: str, message: str, hint: str | None, where: str | None = None
+) -> Fault:
     """Return a warning of a motion."""
-    return Fault(code, message, hint=hint, severity=Severity.WARNING)
+    return Fault(code, message, hint=hint, where=where, severity=Severity.WARNING)

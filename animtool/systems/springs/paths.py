@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
 from animtool.systems.springs.body import Body
-from animtool.systems.springs.motion import Grid
+from animtool.systems.springs.motion import Grid, warning
 
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
@@ -62,6 +62,9 @@ class Targets:
     times: ArrayLike | None = None
 
 
+Tied = TypeVar("Tied", Pins, Targets)
+
+
 def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     """Return paths over the times of all: ``(K,)`` [s] and each ``(K or 1, P, 3)`` [m].
 
@@ -79,6 +82,26 @@ def over_knots(paths: Sequence[Path]) -> tuple[FloatArray, list[FloatArray]]:
     return knots, shared
 
 
+def combined(ties: Sequence[Tied]) -> Tied | None:
+    """Return pins, or targets, that have times, as one; None of none."""
+    if not ties:
+        return None
+    names = {each.name for each in fields(ties[0])} - {"positions", "times"}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(tie, name) for tie in ties]) for name in names
+    }
+    paths: list[Any] = [(tie.times, tie.positions) for tie in ties]
+    times, positions = _abreast(paths)
+    return type(ties[0])(positions=positions, times=times, **columns)
+
+
+def _abreast(paths: Sequence[Path]) -> Path:
+    """Return paths of some particles each as one of all."""
+    knots, tracks = over_knots(paths)
+    rows = [np.broadcast_to(one, (len(knots), *one.shape[1:])) for one in tracks]
+    return knots, np.concatenate(rows, axis=1)
+
+
 def position_at(path: Path, t: float) -> FloatArray:
     """Return positions on a path at a time [s] ``(P, 3)`` [m]."""
     times, places = path
@@ -90,17 +113,12 @@ def position_at(path: Path, t: float) -> FloatArray:
     return place
 
 
-def speed_of(path: Path) -> float:
-    """Return the largest speed on a path [m/s]."""
+def reach_of(path: Path) -> tuple[float, float]:
+    """Return the largest speed on a path [m/s], and how far it leads at most [m]."""
     times, places = path
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
-    return float((steps / np.diff(times)[:, None]).max(initial=0.0))
-
-
-def travel_of(path: Path) -> float:
-    """Return how far a path leads from its start at most [m]."""
-    places = path[1]
-    return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
+    speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
+    return speed, float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
 
 
 def _at(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
@@ -125,10 +143,7 @@ class Teleports:
     ) -> None:
         self._held, self._limit = held, limit
         self._pins = paths[0][1].shape[1]
-        self._knots, tracks = over_knots(paths)
-        count = len(self._knots)
-        rows = [np.broadcast_to(track, (count, *track.shape[1:])) for track in tracks]
-        self._places = np.concatenate(rows, axis=1)
+        self._knots, self._places = _abreast(paths)
         ways = np.linalg.norm(np.diff(self._places, axis=0), axis=2)
         fast = ways > limit * np.diff(self._knots)[:, None]
         self._groups = np.zeros(len(body.positions), np.int64)
@@ -147,19 +162,18 @@ class Teleports:
         """Return how many jumps are over at a time [s]."""
         return int(np.searchsorted(self.times, t + SLACK, "right"))
 
-    def cell(self, jump: int, grid: Grid) -> int:
-        """Return the cell of a grid that a jump is in; it is there from its start."""
-        place = (float(self.times[jump]) - SLACK - grid.origin) / grid.cell
-        return math.ceil(place) - 1
+    def _ahead(self, grid: Grid) -> list[int]:
+        """Return how many cells before that of each jump, from its start, a grid is."""
+        places = [(t - SLACK - grid.origin) / grid.cell for t in self.times.tolist()]
+        return [math.ceil(place) - 1 - grid.index for place in places]
 
     def stage_of(self, grid: Grid) -> int:
         """Return the stage of the cell that a motion is to cross next."""
-        return sum(self.cell(jump, grid) <= grid.index for jump in range(len(self)))
+        return sum(cells <= 0 for cells in self._ahead(grid))
 
     def cells(self, grid: Grid) -> float:
         """Return how many cells there are before the next jump."""
-        ahead = [self.cell(jump, grid) - grid.index for jump in range(len(self))]
-        return min((count for count in ahead if count > 0), default=math.inf)
+        return min((c for c in self._ahead(grid) if c > 0), default=math.inf)
 
     def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins and of targets in a stage."""
@@ -198,25 +212,17 @@ class Teleports:
 
     def notices(self) -> list[Fault]:
         """Return a warning of each time that pins or targets are put elsewhere."""
-        return [
-            Fault(
-                "SIM122",
-                f"{_who(self._jumping[begin], self._pins)} faster than "
-                f"{self._limit:g} m/s until {when:g} s: what hangs on them is taken "
-                "along, and gets no velocity",
-                where="pins" if self._jumping[begin, : self._pins].any() else "targets",
-                hint="raise the speed limit if they are to pull it along",
-                severity=Severity.WARNING,
+        notices = []
+        for jumping, t in zip(self._jumping[self._begins], self.times, strict=True):
+            names = ["pins"] if jumping[: self._pins].any() else []
+            names += ["targets"] if jumping[self._pins :].any() else []
+            message = (
+                f"{' and '.join(names)} go faster than {self._limit:g} m/s until "
+                f"{t:g} s: what hangs on them is taken along, and gets no velocity"
             )
-            for begin, when in zip(
-                self._begins.tolist(), self.times.tolist(), strict=True
-            )
-        ]
-
-
-def _who(jumping: BoolArray, pins: int) -> str:
-    names = {"pins": jumping[:pins].any(), "targets": jumping[pins:].any()}
-    return " and ".join(name for name, found in names.items() if found) + " go"
+            hint = "raise the speed limit if they are to pull it along"
+            notices.append(warning("SIM122", message, hint, names[0]))
+        return notices
 
 
 def _groups(body: Body) -> IntArray:

@@ -9,6 +9,10 @@ from typing import Annotated
 from animtool._types import ArrayLike
 from animtool.options import Key, above, or_more
 
+# Of springs, and of the air.
+_OfSpring = Annotated[float, or_more(0, "SIM042")]
+_OfAir = Annotated[float, or_more(0, "SIM050")]
+
 
 @dataclass(frozen=True, slots=True)
 class Family:
@@ -26,17 +30,12 @@ class Family:
             length at rest, and `stiffness` is not used; None is by `stiffness`.
     """
 
-    stiffness: Annotated[
-        float, or_more(0, "SIM042"), Key("Force over lengthening [N/m].", 1e4)
-    ]
+    stiffness: Annotated[_OfSpring, Key("Force over lengthening [N/m].", 1e4)]
     damping: Annotated[
-        float,
-        or_more(0, "SIM042"),
-        Key("Along the spring: force over speed [N s/m].", 0.5),
+        _OfSpring, Key("Along the spring: force over speed [N s/m].", 0.5)
     ] = 0.0
     ratio: Annotated[
-        float,
-        or_more(0, "SIM042"),
+        _OfSpring,
         Key(
             "More of it, as a share of what one spring on its ends is critical with.",
             0.1,
@@ -52,8 +51,7 @@ class Family:
         ),
     ] = None
     rest: Annotated[
-        float,
-        or_more(0, "SIM042"),
+        _OfSpring,
         Key(
             "Length at rest over the distance of the ends as built; 0 draws them "
             "together.",
@@ -88,13 +86,9 @@ class Air:
     """
 
     wind: ArrayLike = (0.0, 0.0, 0.0)
-    drag: Annotated[
-        float, or_more(0, "SIM050"), Key("Coefficient along the flow.", 1.5)
-    ] = 1.0
-    lift: Annotated[float, or_more(0, "SIM050"), Key("Coefficient across it.", 0)] = 0.5
-    density: Annotated[float, or_more(0, "SIM050"), Key("Of the air [kg/m³].", 0.9)] = (
-        1.2
-    )
+    drag: Annotated[_OfAir, Key("Coefficient along the flow.", 1.5)] = 1.0
+    lift: Annotated[_OfAir, Key("Coefficient across it.", 0)] = 0.5
+    density: Annotated[_OfAir, Key("Of the air [kg/m³].", 0.9)] = 1.2
     times: ArrayLike | None = None
 
 

@@ -135,7 +135,7 @@ class _Place:
         self._system, self.x = system, x
         self._still = np.zeros_like(x)
         self._free = np.flatnonzero(~system.fixed)
-        self._masses = np.where(system.fixed, 0.0, system.body.masses)
+        self._masses = system.free_masses
         self.energy = system.energy(0.0, np.array((x, self._still))).potential
         self._forces = system.acceleration(0.0, x, self._still) * self._masses[:, None]
         self.residual = float(np.abs(self._forces).max(initial=0.0))

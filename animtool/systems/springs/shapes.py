@@ -2,59 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool._types import ArrayLike, BoolArray, IntArray, as_floats
 from animtool.maths.faces import distinct_pairs, edges, of_one_edge, triangulated
 from animtool.systems.springs.body import Body, built
 from animtool.systems.springs.records import Family
-
-
-@dataclass(frozen=True, slots=True)
-class Welded:
-    """A body some of whose particles became one.
-
-    Attributes:
-        body: The rest of them; its springs and triangles are those of before.
-        rows: The particle that each of before is now ``(N,)``.
-        gap: Largest distance between two that became one [m].
-    """
-
-    body: Body
-    rows: IntArray
-    gap: float
-
-
-def weld(body: Body, pairs: ArrayLike) -> Welded:
-    """Return a body in which particles are one: masses add up.
-
-    Args:
-        body: Particles and springs.
-        pairs: Particles that go, and those whose place they take ``(J, 2)``.
-
-    >>> from animtool.systems.springs import Family, join, rope
-    >>> one = rope([0, 0, 0], [1, 0, 0], 2, Family(10.0), mass=1.0)
-    >>> two = rope([1, 0, 0], [2, 0, 0], 2, Family(10.0), mass=1.0)
-    >>> made = weld(join([one, two]), [[2, 1]])
-    >>> made.rows.tolist(), made.body.masses.tolist(), made.body.springs.ends.tolist()
-    ([0, 1, 1, 2], [1.0, 2.0, 1.0], [[0, 1], [1, 2]])
-    """
-    joined = np.asarray(pairs, np.int64).reshape(-1, 2)
-    place = np.arange(len(body.positions))
-    for gone, kept in joined.tolist():
-        # All that are one with either stand where the one that stays does.
-        place[place == place[gone]] = place[kept]
-    stay, rows = np.unique(place, return_inverse=True)
-    rows = rows.reshape(-1)
-    gaps: FloatArray = np.linalg.norm(body.positions - body.positions[place], axis=1)
-    masses = np.zeros(len(stay))
-    np.add.at(masses, rows, body.masses)
-    springs = replace(body.springs, ends=rows[body.springs.ends])
-    welded = Body(body.positions[stay], masses, springs, rows[body.triangles])
-    return Welded(welded, rows, float(gaps.max(initial=0.0)))
 
 
 def rope(
@@ -83,13 +38,10 @@ def rope(
     """
     share = np.linspace(0.0, 1.0, count)[:, None]
     first, last = (np.asarray(point, np.float64) for point in (start, end))
-    body = strand(first + share * (last - first), along, mass=mass, bend=bend)
-    if tip_mass is None:
-        return body
-    masses = body.masses.copy()
-    masses[-1] = tip_mass
-    families = [(_skipping(count, 1), along), (_skipping(count, 2), bend)]
-    return built(body.positions, masses, families)
+    masses = np.full(count, float(mass))
+    if tip_mass is not None:
+        masses[-1] = tip_mass
+    return strand(first + share * (last - first), along, mass=masses, bend=bend)
 
 
 def strand(
@@ -108,14 +60,9 @@ def strand(
         bend: Springs that skip one, against bending.
     """
     places = as_floats(points, ("N", 3), "points")
-    count = len(places)
-    families = [(_skipping(count, 1), along), (_skipping(count, 2), bend)]
+    line = np.arange(len(places))
+    families = [(_grid_pairs(line, 1), along), (_grid_pairs(line, 2), bend)]
     return built(places, mass, families)
-
-
-def _skipping(count: int, step: int) -> ArrayLike:
-    first = np.arange(max(count - step, 0))
-    return np.stack([first, first + step], axis=1)
 
 
 def sheet(
@@ -154,37 +101,17 @@ def sheet(
     [[0, 1], [1, 2], [3, 4], [4, 5], [0, 3], [1, 4], [2, 5], [0, 2], [3, 5]]
     """
     grid = np.arange(rows * columns).reshape(rows, columns)
-    along, upward = np.meshgrid(_shares(columns), _shares(rows), indexing="xy")
+    upward, along = np.indices(grid.shape).reshape(2, -1, 1)
     first, right, top = (np.asarray(each, np.float64) for each in (corner, across, up))
-    places = first + along.reshape(-1, 1) * right + upward.reshape(-1, 1) * top
-    rising = _pairs(grid[:-1, :-1], grid[1:, 1:])
-    falling = _pairs(grid[:-1, 1:], grid[1:, :-1])
-    families = [
-        (_both_ways(grid, 1), structural),
-        (rising, diagonal),
-        (np.concatenate([rising, falling]), diagonals),
-        (_both_ways(grid, 2), bend),
-    ]
+    places = first + along / max(columns - 1, 1) * right
+    places = places + upward / max(rows - 1, 1) * top
+    one, both, two = (
+        np.concatenate([_grid_pairs(grid, *way) for way in ways])
+        for ways in ([(0, 1), (1, 0)], [(1, 1), (1, -1)], [(0, 2), (2, 0)])
+    )
+    rising = _grid_pairs(grid, 1, 1)
+    families = [(one, structural), (rising, diagonal), (both, diagonals), (two, bend)]
     return built(places, mass, families, _triangles(grid))
-
-
-def _shares(count: int) -> FloatArray:
-    return np.arange(count) / max(count - 1, 1)
-
-
-def _pairs(first: IntArray, second: IntArray) -> IntArray:
-    return np.stack([first.ravel(), second.ravel()], axis=1)
-
-
-def _both_ways(grid: IntArray, step: int) -> IntArray:
-    right = _pairs(grid[:, :-step], grid[:, step:])
-    return np.concatenate([right, _pairs(grid[:-step], grid[step:])])
-
-
-def _triangles(grid: IntArray) -> IntArray:
-    a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
-    c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
-    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
 def surface(
@@ -289,15 +216,12 @@ def block(
     shares = np.stack([x, y, z], axis=-1).reshape(-1, 3) / steps
     places = np.asarray(corner, np.float64) + shares * np.asarray(size, np.float64)
     ways = [way for way in product((-1, 0, 1), repeat=3) if way > (0, 0, 0)]
-    by_axes = [
-        np.concatenate(
-            [_grid_pairs(grid, way) for way in ways if sum(map(abs, way)) == axes]
-        )
-        for axes in (1, 2, 3)
+    families = [
+        (_grid_pairs(grid, *way), family)
+        for axes, family in enumerate((structural, face_diagonals, body_diagonals), 1)
+        for way in ways
+        if sum(map(abs, way)) == axes
     ]
-    families = list(
-        zip(by_axes, (structural, face_diagonals, body_diagonals), strict=True)
-    )
     return built(places, mass, families, _skin(grid))
 
 
@@ -330,21 +254,27 @@ def tetrahedra(
     return built(points, mass, [(unique, edges)], outside)
 
 
-def _grid_pairs(grid: IntArray, way: tuple[int, ...]) -> IntArray:
+def _grid_pairs(grid: IntArray, *way: int) -> IntArray:
+    """Return each particle of a grid, and that a way along its axes from it."""
     here = tuple(slice(max(-step, 0), -step if step > 0 else None) for step in way)
     there = tuple(slice(max(step, 0), step if step < 0 else None) for step in way)
     return np.stack([grid[here].ravel(), grid[there].ravel()], axis=1)
 
 
+def _triangles(grid: IntArray, *, flip: bool = False) -> IntArray:
+    """Return two triangles for each cell of a grid, flipped or not ``(T, 3)``."""
+    a, b = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
+    c, d = grid[1:, 1:].ravel(), grid[1:, :-1].ravel()
+    if flip:
+        b, d = d, b
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
 def _skin(grid: IntArray) -> IntArray:
     """Return the triangles around a grid, their fronts outside."""
-    found = []
-    for axis in range(3):
-        for end, flip in ((0, axis != 1), (-1, axis == 1)):
-            side = np.take(grid, end, axis=axis)
-            a, b = side[:-1, :-1].ravel(), side[:-1, 1:].ravel()
-            c, d = side[1:, 1:].ravel(), side[1:, :-1].ravel()
-            if flip:
-                b, d = d, b
-            found += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
-    return np.concatenate(found)
+    sides = [
+        _triangles(np.take(grid, end, axis), flip=flip)
+        for axis in range(3)
+        for end, flip in ((0, axis != 1), (-1, axis == 1))
+    ]
+    return np.concatenate(sides)

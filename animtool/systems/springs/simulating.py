@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray
+from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.quantities import length_text, plain
 from animtool.sim.checks import Watch, check_times
@@ -20,12 +20,12 @@ from animtool.systems.springs.motion import (
     MAX_SUBSTEPS,
     Grid,
     SpringMotion,
-    Through,
+    SpringState,
     through_notices,
     warning,
 )
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.solvers import ADVANCE, Choice, choose, explicit_limit
+from animtool.systems.springs.solvers import Choice, advance, choose, explicit_limit
 from animtool.systems.springs.system import SpringSystem
 
 # A time within this share of a cell is at its start.
@@ -88,11 +88,13 @@ def simulate_springs(
     moments = check_times(times, checkpoint)
     grid = checkpoint.memory if checkpoint is not None else None
     if isinstance(grid, Grid):
-        limit = explicit_limit(system, grid.time, grid.state)
+        limit = explicit_limit(system, grid.time, grid.state.motion)
         choice = Choice(
-            grid.solver, grid.cell, grid.substeps, "it was carried on", limit
+            grid.solver, grid.cell, grid.state.substeps, "it was carried on", limit
         )
-        return _motion(system, options, moments, choice, _fresh(grid), progress)
+        # Nothing is counted yet.
+        begun = Grid(grid.solver, grid.origin, grid.cell, grid.index, grid.state)
+        return _motion(SpringRun(system, options, choice, begun, progress), moments)
     t = float(moments[0])
     state = np.ascontiguousarray(
         system.state if checkpoint is None else checkpoint.state
@@ -102,27 +104,17 @@ def simulate_springs(
 
     def made(substeps: int) -> SpringMotion:
         fine = replace(choice, substeps=substeps)
-        whole = np.zeros(len(system.body.springs.rest), np.uint8)
-        begun = Grid(
-            fine.solver, t, fine.cell, 0, substeps, state, whole, least=substeps
-        )
-        return _motion(system, options, moments, fine, begun, progress)
+        start = SpringState(state, system.whole, substeps, substeps)
+        begun = Grid(fine.solver, t, fine.cell, 0, start)
+        return _motion(SpringRun(system, options, fine, begun, progress), moments)
 
     if options.error is None:
         return made(choice.substeps)
     return _near_enough(made, choice, options.error)
 
 
-def _fresh(grid: Grid) -> Grid:
-    """Return where a motion stands, with nothing counted."""
-    return replace(
-        grid, stretch=0.0, steps=0, evaluations=0, unresolved=0, through=Through()
-    )
-
-
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
-    wanted = (2, len(system.body.positions), 3)
-    message = ""
+    wanted, message = system.state.shape, ""
     if state.shape != wanted:
         message = f"the start must have shape {wanted}, not {state.shape}"
     elif not np.isfinite(state).all():
@@ -153,19 +145,11 @@ def _near_enough(
     message = f"the error of positions is {reached}, and the limit is "
     message += length_text(error)
     hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
-    notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
+    notice = warning("SIM142", message, hint)
     return replace(coarse, notices=(*coarse.notices, notice))
 
 
-def _motion(
-    system: SpringSystem,
-    options: SpringOptions,
-    moments: FloatArray,
-    choice: Choice,
-    grid: Grid,
-    progress: Callable[[float], None] | None,
-) -> SpringMotion:
-    run = SpringRun(system, options, grid, progress)
+def _motion(run: SpringRun, moments: FloatArray) -> SpringMotion:
     states = [run.states_at(float(moments[0]))]
     energies = [run.energy_of(float(moments[0]), states[0])]
     for t in moments[1:].tolist():
@@ -175,20 +159,20 @@ def _motion(
         states.append(state)
         energies.append(run.energy_of(t, state))
     reached = moments[: len(states)]
-    stats = run.stats(choice, float(reached[-1]))
+    stats = run.stats(float(reached[-1]))
     return SpringMotion(
         reached,
         np.array(states),
         np.array(energies),
         stats,
-        tuple(run.notices(choice, stats)),
+        tuple(run.notices(stats)),
         Checkpoint(float(reached[-1]), states[-1], run.kept),
         second_order=True,
-        solver=choice.solver,
-        reason=choice.reason,
+        solver=run.choice.solver,
+        reason=run.choice.reason,
         step=run.shortest,
         stretch=run.grid.stretch,
-        torn=run.torn,
+        torn=run.system.torn(run.grid.state.torn),
         unresolved=run.grid.unresolved,
         passed=run.grid.through.passed,
         cut=run.grid.through.cut,
@@ -196,28 +180,23 @@ def _motion(
 
 
 class SpringRun:
-    """A motion under way.
-
-    Attributes:
-        grid: Where it stands.
-        kept: Where the last time that was reached can be gone on from.
-        status: Whether it can go on.
-        wrenches: What rigid bodies of others were pushed by in the last cells.
-    """
+    """A motion under way, in the steps that were chosen."""
 
     def __init__(
         self,
         system: SpringSystem,
         options: SpringOptions,
+        choice: Choice,
         grid: Grid,
         progress: Callable[[float], None] | None,
     ) -> None:
-        self._system = system
-        self._progress = progress
-        self._options = options
+        self.system, self.choice = system, choice
+        self._options, self._progress = options, progress
+        # Where it begins, where it is, and where it was at the last time asked for.
         self._begun = self.grid = self.kept = grid
+        # What rigid bodies of others were pushed by in the last cells.
         self.wrenches: list[Wrenches] = []
-        self.most_substeps = grid.substeps
+        self.most_substeps = grid.state.substeps
         self.status = Status.OK
         self.sign = ""
         # Where bodies are pushed, they feel it before the next cell.
@@ -233,7 +212,7 @@ class SpringRun:
         self.left, self._gone = system, 0
         self._watch = Watch(system, bounds)
         self._leave_out_torn()
-        self._watch.start(grid.time, grid.state)
+        self._watch.start(grid.time, grid.state.motion)
 
     def states_at(self, t: float) -> FloatArray:
         """Return the state at a time, not before the one asked for last.
@@ -244,18 +223,17 @@ class SpringRun:
         near = round(place)
         on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
         self.cross(near if on_grid else int(np.floor(place)), push=True)
-        if self.status is not Status.OK:
-            return self.grid.state
-        self.kept = self.grid
-        if on_grid:
-            return self.grid.state
+        if self.status is Status.OK:
+            self.kept = self.grid
+        if self.status is not Status.OK or on_grid:
+            return self.grid.state.motion
         return self.within((t - self.grid.time) / self.grid.cell)
 
     def cross(self, target: int, *, push: bool = False) -> None:
         """Go on to the begin of a cell of a number, as far as it can."""
         while self.grid.index < target and self.status is Status.OK:
             self._advance(min(self._cells, target - self.grid.index))
-            bodies = self._system.colliders.bodies if push else ()
+            bodies = self.system.colliders.bodies if push else ()
             for own, wrenches in zip(bodies, self.wrenches, strict=False):
                 own.push(self.grid.time, wrenches)
                 own.forget(self.grid.time)
@@ -266,67 +244,63 @@ class SpringRun:
         """Return the state at a share of the next cell, which is not kept."""
         begun = self._entered()
         with np.errstate(all="ignore"):
-            ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
-            made = _between(begun, ahead, share)
+            ahead = advance(self.system, self._options, begun, 1)
+            made = _between(begun.state.motion, ahead.state.motion, begun.cell, share)
         if np.isfinite(made).all():
             return made
         self.status, self.sign = Status.UNSTABLE, "its state is not finite"
-        return self.grid.state
+        return self.grid.state.motion
 
     @property
     def shortest(self) -> float:
         """The shortest step so far [s]."""
         return self.grid.cell / self.most_substeps
 
-    def stats(self, choice: Choice, reached: float) -> Stats:
+    def stats(self, reached: float) -> Stats:
         """Return what it took to reach a time [s]."""
         grid = self.grid
-        stable = choice.limit if self.status is Status.UNSTABLE else None
+        stable = self.choice.limit if self.status is Status.UNSTABLE else None
         return Stats(
             self.status, reached if not self.sign else grid.time, self.sign,
             grid.steps, None, grid.evaluations, self.shortest,
-            grid.cell / self._begun.substeps, None, stable_step=stable,
+            grid.cell / self._begun.state.substeps, None, stable_step=stable,
         )  # fmt: skip
 
     def energy_of(self, t: float, state: FloatArray) -> float:
         """Return the energy of a state that was reached last [J]."""
-        known = self._watch.energy if state is self.grid.state else None
+        known = self._watch.energy if state is self.grid.state.motion else None
         return (known or self.left.energy(t, state)).total
 
     def _entered(self) -> Grid:
         """Return where the next cell begins: pins that jump in it are there at once."""
-        grid, jumps = self.grid, self._system.jumps
+        grid, jumps = self.grid, self.system.jumps
         here = jumps.stage_of(grid)
         last = jumps.stage_of(replace(grid, index=grid.index - 1))
         if here == last:
             return grid
-        return replace(grid, state=jumps.across(grid.state, last, here), before=None)
-
-    @property
-    def torn(self) -> BoolArray:
-        """Which springs are torn ``(S,)``, in the order of the body's."""
-        torn = np.zeros(len(self.grid.torn), bool)
-        torn[self._system.order] = self.grid.torn.astype(bool)
-        return torn
+        motion = jumps.across(grid.state.motion, last, here)
+        return replace(grid, state=replace(grid.state, motion=motion, before=None))
 
     def _leave_out_torn(self) -> None:
         """Judge energy and stretch by the springs that there are."""
-        gone = int(self.grid.torn.sum())
+        torn = self.grid.state.torn
+        gone = int(torn.sum())
         if gone != self._gone:
             self._gone = gone
-            self.left = self._system.without_springs(self.torn)
+            self.left = self.system.without_springs(self.system.torn(torn))
             self._watch.look_at(self.left)
 
     def _advance(self, cells: int) -> None:
         begun, self.wrenches = self._entered(), []
-        cells = int(min(cells, self._system.jumps.cells(begun)))
+        cells = int(min(cells, self.system.jumps.cells(begun)))
         with np.errstate(all="ignore"):
-            self.grid = ADVANCE[begun.solver](self._system, self._options, begun, cells)
-            self.most_substeps = max(self.most_substeps, self.grid.substeps)
+            self.grid = advance(self.system, self._options, begun, cells)
+            t, state = self.grid.time, self.grid.state
+            self.most_substeps = max(self.most_substeps, state.substeps)
             self._leave_out_torn()
-            self.sign = self._watch.sign(self.grid.time, self.grid.state)
+            self.sign = self._watch.sign(t, state.motion)
             if begun.solver is Solver.XPBD:
-                ratio = self.left.stretch(self.grid.time, self.grid.state)
+                ratio = self.left.stretch(t, state.motion)
                 self.longest = max(self.longest, ratio or 0.0)
         if self.sign:
             self.status = Status.UNSTABLE
@@ -342,8 +316,8 @@ class SpringRun:
         What is heavier than a body would throw it off, faster than it came: it gives no
         more than as much mass as that of the body would.
         """
-        found, first = [], len(self._system.colliders)
-        for own in self._system.colliders.bodies:
+        found, first = [], len(self.system.colliders)
+        for own in self.system.colliders.bodies:
             rows = self.grid.pushes[first : first + len(own.colliders)]
             first += len(own.colliders)
             sums = np.zeros((own.count, 7))
@@ -356,13 +330,13 @@ class SpringRun:
             found.append(Wrenches(now, self.grid.cell / 2 * now))
         return found
 
-    def notices(self, choice: Choice, stats: Stats) -> list[Fault]:
+    def notices(self, stats: Stats) -> list[Fault]:
         """Return what is odd about it so far."""
-        system, options = self._system, self._options
+        system, options, choice = self.system, self._options, self.choice
         begins = self._begun.index == 0
         notices = system.notices() if begins else system.colliders.surfaces.notices()
         limit = choice.limit
-        h = choice.cell / self._begun.substeps
+        h = choice.cell / self._begun.state.substeps
         if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
             message = f"{choice.solver} is not stable with steps of {plain(h)} s"
             notices.append(warning("SIM101", message, f"up to {plain(limit)} s are"))
@@ -374,18 +348,14 @@ class SpringRun:
             message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
             notices.append(warning("SIM105", message, "take a shorter step"))
         if not self.grid.stretch <= options.stretch:
-            message = (
-                f"a spring was {self.grid.stretch:.1%} longer than at rest, and not by "
-                f"its own give; {options.stretch:.1%} is allowed"
-            )
-            notices.append(
-                warning("SIM131", message, "take bdf2, or less stiffness or mass")
-            )
+            message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
+            message += f"not by its own give; {options.stretch:.1%} is allowed"
+            hint = "take bdf2, or less stiffness or mass"
+            notices.append(warning("SIM131", message, hint))
         elif self.longest > 1 + GIVES * options.stretch:
-            message = (
-                f"springs are longer than at rest by {GIVES * options.stretch:.3g} of "
-                "that or more, mostly by their own give: more steps do not change that"
-            )
+            least = f"{GIVES * options.stretch:.3g}"
+            message = f"springs are longer than at rest by {least} of that or more, "
+            message += "mostly by their own give: more steps do not change that"
             hint = "raise their stiffness, or lighten what hangs on them"
             notices.append(Fault("SIM161", message, hint=hint, severity=Severity.NOTE))
         if self.grid.unresolved:
@@ -394,18 +364,18 @@ class SpringRun:
             hint = "they start inside, or colliders close in on them from several sides"
             notices.append(warning("SIM123", message, hint))
         if self.taken < 1:
-            message = "what presses on a rigid body has more mass than it: it is "
-            message += f"pushed by {self.taken:.0%} of that, "
-            message += "so that it is not thrown off"
+            message = (
+                "what presses on a rigid body has more mass than it: it is pushed "
+            )
+            message += f"by {self.taken:.0%} of that, so that it is not thrown off"
             hint = "give the body more mass, or less to what lies on it"
             notices.append(warning("SIM135", message, hint))
         return notices + through_notices(self.grid.through)
 
 
-def _between(grid: Grid, ahead: Grid, s: float) -> FloatArray:
-    """Return the state at a share of a cell, on the cubic through its ends."""
-    h = grid.cell
-    (x0, v0), (x1, v1) = grid.state, ahead.state
+def _between(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
+    """Return the state at a share of a cell [s], on the cubic through its ends."""
+    (x0, v0), (x1, v1) = begin, end
     slope = x1 - x0
     x = x0 + s * (
         h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))

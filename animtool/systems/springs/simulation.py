@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted, percent
@@ -27,15 +26,13 @@ from animtool.systems.simulation import (
     Stepped,
     StoppedError,
     Ways,
-    growing,
-    later,
 )
 from animtool.systems.springs.checks import check_options
-from animtool.systems.springs.drawing import Faces, TornMesh
-from animtool.systems.springs.motion import Grid, warning
+from animtool.systems.springs.drawing import Faces, Tearing
+from animtool.systems.springs.motion import Grid, SpringState, warning
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
-from animtool.systems.springs.solvers import ADVANCE, choose
+from animtool.systems.springs.solvers import advance, choose
 from animtool.systems.springs.system import SpringSystem
 
 # Times of a whole motion that are compared with those of one in half steps.
@@ -53,38 +50,8 @@ EXACT = Solver.BDF2
 EXPLICIT = Solver.SYMPLECTIC_EULER
 
 
-@dataclass(frozen=True, slots=True)
-class SpringState:
-    """Where springs stand at the begin of a cell of time, as in `Grid`."""
-
-    motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
-    torn: npt.NDArray[np.uint8]  # which springs are, in the order of kernels ``(S,)``
-    substeps: int
-    least: int
-    calm: int = 0
-    before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
-    passages: IntArray = field(
-        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
-    )
-
-
 class SpringSimulation:
-    """Springs in cells of time, each of as many steps as their solver needs.
-
-    What went on is counted for warnings alone.
-
-    Attributes:
-        system: What acts on the particles.
-        options: How they are simulated.
-        views: What each entry shows.
-        step_length: Of a cell [s].
-        error: Of positions, where it was asked for [m].
-        notices: What is odd so far.
-
-    Raises:
-        OptionError: An option makes no sense.
-        ToleranceError: An error is to be kept, and it blew up.
-    """
+    """Springs in cells of time; what went on is counted for warnings alone."""
 
     checked = True
     views: Sequence[SpringView] = ()
@@ -97,7 +64,7 @@ class SpringSimulation:
         context: SimContext,
     ) -> None:
         self.system, self._begin = system, begin
-        self.error: float | None = None
+        self.error: float | None = None  # of positions, where it was asked for [m]
         self._said: dict[str, Fault] = {}
         self._worst = 0.0
         self.clock: Progress = None
@@ -106,15 +73,15 @@ class SpringSimulation:
             options, reason = self._fine_enough(options, context)
         self.options = options
         solver = check_options(options)
-        self._choice = choose(system, options, solver, begin, system.state)
-        self.reason = reason or self._choice.reason
-        self.step_length = self._choice.cell
+        self.choice = choose(system, options, solver, begin, system.state)
+        self.reason = reason or self.choice.reason
+        self.step_length = self.choice.cell
         self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
         self._measured: FloatArray | None = None
         start = self.initial()
         self._take_note(self._run(start, begin), begin)
         self.measure(start)
-        self.begun = self.stretch
+        self._stretch_at_start = self.stretch
         self.clock = context.clock()
 
     def _fine_enough(
@@ -134,18 +101,14 @@ class SpringSimulation:
 
     def initial(self) -> SpringState:
         """Return the state that they begin in."""
-        substeps, state = self._choice.substeps, self.system.state
-        torn = np.zeros(len(self.system.body.springs.rest), np.uint8)
-        return SpringState(np.ascontiguousarray(state), torn, substeps, substeps)
+        substeps, state = self.choice.substeps, self.system.state
+        whole = self.system.whole
+        return SpringState(np.ascontiguousarray(state), whole, substeps, substeps)
 
     def step(
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
-        """Return the state a cell later, or on the way to it.
-
-        Raises:
-            StoppedError: It blew up (SIM102), or could not go on (SIM105).
-        """
+        """Return the state a cell later, or on the way to it; raise SIM102, SIM105."""
         if dt >= (1 - ON_STEP) * self.step_length:
             return self.steps(state, t, dt, 1)
         run = self._run(state, t)
@@ -160,53 +123,29 @@ class SpringSimulation:
         dt: float,  # noqa: ARG002
         count: int,
     ) -> Stepped[SpringState]:
-        """Return the state some cells later, and what pressed on bodies of others.
-
-        Raises:
-            StoppedError: It blew up (SIM102), or could not go on (SIM105).
-        """
+        """Return the state some cells later, and what pressed on bodies of others."""
         run = self._run(state, t)
         run.cross(run.grid.index + count)
         self._take_note(run, run.grid.time)
         grid = run.grid
         for sheet in self.system.colliders.sheets:
             sheet.motion.forget(grid.time - max(LOOK_BACK, grid.cell))
-        after = SpringState(
-            grid.state,
-            grid.torn,
-            grid.substeps,
-            grid.least,
-            grid.calm,
-            grid.before,
-            grid.passages,
-        )
-        return Stepped(after, run.wrenches)
+        return Stepped(grid.state, run.wrenches)
 
     def _run(self, state: SpringState, t: float) -> SpringRun:
         """Return a motion that goes on from a state at its time [s]."""
-        return SpringRun(self.system, self.options, self._grid(state, t), self.clock)
+        grid, choice = self._grid(state, t), self.choice
+        return SpringRun(self.system, self.options, choice, grid, self.clock)
 
     def _grid(self, state: SpringState, t: float) -> Grid:
-        choice, begin = self._choice, self._begin
-        return Grid(
-            choice.solver,
-            begin,
-            choice.cell,
-            round((t - begin) / choice.cell),
-            state.substeps,
-            state.motion,
-            state.torn,
-            state.before,
-            state.calm,
-            state.least,
-            passages=state.passages,
-        )
+        choice, begin = self.choice, self._begin
+        index = round((t - begin) / choice.cell)
+        return Grid(choice.solver, begin, choice.cell, index, state)
 
     def misfit(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot go on from a state; empty where they can."""
-        grid = self._grid(state, t)
         try:
-            ADVANCE[grid.solver](self.system, self.options, grid, 0)
+            advance(self.system, self.options, self._grid(state, t), 0)
         except ValueError as error:
             return str(error)
         except (TypeError, OverflowError):
@@ -215,8 +154,8 @@ class SpringSimulation:
 
     def _take_note(self, run: SpringRun, reached: float) -> None:
         """Count what a motion took, and stop where it ended."""
-        stats = run.stats(self._choice, reached)
-        notices = run.notices(self._choice, stats)
+        stats = run.stats(reached)
+        notices = run.notices(stats)
         self.taken += run.grid.steps
         if stats.status is not Status.OK:
             raise StoppedError(_as_errors(notices), stats)
@@ -234,22 +173,15 @@ class SpringSimulation:
                 self._said[key] = fault
         self._worst = max(self._worst, stretch)
 
-    def torn(self, state: SpringState) -> BoolArray:
-        """Return which springs are torn ``(S,)``."""
-        torn = np.zeros(len(state.torn), np.bool_)
-        torn[self.system.order] = state.torn.astype(np.bool_)
-        return torn
-
     def measure(self, state: SpringState) -> None:
         """Count how long springs are in a state that is looked at."""
         if state.motion is self._measured:
             return
         self._measured = state.motion
         springs = self.system.body.springs
-        whole = ~self.torn(state) & (springs.rest > 0)
+        whole = ~self.system.torn(state.torn) & (springs.rest > 0)
         if whole.any():
-            x, ends = state.motion[0], springs.ends[whole]
-            lengths = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+            lengths = springs.lengths(state.motion[0])[whole]
             longest = float((lengths / springs.rest[whole]).max()) - 1.0
             self.stretch = max(self.stretch, longest)
 
@@ -260,10 +192,9 @@ class SpringSimulation:
 
     def see(self, last: SpringState) -> None:
         """Let surfaces part where springs are torn in the end."""
-        torn = self.torn(last)
         for view in self.views:
             if view.tears:
-                view.part(torn)
+                view.part(last)
 
     def frame(self, state: SpringState, t: float) -> PointsFrame:  # noqa: ARG002
         """Return all particles."""
@@ -319,10 +250,7 @@ class SpringSimulation:
             return [way for one in each for way in stepwise(one.method, one["step"])]
 
         def references() -> list[list[Setting]]:
-            """Return shorter and shorter steps of backward differences.
-
-            Where these cannot be solved, of semi-implicit Euler.
-            """
+            """Return ever shorter steps of bdf2; of the explicit where that fails."""
             step = min(chosen["step"], usual(EXACT)["step"])
             return [
                 stepwise(EXACT, step, FINER),
@@ -332,8 +260,7 @@ class SpringSimulation:
         def changes(setting: Setting) -> Mapping[str, Any]:
             if setting == chosen:
                 return {"error": None, "solver": own.solver, "step": own.step}
-            step = setting["step"]
-            return {"error": None, "solver": setting.method, "step": step}
+            return {"error": None, "solver": setting.method, "step": setting["step"]}
 
         return Ways(chosen, settings, references, changes)
 
@@ -341,12 +268,8 @@ class SpringSimulation:
     def long(self) -> bool:
         """Whether springs that never tear became very long."""
         tears = np.isfinite(self.system.body.springs.limit).any()
-        return bool(not tears and 1 + self.stretch > LONG * (1 + self.begun))
-
-    @property
-    def solver(self) -> Solver:
-        """What takes them through time."""
-        return self._choice.solver
+        longest = LONG * (1 + self._stretch_at_start)
+        return bool(not tears and 1 + self.stretch > longest)
 
 
 @dataclass
@@ -359,7 +282,7 @@ class SpringView:
     springs: slice  # its springs there
     own: Sequence[Fault]  # what is odd about it alone
     first: bool  # whether it speaks for all that it is joined to
-    _torn_mesh: TornMesh | Faces | None = None
+    _torn_mesh: Tearing | Faces | None = None
     # How many springs are torn, and the faces that are whole then.
     _whole: tuple[int, IntArray, IntArray] | None = None
 
@@ -373,19 +296,21 @@ class SpringView:
         """Whether it is a surface that may part."""
         return isinstance(self.body.shape, Faces) and self.body.shape.tears
 
-    def part(self, torn: BoolArray) -> None:
-        """Draw it so that it can part where springs of all will tear ``(S,)``."""
+    def torn(self, state: SpringState) -> BoolArray:
+        """Return which of its springs are torn ``(S,)``."""
+        return self.simulation.system.torn(state.torn)[self.springs]
+
+    def part(self, last: SpringState) -> None:
+        """Draw it so that it can part where springs are torn in a later state."""
         shape = cast(Faces, self.body.shape)
-        self._torn_mesh = shape.parted(torn[self.springs], self.body.body.positions)
+        self._torn_mesh = shape.parted(self.torn(last), self.body.body.positions)
 
     def frame(self, state: SpringState, t: float) -> Frame:  # noqa: ARG002
         """Return what is drawn of it."""
         self.simulation.measure(state)
         points, velocities = state.motion[:, self.rows]
-        torn = self.simulation.torn(state)[self.springs]
-        frame: Frame = (self._torn_mesh or self.body.shape).row(
-            points, velocities, torn
-        )
+        shape = self._torn_mesh or self.body.shape
+        frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
 
     @property
@@ -402,12 +327,10 @@ class SpringView:
     def surface(self, state: SpringState, t: float) -> MeshFrame:  # noqa: ARG002
         """Return those of its faces that are not torn."""
         self.simulation.measure(state)
-        shape, torn = cast(Faces, self.body.shape), self.simulation.torn(state)
-        gone = int(torn[self.springs].sum())
+        shape, torn = cast(Faces, self.body.shape), self.torn(state)
+        gone = int(torn.sum())
         if self._whole is None or gone != self._whole[0]:
-            whole = shape.counts, shape.indices
-            if gone:
-                whole = shape.whole(torn[self.springs])
+            whole = shape.whole(torn) if gone else (shape.counts, shape.indices)
             self._whole = gone, *whole
         points, velocities = state.motion[:, self.rows]
         return MeshFrame(points, velocities, *self._whole[1:], self.closed)
@@ -415,17 +338,16 @@ class SpringView:
     def diagnostics(self, state: SpringState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return what became of it, and what is odd so far."""
         made, body, name = self.simulation, self.body.body, self.member.name
-        torn = made.torn(state)
         values: dict[str, Any] = {
             "kind": self.member.kind,
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
-            "solver": str(made.solver),
+            "solver": str(made.choice.solver),
             "reason": made.reason,
             "step": made.shortest,
             "steps": made.taken,
             "stretch": made.stretch,
-            "torn": int(torn[self.springs].sum()),
+            "torn": int(self.torn(state).sum()),
             "unresolved": made.unresolved,
         }
         if made.error is not None:
@@ -438,20 +360,20 @@ class SpringView:
                 hint = "raise the stiffness [N/m], which is that of each spring, or "
                 hint += "lower the mass [kg]"
                 notices.append(warning("SIM187", f"{message}at rest", hint))
-            notices.append(self._note(torn))
+            notices.append(self._note(int(state.torn.sum())))
         return Diagnostics(values=values, notices=notices)
 
-    def _note(self, torn: BoolArray) -> Fault:
+    def _note(self, torn: int) -> Fault:
         made = self.simulation
         parts = [
-            f"{made.solver} ({made.reason})",
+            f"{made.choice.solver} ({made.reason})",
             f"steps of {plain(made.shortest)} s and more",
             f"springs up to {percent(made.stretch)} longer than at rest",
         ]
         if made.error is not None and math.isfinite(made.error):
             parts.append(f"error {length_text(made.error)}")
-        if torn.any():
-            parts.append(f"{counted(int(torn.sum()), 'spring')} torn")
+        if torn:
+            parts.append(f"{counted(torn, 'spring')} torn")
         message = f"{self.member.name}: {', '.join(parts)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
 

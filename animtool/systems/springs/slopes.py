@@ -2,164 +2,88 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.sim.system import Matrix
-from animtool.systems.springs.body import (
-    NO_DRAWS,
-    Body,
-    Draws,
-    Paths,
-    Springs,
-    spring_network,
-)
+from animtool.systems.springs.body import Loads, Paths, Springs
 
 # Differences of the forces of air: a share of lengths, or of speeds.
 NUDGE = 1e-5
+# Of forces on B particles by the positions and by the velocities of others: numbers of
+# both ``(B,)``, and derivatives ``(B, 3, 3)``.
+_Blocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
-class LoadedBody(Protocol):
-    """A body of N particles with what holds, draws and slows them."""
-
-    @property
-    def body(self) -> Body:
-        """Particles, springs and triangles."""
-
-    @property
-    def fixed(self) -> BoolArray:
-        """Which particles are held ``(N,)``."""
-
-    @property
-    def inverse_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
-
-    @property
-    def drags(self) -> FloatArray:
-        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
-
-    @property
-    def draws(self) -> Draws:
-        """What draws particles to targets."""
-
-    @property
-    def gravity(self) -> FloatArray:
-        """``(3,)`` [m/s²]."""
-
-    @property
-    def pressures(self) -> tuple[float, float]:
-        """Drag and lift of triangles, over area and the square of speed."""
-
-    def wind(self, t: float) -> FloatArray:
-        """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
-
-
-def fastest(system: LoadedBody) -> FloatArray | None:
+def fastest(loads: Loads) -> FloatArray | None:
     """Return bounds of the fastest motions (ω, ζ) ``(2, 2)``, None without springs.
 
     The stiffness over √(m m') has no eigenvalue above the largest sum of sizes in a row
     (Gershgorin), each spring as if along all others of its particle; the same of the
     damping. The first motion bears all of that, the second only the drag.
     """
-    springs = system.body.springs
-    stiffest = _largest(system, springs.stiffness, system.draws.stiffness)
+    stiffest = _largest(loads, loads.springs.stiffness, loads.draws.stiffness)
     if stiffest == 0:
         return None
-    slowed = _largest(system, springs.damping, system.draws.damping)
-    slowed += float(system.drags.max(initial=0.0))
+    slowed = _largest(loads, loads.springs.damping, loads.draws.damping)
+    slowed += float(loads.drags.max(initial=0.0))
     omega = float(np.sqrt(stiffest))
-    least = float(system.drags.min(initial=0.0))
+    least = float(loads.drags.min(initial=0.0))
     return np.array([[omega, slowed / (2 * omega)], [omega, least / (2 * omega)]])
 
 
-def _largest(system: LoadedBody, pull: FloatArray, draws: FloatArray) -> float:
-    weights = system.inverse_masses
-    first, second = system.body.springs.ends.T
+def _largest(loads: Loads, pull: FloatArray, draws: FloatArray) -> float:
+    weights = loads.inverse_masses
+    first, second = loads.springs.ends.T
     between = np.sqrt(weights[first] * weights[second])
     rows = np.zeros(len(weights))
     np.add.at(rows, first, pull * (weights[first] + between))
     np.add.at(rows, second, pull * (weights[second] + between))
-    drawn = system.draws.particles
+    drawn = loads.draws.particles
     np.add.at(rows, drawn, draws * weights[drawn])
     return float(rows.max(initial=0.0))
 
 
-class _Blocks:
-    """Derivatives of forces, 3 by 3 of a particle by another, as they are found."""
-
-    def __init__(self) -> None:
-        self._rows: list[IntArray] = []
-        self._columns: list[IntArray] = []
-        self._by_x: list[FloatArray] = []
-        self._by_v: list[FloatArray] = []
-
-    def add(
-        self, rows: IntArray, columns: IntArray, by_x: FloatArray, by_v: FloatArray
-    ) -> None:
-        """Add blocks ``(B, 3, 3)``."""
-        self._rows.append(rows)
-        self._columns.append(columns)
-        self._by_x.append(by_x)
-        self._by_v.append(by_v)
-
-    def by_places(self, inverse_masses: FloatArray) -> Matrix:
-        """Return the derivatives of accelerations by positions."""
-        return self._matrix(self._by_x, inverse_masses)
-
-    def by_speeds(self, inverse_masses: FloatArray) -> Matrix:
-        """Return the derivatives of accelerations by velocities."""
-        return self._matrix(self._by_v, inverse_masses)
-
-    def _matrix(self, blocks: list[FloatArray], inverse_masses: FloatArray) -> Matrix:
-        from scipy.sparse import coo_array
-
-        size = 3 * len(inverse_masses)
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
-                            (len(rows), 3, 3))  # fmt: skip
-        j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
-        values = inverse_masses[rows][:, None, None] * np.concatenate(blocks)
-        places = (i.ravel(), j.ravel())
-        return coo_array((values.ravel(), places), shape=(size, size)).tocsc()
-
-
 def slopes(
-    system: LoadedBody, t: float, x: FloatArray, v: FloatArray
-) -> tuple[Matrix, Matrix]:
-    """Return derivatives of accelerations by positions and by velocities, sparse.
+    loads: Loads, masses: FloatArray, wind: FloatArray, x: FloatArray, v: FloatArray
+) -> Iterator[Matrix]:
+    """Yield derivatives of accelerations by positions, then by velocities, sparse.
 
-    Those of springs, targets and drag are exact, those of the air differences.
+    Those of springs, targets and drag are exact, those of the air differences. Masses
+    ``(N,)`` [kg] of particles that are held are 0; the wind is ``(1, 3)`` [m/s].
     """
-    blocks, weights = _blocks(system, t, x, v), system.inverse_masses
-    return blocks.by_places(weights), blocks.by_speeds(weights)
+    from scipy.sparse import coo_array
+
+    found = zip(*_blocks(loads, masses, wind, x, v), strict=True)
+    rows, columns, by_x, by_v = map(np.concatenate, found)
+    i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
+                        (len(rows), 3, 3))  # fmt: skip
+    j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
+    for blocks in (by_x, by_v):
+        values = loads.inverse_masses[rows][:, None, None] * blocks
+        places = (i.ravel(), j.ravel())
+        yield coo_array((values.ravel(), places), shape=(x.size, x.size)).tocsc()
 
 
-def place_slopes(system: LoadedBody, t: float, x: FloatArray) -> Matrix:
-    """Return derivatives of accelerations by positions, of particles at rest."""
-    blocks = _blocks(system, t, x, np.zeros_like(x))
-    return blocks.by_places(system.inverse_masses)
-
-
-def _blocks(system: LoadedBody, t: float, x: FloatArray, v: FloatArray) -> _Blocks:
-    blocks, eye, every = _Blocks(), np.eye(3), np.arange(len(x))
-    _add_springs(blocks, system, x, v)
-    drawn, *numbers = system.draws
+def _blocks(
+    loads: Loads, masses: FloatArray, wind: FloatArray, x: FloatArray, v: FloatArray
+) -> Iterator[_Blocks]:
+    eye, every = np.eye(3), np.arange(len(x))
+    yield from _of_springs(loads.springs, x, v)
+    drawn, *numbers = loads.draws
     stiffness, damping = (each[:, None, None] for each in numbers)
-    blocks.add(drawn, drawn, -stiffness * eye, -damping * eye)
-    slowed = system.drags * np.where(system.fixed, 0.0, system.body.masses)
-    blocks.add(every, every, np.zeros((len(x), 3, 3)), -slowed[:, None, None] * eye)
-    if any(system.pressures):
-        _add_air(blocks, system, t, x, v)
-    return blocks
+    yield drawn, drawn, -stiffness * eye, -damping * eye
+    slowed = (loads.drags * masses)[:, None, None]
+    yield every, every, np.zeros((len(x), 3, 3)), -slowed * eye
+    if any(loads.pressures):
+        yield from _of_air(loads, wind, x, v)
 
 
-def _add_springs(
-    blocks: _Blocks, system: LoadedBody, x: FloatArray, v: FloatArray
-) -> None:
-    springs = system.body.springs
+def _of_springs(springs: Springs, x: FloatArray, v: FloatArray) -> Iterator[_Blocks]:
     first, second = springs.ends.T
     d, e = x[second] - x[first], v[second] - v[first]
     square = (d * d).sum(axis=1)
@@ -177,33 +101,23 @@ def _add_springs(
     for row in (first, second):
         for column in (first, second):
             sign = 1.0 if row is not column else -1.0
-            blocks.add(row, column, sign * by_x, sign * by_v)
+            yield row, column, sign * by_x, sign * by_v
 
 
-def _add_air(
-    blocks: _Blocks, system: LoadedBody, t: float, x: FloatArray, v: FloatArray
-) -> None:
-    triangles = system.body.triangles
-    nowhere = np.zeros((1, 0, 3))
-    apart = spring_network(
-        np.ones(triangles.size),
-        np.zeros(triangles.size),
-        Springs.none(),
-        np.arange(triangles.size).reshape(-1, 3),
-        np.zeros(3),
-        system.pressures,
-        np.zeros(0, np.int64),
-        NO_DRAWS,
-        Paths(np.zeros(1), nowhere, nowhere, system.wind(t)[None]),
-    )
+def _of_air(
+    loads: Loads, wind: FloatArray, x: FloatArray, v: FloatArray
+) -> Iterator[_Blocks]:
+    triangles, nowhere = loads.triangles, np.zeros((1, 0, 3))
+    ones, nothing = np.ones(triangles.size), np.zeros(triangles.size)
+    faces = np.arange(triangles.size).reshape(-1, 3)
+    alone = Loads(ones, nothing, Springs.none(), faces, np.zeros(3), loads.pressures)
+    apart = alone.network(Paths(np.zeros(1), nowhere, nowhere, wind[None]))
     state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
-    corners = [triangles[:, k] for k in range(3)]
-    nothing = np.zeros((len(triangles), 3, 3))
     for column in range(3):
         found = [_nudged(apart, state, part, column) for part in range(2)]
         for row in range(3):
-            by_x, by_v = (each[:, row] for each in found)
-            blocks.add(corners[row], corners[column], by_x + nothing, by_v + nothing)
+            by_x, by_v = (each[:, row] + 0.0 for each in found)
+            yield triangles[:, row], triangles[:, column], by_x, by_v
 
 
 def _nudged(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -12,15 +11,15 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.quantities import plain
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
-from animtool.systems.springs.checks import check_keeping_apart, check_substeps
-from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, Through
+from animtool.systems.springs.checks import check_keeping_apart
+from animtool.systems.springs.motion import MAX_SUBSTEPS, Grid, SpringState, Through
 from animtool.systems.springs.records import Solver, SpringOptions
-from animtool.systems.springs.slopes import LoadedBody
 from animtool.systems.springs.system import SpringSystem
 
 # Steps of xpbd are not shorter than this [s].
@@ -57,9 +56,11 @@ COSTS = {
 }
 # Of a spring's stretch xpbd asks twice of what is not its own give.
 TWICE = 2.0
+# What kernels take of colliders for some cells; None without any.
+CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
-def projected_rate(system: LoadedBody, stretch: float) -> float:
+def projected_rate(system: SpringSystem, stretch: float) -> float:
     """Return how many steps a second xpbd is expected to take, from what springs bear.
 
     A step of length h moves the ends of a spring that bears a force F by F w h² as
@@ -109,12 +110,7 @@ def choose(
     t: float,
     state: FloatArray,
 ) -> Choice:
-    """Return the solver asked for, or the one that is expected to take least time.
-
-    Raises:
-        OptionError: The one that is wanted does not keep a surface apart from itself
-            (SIM046), or needs more steps than are taken (SIM004).
-    """
+    """Return the solver asked for, or the one that is expected to take least time."""
     limit = explicit_limit(system, t, state)
     rate = 1 / (SAFE * limit) if limit > 0 else math.inf
     solver, reason = requested, "it was asked for"
@@ -131,7 +127,12 @@ def choose(
     if options.step is not None:
         return Choice(solver, options.step, 1, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
-        check_substeps(solver, rate, MAX_SUBSTEPS / CELL)
+        most = MAX_SUBSTEPS / CELL
+        if rate > most:
+            message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g}"
+            hint = "take xpbd or auto, less stiffness or damping, or more mass"
+            fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
+            raise OptionError(fault)
         steps = max(1, math.ceil(CELL * rate))
         return Choice(solver, CELL, steps, reason, limit)
     return Choice(solver, CELL, FIRST[solver], reason, limit)
@@ -163,22 +164,20 @@ def _cheapest(
     if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
         return other, f"{limits}, which are too many"
     if explicit * len(system.body.springs.rest) <= LITTLE:
-        return Solver.SYMPLECTIC_EULER, f"{limits}, which take little time"
-    if explicit <= instead:
-        return (
-            Solver.SYMPLECTIC_EULER,
-            f"{limits}, which take less time than {alternative}",
-        )
-    if explicit * most <= instead:
-        longer = f"which take little longer than {alternative}"
-        return Solver.SYMPLECTIC_EULER, f"{limits}, {longer}, and are far nearer"
-    share = f"{alternative} take {instead / explicit:.0%} of their time"
-    return other, f"{limits}, and {share}"
+        why = "little time"
+    elif explicit <= instead:
+        why = f"less time than {alternative}"
+    elif explicit * most <= instead:
+        why = f"little longer than {alternative}, and are far nearer"
+    else:
+        share = f"{alternative} take {instead / explicit:.0%} of their time"
+        return other, f"{limits}, and {share}"
+    return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
 
 
 def cell_colliders(
     colliders: Colliders, radius: float, grid: Grid, cells: int
-) -> tuple[Any, ...] | None:
+) -> CellColliders:
     """Return what kernels take of colliders for some cells; None without any."""
     if not colliders.meet:
         return None
@@ -215,101 +214,73 @@ def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     return ends
 
 
-Advance: TypeAlias = Callable[[SpringSystem, SpringOptions, Grid, int], Grid]
-
-
-def _network(system: SpringSystem, grid: Grid) -> _kernels.SpringNetwork:
-    """Return what is stepped in the cell that comes next."""
-    return system.network(system.jumps.stage_of(grid))
+def advance(
+    system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
+) -> Grid:
+    """Return where a motion is some cells later."""
+    network = system.network(system.jumps.stage_of(grid))
+    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    if grid.solver is Solver.SYMPLECTIC_EULER:
+        return _explicit(network, grid, cells, met)
+    if grid.solver is Solver.XPBD:
+        return _projected(network, grid, cells, met, system.layers, options.stretch)
+    rest = system.body.springs.rest
+    size = float(rest.mean()) if rest.any() else 1.0
+    return _implicit(network, grid, cells, met, SOLVED * size)
 
 
 def _explicit(
-    system: SpringSystem,
-    options: SpringOptions,  # noqa: ARG001
-    grid: Grid,
-    cells: int,
+    network: _kernels.SpringNetwork, grid: Grid, cells: int, met: CellColliders
 ) -> Grid:
-    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    state, torn, inside, pushes = _kernels.step_springs(
-        _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
-        grid.cell, cells, grid.substeps, colliders,
+    state = grid.state
+    motion, torn, inside, pushes = _kernels.step_springs(
+        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
+        state.substeps, met,
     )  # fmt: skip
-    steps = cells * grid.substeps
-    return replace(
-        grid,
-        index=grid.index + cells,
-        state=state,
-        torn=torn,
-        unresolved=max(grid.unresolved, inside),
-        pushes=pushes,
-        steps=grid.steps + steps,
-        evaluations=grid.evaluations + steps,
-    )
+    made, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
+    return grid.crossed(cells, made, steps, steps, inside, pushes)
 
 
 def _projected(
-    system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
+    network: _kernels.SpringNetwork,
+    grid: Grid,
+    cells: int,
+    met: CellColliders,
+    layers: _kernels.SpringLayers | None,
+    most_stretch: float,
 ) -> Grid:
-    most = max(grid.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
-    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    outputs = _kernels.project_springs(
-        _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
-        grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
-        colliders, system.layers, grid.passages,
-    )  # fmt: skip
+    state = grid.state
+    most = max(state.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
     (
-        state, torn, substeps, calm, stretch, steps, _, inside, passages, through,
+        motion, torn, substeps, calm, stretch, steps, _, inside, passages, through,
         pushes,
-    ) = outputs  # fmt: skip
-    return replace(
-        grid,
-        index=grid.index + cells,
-        substeps=substeps,
-        state=state,
-        torn=torn,
-        unresolved=max(grid.unresolved, inside),
-        pushes=pushes,
-        calm=calm,
-        passages=passages,
-        through=grid.through.with_more(Through(*through)),
-        stretch=max(grid.stretch, stretch),
-        steps=grid.steps + steps,
-        evaluations=grid.evaluations + steps,
+    ) = _kernels.project_springs(
+        network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
+        state.substeps, state.calm, state.least, most, most_stretch, met, layers,
+        state.passages,
+    )  # fmt: skip
+    made = SpringState(
+        motion, torn, substeps, state.least, calm, state.before, passages
     )
+    crossed = grid.crossed(cells, made, steps, steps, inside, pushes)
+    most_through = grid.through.with_more(Through(*through))
+    return replace(crossed, through=most_through, stretch=max(grid.stretch, stretch))
 
 
 def _implicit(
-    system: SpringSystem,
-    options: SpringOptions,  # noqa: ARG001
+    network: _kernels.SpringNetwork,
     grid: Grid,
     cells: int,
+    met: CellColliders,
+    tolerance: float,
 ) -> Grid:
-    rest = system.body.springs.rest
-    size = float(rest.mean()) if rest.any() else 1.0
-    colliders = cell_colliders(system.colliders, system.radius, grid, cells)
-    outputs = _kernels.solve_springs(
-        _network(system, grid), grid.state, grid.before, grid.torn, grid.origin,
-        grid.index, grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2,
-        SOLVED * size, colliders,
+    state = grid.state
+    (
+        motion, before, known, torn, steps, corrections, lost, inside, pushes,
+    ) = _kernels.solve_springs(
+        network, state.motion, state.before, state.torn, grid.origin, grid.index,
+        grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance, met,
     )  # fmt: skip
-    state, before, known, torn, steps, corrections, lost, inside, pushes = outputs
-    return replace(
-        grid,
-        index=grid.index + cells,
-        state=state,
-        before=before if known else None,
-        torn=torn,
-        unresolved=max(grid.unresolved, inside),
-        pushes=pushes,
-        steps=grid.steps + steps,
-        evaluations=grid.evaluations + corrections,
-        lost=lost > 0,
-    )
-
-
-ADVANCE: dict[Solver, Advance] = {
-    Solver.SYMPLECTIC_EULER: _explicit,
-    Solver.XPBD: _projected,
-    Solver.BDF2: _implicit,
-    Solver.IMPLICIT_EULER: _implicit,
-}
+    made = replace(state, motion=motion, before=before if known else None, torn=torn)
+    crossed = grid.crossed(cells, made, steps, corrections, inside, pushes)
+    return replace(crossed, lost=lost > 0)

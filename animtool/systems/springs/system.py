@@ -12,21 +12,20 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
-from animtool.errors import Fault
+from animtool.errors import Fault, OptionError
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 from animtool.systems.springs.body import (
-    NO_DRAWS,
     Body,
     Draws,
+    Flags,
+    Loads,
     Paths,
     spring_layers,
-    spring_network,
 )
 from animtool.systems.springs.checks import (
     check_body,
-    check_limit,
     check_path,
     check_self_contact,
     start_notices,
@@ -39,11 +38,10 @@ from animtool.systems.springs.paths import (
     Teleports,
     over_knots,
     position_at,
-    speed_of,
-    travel_of,
+    reach_of,
 )
 from animtool.systems.springs.records import Air, SelfContact
-from animtool.systems.springs.slopes import fastest
+from animtool.systems.springs.slopes import fastest, slopes
 
 # Of the speed of targets, where no step says over which time to take it [s].
 EPSILON_TIME = 1e-6
@@ -116,9 +114,15 @@ class SpringSystem(SecondOrder):
         speed_limit: float = SPEED_LIMIT,
         self_contact: SelfContact | None = None,
     ) -> None:
-        held = Pins(()) if pins is None else pins
-        check_body(body, held, targets)
-        check_limit(speed_limit)
+        pins, air = pins or Pins(()), air or Air(drag=0.0, lift=0.0)
+        targets = targets or Targets((), np.zeros((0, 3)), 0.0)
+        self.pinned, drawn = (
+            np.asarray(each.particles, np.int64).reshape(-1) for each in (pins, targets)
+        )
+        check_body(body, self.pinned, drawn)
+        if not speed_limit > 0:
+            message = f"speed_limit must be above 0, not {speed_limit:g}"
+            raise OptionError(Fault("SIM004", message, where="speed_limit"))
         if self_contact is not None:
             check_self_contact(self_contact, body)
         count = len(body.positions)
@@ -126,12 +130,22 @@ class SpringSystem(SecondOrder):
         self.gravity = as_floats(gravity, (3,), "gravity")
         self.drag = float(drag)
         self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
-        self.pressures, self._wind_path = _blowing(air)
-        self.pinned: IntArray = np.asarray(held.particles, np.int64).reshape(-1)
+        # Of air, over the area of triangles and the square of its speed.
+        self.pressures = 0.5 * air.density * air.drag, 0.5 * air.density * air.lift
+        winds = np.asarray(air.wind, np.float64)[..., None, :]
+        self._wind_path = check_path("air", winds, air.times, 1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
-        pin_path = _pin_path(body, held, self.pinned)
-        self.draws, target_path = _drawn(targets)
-        holders = np.append(self.pinned, self.draws.particles)
+        held = body.positions[self.pinned] if pins.positions is None else pins.positions
+        pin_path = check_path("pins", held, pins.times, len(self.pinned))
+        target_path = check_path(
+            "targets", targets.positions, targets.times, len(drawn)
+        )
+        stiffness, damping = (
+            np.array(np.broadcast_to(value, drawn.shape), np.float64)
+            for value in (targets.stiffness, targets.damping)
+        )
+        self.draws = Draws(drawn, stiffness, damping)
+        holders = np.append(self.pinned, drawn)
         self._ways = (pin_path, target_path)
         self.jumps = Teleports(body, holders, self._ways, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
@@ -152,7 +166,6 @@ class SpringSystem(SecondOrder):
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
         )
         self._state[1, self.pinned] = 0.0
-        self._whole = np.zeros(len(body.springs.rest), np.uint8)
 
     def network(self, stage: int) -> _kernels.SpringNetwork:
         """Return what kernels step, after some of the jumps of pins and targets."""
@@ -161,22 +174,19 @@ class SpringSystem(SecondOrder):
     def _stage(self, number: int) -> _Stage:
         if self._staged is None or self._staged[0] != number:
             pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways
-            self._staged = number, _Stage(pins, targets, self._network(pins, targets))
+            knots, paths = over_knots([pins, targets, self._wind_path])
+            springs = self.body.springs.select(self.order)
+            network = replace(self.loads, springs=springs).network(Paths(knots, *paths))
+            self._staged = number, _Stage(pins, targets, network)
         return self._staged[1]
 
-    def _network(self, pins: Path, targets: Path) -> _kernels.SpringNetwork:
-        knots, paths = over_knots([pins, targets, self._wind_path])
-        return spring_network(
-            self.inverse_masses,
-            self.drags,
-            self.body.springs.select(self.order),
-            self.body.triangles,
-            self.gravity,
-            self.pressures,
-            self.pinned,
-            self.draws,
-            Paths(knots, *paths),
-        )
+    @property
+    def loads(self) -> Loads:
+        """What acts on particles, with springs in the order of the body's."""
+        return Loads(
+            self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
+            self.gravity, self.pressures, self.pinned, self.draws,
+        )  # fmt: skip
 
     @cached_property
     def layers(self) -> _kernels.SpringLayers | None:
@@ -193,10 +203,26 @@ class SpringSystem(SecondOrder):
         return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
+    def whole(self) -> Flags:
+        """Which springs are torn where none is, in the order of kernels ``(S,)``."""
+        return np.zeros(len(self.body.springs.rest), np.uint8)
+
+    def torn(self, flags: Flags) -> BoolArray:
+        """Return which springs are torn ``(S,)``, of those in the order of kernels."""
+        torn = np.zeros(len(flags), np.bool_)
+        torn[self.order] = flags.astype(np.bool_)
+        return torn
+
+    @cached_property
     def inverse_masses(self) -> FloatArray:
         """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
         masses = np.where(self.fixed, 1.0, self.body.masses)
         return np.where(self.fixed, 0.0, 1.0 / masses)
+
+    @cached_property
+    def free_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [kg], 0 of those that are held."""
+        return np.where(self.fixed, 0.0, self.body.masses)
 
     @cached_property
     def drags(self) -> FloatArray:
@@ -212,16 +238,15 @@ class SpringSystem(SecondOrder):
         """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
         network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
-            network, t, EPSILON_TIME, np.array((x, v)), self._whole
+            network, t, EPSILON_TIME, np.array((x, v)), self.whole
         )
 
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
         """Return the derivatives of accelerations by positions and velocities."""
-        from animtool.systems.springs.slopes import slopes
-
-        return slopes(self, t, x, v)
+        by_x, by_v = slopes(self.loads, self.free_masses, self.wind(t), x, v)
+        return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
         """Return the derivative of forces by positions, negative ``(3 N, 3 N)``.
@@ -230,10 +255,9 @@ class SpringSystem(SecondOrder):
         """
         from scipy.sparse import diags_array
 
-        from animtool.systems.springs.slopes import place_slopes
-
-        masses = np.repeat(-self._free_masses, 3)
-        return diags_array(masses) @ place_slopes(self, t, x)
+        masses, v = self.free_masses, np.zeros_like(x)
+        by_x = next(slopes(self.loads, masses, self.wind(t), x, v))
+        return diags_array(np.repeat(-masses, 3)) @ by_x
 
     def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
         """Return springs with pins and targets as they are at a time, without air.
@@ -257,9 +281,9 @@ class SpringSystem(SecondOrder):
         """Return the same particles without some of their springs ``(S,)``."""
         left = copy(self)
         left.body = replace(self.body, springs=self.body.springs.select(~gone))
-        left._whole = np.zeros(len(left.body.springs.rest), np.uint8)
         left._staged = None
-        left.__dict__.pop("order", None)
+        for name in ("order", "whole"):
+            left.__dict__.pop(name, None)
         return left
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
@@ -281,7 +305,7 @@ class SpringSystem(SecondOrder):
         their speed.
         """
         x, v = state
-        masses = self._free_masses
+        masses = self.free_masses
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
         stage = self._stage(self.jumps.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
@@ -290,38 +314,23 @@ class SpringSystem(SecondOrder):
         if len(draws.particles):
             gaps = x[draws.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(draws.stiffness @ (gaps * gaps).sum(axis=1))
-        return Energy(kinetic, potential, self._supply)
-
-    @cached_property
-    def _free_masses(self) -> FloatArray:
-        """Of particles ``(N,)`` [kg], 0 of those that are held."""
-        masses: FloatArray = np.where(self.fixed, 0.0, self.body.masses)
-        return masses
-
-    @property
-    def _supply(self) -> float:
         mass, given_speed, speed = self._driven
-        return mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
+        supply = mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
+        return Energy(kinetic, potential, supply)
 
     @cached_property
     def _driven(self) -> tuple[float, float, float]:
         """The mass that moves, what wind and ways bring it, and the speed of those."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        # What is put elsewhere brings no speed.
-        speed = min(max(speed_of(path) for path in self._ways), self.speed_limit)
-        travel = max(travel_of(path) for path in self._ways)
+        speed, travel = map(max, zip(*map(reach_of, self._ways), strict=True))
         pull = float(np.linalg.norm(self.gravity))
-        return mass, wind**2 + pull * travel, speed
+        # What is put elsewhere brings no speed.
+        return mass, wind**2 + pull * travel, min(speed, self.speed_limit)
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
         return position_at(self._wind_path, t)
-
-    def _lengths(self, x: FloatArray) -> FloatArray:
-        ends = self.body.springs.ends
-        lengths: FloatArray = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
-        return lengths
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
         """Return the largest length of a spring over its length at rest [1]."""
@@ -332,7 +341,7 @@ class SpringSystem(SecondOrder):
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
         """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
-        return fastest(self)
+        return fastest(self.loads)
 
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
@@ -369,7 +378,7 @@ class SpringSystem(SecondOrder):
             made = np.ascontiguousarray(state)
             for first in range(0, count, AT_ONCE):
                 made = _kernels.step_springs(
-                    self.network(0), made, self._whole, t, first, h,
+                    self.network(0), made, self.whole, t, first, h,
                     min(AT_ONCE, count - first), 1, None,
                 )[0]  # fmt: skip
             return made
@@ -388,34 +397,6 @@ class SpringSystem(SecondOrder):
         springs = self.body.springs
         if not len(springs.rest):
             return ""
-        longest = int(np.argmax(self._lengths(state[0]) - springs.rest))
+        longest = int(np.argmax(springs.lengths(state[0]) - springs.rest))
         first, second = springs.ends[longest].tolist()
         return f"the spring of particles {first} and {second} is stretched most"
-
-
-def _pin_path(body: Body, pins: Pins, pinned: IntArray) -> Path:
-    places = body.positions[pinned] if pins.positions is None else pins.positions
-    return check_path("pins", places, pins.times, len(pinned))
-
-
-def _blowing(air: Air | None) -> tuple[tuple[float, float], Path]:
-    """Return drag and lift over area and the square of speed, and the wind."""
-    if air is None:
-        return (0.0, 0.0), (np.zeros(1), np.zeros((1, 1, 3)))
-    winds = np.asarray(air.wind, np.float64)
-    path = check_path("air", winds[..., None, :], air.times, 1)
-    pressure = 0.5 * air.density
-    return (pressure * air.drag, pressure * air.lift), path
-
-
-def _drawn(targets: Targets | None) -> tuple[Draws, Path]:
-    """Return what draws particles, and along which path."""
-    if targets is None:
-        return NO_DRAWS, (np.zeros(1), np.zeros((1, 0, 3)))
-    drawn = np.asarray(targets.particles, np.int64).reshape(-1)
-    path = check_path("targets", targets.positions, targets.times, len(drawn))
-    stiffness, damping = (
-        np.broadcast_to(np.asarray(value, np.float64), drawn.shape)
-        for value in (targets.stiffness, targets.damping)
-    )
-    return Draws(drawn, stiffness, damping), path

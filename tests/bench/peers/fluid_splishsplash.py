@@ -4,41 +4,54 @@
 that its pressure solver stops at [%].
 """
 
+import ctypes
 import json
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import pysplishsplash as sph
 from clock import now, since
 
+# Beside a GL library of the system the wheel crashes unless its own is there first.
+WHEEL = Path(str(find_spec("pysplishsplash").origin)).parent
+for found in (WHEEL / "pysplishsplash.libs").glob("libGLdispatch*"):
+    ctypes.CDLL(str(found), mode=ctypes.RTLD_GLOBAL)
+import pysplishsplash as sph  # noqa: E402
+
 FPS = 24
-CORNERS = "v {} {} {}"
-FACES = ("1 3 4", "1 4 2", "5 8 7", "5 6 8", "1 2 6", "1 6 5")
-FACES += ("3 8 4", "3 7 8", "1 5 7", "1 7 3", "2 4 8", "2 8 6")
 
 
 def scene(arrays: dict, folder: Path, error: float) -> Path:
-    """Write the scene, with the tank as a box around the fluid."""
-    signs = [(z, y, x) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
-    lines = [CORNERS.format(*corner) for corner in signs]
-    box = folder / "box.obj"
-    box.write_text("\n".join([*lines, *(f"f {face}" for face in FACES)]) + "\n")
+    """Write the dam break as the scenes of its authors are, in the tank."""
     tank, half = arrays["tank"], float(arrays["spacing"]) / 2
     high = arrays["x"].max(axis=0) + 2 * half
+    box = Path(sys.prefix) / "bin" / "data" / "models" / "UnitBox.obj"
     found = {
         "Configuration": {
-            "particleRadius": half, "simulationMethod": 4, "cflMethod": 1,
-            "gravitation": [0, -9.81, 0], "maxError": error, "maxErrorV": error,
-            "cflFactor": 1.0, "cflMaxTimeStepSize": 0.005, "timeStepSize": 0.001,
-            "boundaryHandlingMethod": 0,
+            "particleRadius": half, "simulationMethod": 4, "timeStepSize": 0.001,
+            "gravitation": [0, -9.81, 0], "boundaryHandlingMethod": 0,
+            "cflMethod": 1, "cflFactor": 1, "cflMaxTimeStepSize": 0.005,
+            "DFSPH": {
+                "minIterations": 2, "maxIterations": 100, "maxError": error,
+                "maxIterationsV": 100, "maxErrorV": 0.1,
+                "enableDivergenceSolver": True,
+            },
         },
+        "Materials": [
+            {
+                "id": "Fluid", "density0": 1000, "viscosityMethod": 1,
+                "Standard viscosity": {"viscosity": 0.01},
+            }
+        ],
         "RigidBodies": [
             {
+                # Its particles are half a spacing beyond the walls.
                 "geometryFile": str(box), "translation": (tank / 2).tolist(),
-                "scale": tank.tolist(), "isDynamic": False, "isWall": True,
-                "mapInvert": True, "mapResolution": [30, 30, 20],
+                "scale": (tank + 2 * half).tolist(), "isDynamic": False,
+                "isWall": True, "mapInvert": True, "samplingMode": 0,
+                "mapResolution": [30, 30, 20],
             }
         ],
         "FluidBlocks": [{"denseMode": 0, "start": [-half] * 3, "end": high.tolist()}],

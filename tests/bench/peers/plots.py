@@ -21,8 +21,8 @@ class Point:
     whole: bool = True
 
 
-# Names in a line of the legend.
-SIDE = 7
+# Names in a line of the legend, so that long ones fit the page.
+SIDE = 4
 
 # By the title of their panel and their name.
 Curves = dict[str, dict[str, list[Point]]]
@@ -59,8 +59,6 @@ def draw(curves: Curves, output: str, *, x: str, y: str) -> None:
     for panel in axes.flat[len(curves) :]:
         panel.remove()
     lines = [Line2D([], [], color=colour) for colour in colours.values()]
-    names = -(-len(colours) // SIDE)
-    props = -(-len(colours) // names)
-    figure.legend(lines, list(colours), loc="upper center", ncols=props)
-    figure.tight_layout(rect=(0, 0, 1, 0.97 - 0.02 * names))
+    figure.legend(lines, list(colours), loc="upper center", ncols=SIDE)
+    figure.tight_layout(rect=(0, 0, 1, 0.97 - 0.02 * -(-len(colours) // SIDE)))
     figure.savefig(output, metadata={"Date": None})

@@ -24,7 +24,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 READERS = Path(__file__).resolve().parent
 sys.path.insert(0, str(READERS.parent))
 
-from figures import PropRequest, Row, tables  # noqa: E402
+from figures import Bound, Row, tables  # noqa: E402
 from measuring import ROOT, Session, begin, parser  # noqa: E402
 
 MAX_POINTS = 50
@@ -215,7 +215,7 @@ def peer(command: list[str], folder: Path | None = None) -> dict[str, Any] | Non
 
 def rows_of(tool: str, name: str, ref: Reference, found: dict[str, Any] | None) -> list:
     """Return the figures of one reader and file."""
-    rows = [Row(name, tool, "opens", [float(found is not None)], PropRequest(True, 1))]
+    rows = [Row(name, tool, "opens", [float(found is not None)], Bound(True, 1))]
     if found is None:
         return rows
     matched = [joint for joint in ref.joints if joint in found["joints"]]
@@ -234,7 +234,7 @@ def rows_of(tool: str, name: str, ref: Reference, found: dict[str, Any] | None) 
         if error is not None:
             # three.js reads no samples of points.
             known = kind == "point" and tool == "three.js"
-            bound = None if known else PropRequest(False, BOUND)
+            bound = None if known else Bound(False, BOUND)
             rows.append(Row(name, tool, f"largest {kind} error [m]", [error], bound))
     return rows
 
@@ -295,7 +295,7 @@ def validated(validator: Path, sample: Sample) -> Row:
     for name, count in sorted(found.items()):
         print(f"{sample.name}: {count} x {name}", file=sys.stderr)
     count = float(sum(found.values()))
-    return Row(sample.name, "NVIDIA", "findings", [count], PropRequest(False, 0))
+    return Row(sample.name, "NVIDIA", "findings", [count], Bound(False, 0))
 
 
 def started(options: argparse.Namespace) -> Session:

@@ -52,27 +52,25 @@ class Cloth:
         knots = np.sort(rng.uniform(0, 0.1, int(rng.integers(1, 5))))
         inverse = rng.uniform(1, 100, count)
         inverse[held] = 0
-        numbers = np.stack(
-            [
-                rng.uniform(0.05, 0.15, springs),
-                10.0 ** rng.uniform(0, 4, springs),
-                rng.choice([0.0, 0.1], springs),
-                np.full(springs, rng.choice([np.inf, 0.2])),
-            ],
-            axis=1,
-        )
+        air = rng.choice([0.0, 0.6], 2).tolist()
         return {
             "inverse_masses": inverse,
             "drags": rng.uniform(0, 1, count),
             "ends": self.ends,
-            "numbers": numbers,
+            "rest": rng.uniform(0.05, 0.15, springs),
+            "stiffness": 10.0 ** rng.uniform(0, 4, springs),
+            "damping": rng.choice([0.0, 0.1], springs),
+            "limit": np.full(springs, rng.choice([np.inf, 0.2])),
             "triangles": faces,
-            "field": np.array([0, -9.81, 0, *rng.choice([0.0, 0.6], 2)]),
+            "gravity": np.array([0, -9.81, 0]),
+            "air_drag": air[0],
+            "air_lift": air[1],
             "knots": knots,
             "held": held,
             "held_path": self._path(rng, knots, held),
             "anchors": anchors,
-            "anchor_numbers": rng.uniform(0, 100, (len(anchors), 2)),
+            "anchor_stiffness": rng.uniform(0, 100, len(anchors)),
+            "anchor_damping": rng.uniform(0, 100, len(anchors)),
             "anchor_path": self._path(rng, knots, anchors),
             "winds": rng.normal(size=(rng.choice([1, len(knots)]), 1, 3)),
         }

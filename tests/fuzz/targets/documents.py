@@ -19,18 +19,28 @@ from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import AnimtoolError, Fault
 from animtool.ik.file import load_targets
 from animtool.mocap.cameras.file import load_cameras
+from animtool.mocap.face.file import face_model, load_landmarks
 from animtool.mocap.retarget.file import load_map
 from animtool.mocap.template import load_template
 from animtool.quantities import json_printed
 from animtool.rig.file import load_rig
+from animtool.rig.remap import link_shapes, load_remap
 from animtool.rig.skeleton import Rig
 from animtool.scene.file import load_scene
 from fuzz.mutations import spoil
 
-ABOUT = "rig, clip, scene, targets and batch files, spoiled as bytes or as values"
+ABOUT = "files of each kind that people write, spoiled as bytes or as values"
 
 ROOT = Path(__file__).parents[3]
-KINDS = (*("rig", "clip", "map", "markers", "scene", "targets", "batch", "cameras"),)
+KINDS = (
+    *("rig", "clip", "map", "markers", "scene", "targets", "batch", "cameras"),
+    *("landmarks", "remap"),
+)
+# No sample has one.
+REMAP = (
+    "remap: animtool/1\nothers: none\nshapes:\n- {source: A, target: smile, gain: 2}\n"
+    "- {source: B, target: jaw, offset: -0.1, clamp: [0, 1]}\n"
+)
 # Longer ones take more than some milliseconds, and say no more.
 LONGEST = 3000
 # What no line of a message may hold.
@@ -100,6 +110,7 @@ def _seeds(folder: Path) -> Iterator[Seed]:
     for name in ("rigs", "samples"):
         shutil.copytree(ROOT / name, folder / name)
     (folder / "animtool.toml").write_text("", "utf-8")
+    (folder / "hero.remap.yaml").write_text(REMAP, "utf-8")
     for path in sorted(folder.rglob("*.yaml")):
         kind = path.name.split(".")[-2]
         if kind in KINDS and path.stat().st_size <= LONGEST:
@@ -122,11 +133,17 @@ def _load(path: Path, seed: Seed, rigs: dict[Path, Rig]) -> None:
         load_cameras(path)
     elif seed.kind == "markers":
         load_template(path)
+    elif seed.kind == "remap":
+        made = link_shapes(("A", "B"), ("smile", "jaw"), load_remap(path))
+        assert np.isfinite([(link.gain, link.offset) for link in made.links]).all()
     else:
-        clip = open_clip(path)
         if seed.path not in rigs:
             named = seed.path.parent / str(seed.value["rig"])
             rigs[seed.path] = load_rig(named)
+        if seed.kind == "landmarks":
+            face_model(load_landmarks(path), rigs[seed.path])
+            return
+        clip = open_clip(path)
         check_clip(clip)
         load_clip(clip, rigs[seed.path])
 

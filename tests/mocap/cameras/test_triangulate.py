@@ -196,9 +196,9 @@ def test_faults() -> None:
         (unnamed, cameras, options(), "CAM011"),
         (alone, cameras, options(), "CAM012"),
         (nothing, cameras, options(), "CAM013"),
-        (seen, cameras, options(gate=0.0), "CAM015"),
-        (seen, cameras, options(noise=float("nan")), "CAM015"),
-        (seen, cameras, options(min_angle=2.0), "CAM015"),
+        (seen, cameras, options(gate=0.0), "CAP001"),
+        (seen, cameras, options(noise=float("nan")), "CAP001"),
+        (seen, cameras, options(min_angle=2.0), "CAP001"),
     ):
         with pytest.raises(AnimtoolError) as caught:
             triangulate(given, stage, chosen)

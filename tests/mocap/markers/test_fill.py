@@ -13,8 +13,8 @@ from animtool.errors import OptionError
 from animtool.markers import Markers
 from animtool.maths import so3
 from animtool.mocap.markers.fill import fill
-from animtool.mocap.markers.fill_options import FillOptions
 from animtool.mocap.markers.label import label
+from animtool.mocap.options import FillOptions
 
 FRAMES, RATE = 300, 120
 # Two rigid bodies of five markers, the second on a hinge of the first [m].

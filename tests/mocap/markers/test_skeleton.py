@@ -12,8 +12,8 @@ from animtool._types import FloatArray
 from animtool.errors import OptionError
 from animtool.markers import Markers
 from animtool.mocap.markers.fill import fill
-from animtool.mocap.markers.fill_options import FillOptions
 from animtool.mocap.markers.skeleton import Subject
+from animtool.mocap.options import FillOptions
 from animtool.mocap.template import MarkerTemplate
 from animtool.units import UpAxis
 

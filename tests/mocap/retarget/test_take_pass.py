@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from animtool import Channel, Motion, Rig, Take, open_source
 from animtool.maths import so3
-from animtool.mocap.retarget.options import RetargetOptions
+from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.take_pass import onto_rig
 from animtool.rig.kinematics import forward
 from animtool.take import TakeStream

@@ -13,7 +13,7 @@ from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
-from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.systems.simulation import open_systems
 
 SCENE = """\
@@ -253,6 +253,52 @@ def test_what_blows_up_leaves_nothing_and_says_the_step(tmp_path: Path) -> None:
     assert isinstance(error.value, ToleranceError | FormatError)
     assert "SIM102" in {fault.code for fault in error.value.faults}
     assert not list(tmp_path.glob("*.usdc"))
+
+
+STOPS = """\
+scene: animtool/1
+fps: 24
+range: [1, 48]
+systems:
+- particles:
+    name: it
+    step: 0.01
+    method: euler
+    emitters: [{at: [1, 0, 0], bursts: [[0, 3]], speed: 1, mass: 1}]
+    forces: [{spring: {anchor: [0, 0, 0], k: 4000}}]
+"""
+
+
+@pytest.mark.parametrize("chunk", [None, 2])
+def test_frames_before_a_stop_are_kept_on_request(
+    tmp_path: Path, chunk: int | None
+) -> None:
+    scene, output = written(tmp_path, STOPS), tmp_path / "o.usdc"
+    with pytest.raises(ToleranceError, match=r"blew up.*, before frame 5"):
+        bake(scene, output, BakeOptions(chunk=chunk))
+    assert not list(tmp_path.glob("*.usd*"))
+    report = bake(scene, output, BakeOptions(chunk=chunk, keep_stopped=True))
+    assert report.stopped is not None
+    assert [f.code for f in report.stopped.faults] == ["SIM101", "SIM102", "SIM193"]
+    assert (report.span.first, report.span.last, report.result.samples) == (1, 4, 4)
+    stage = Usd.Stage.Open(str(output))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 4)
+    points = UsdGeom.Points(stage.GetPrimAtPath("/shot/it")).GetPointsAttr()
+    assert points.GetTimeSamples()[-1] == 4
+    assert all(np.isfinite(points.Get(code)).all() for code in range(1, 5))
+
+
+def test_a_stop_before_the_first_frame_keeps_nothing(tmp_path: Path) -> None:
+    early = STOPS.replace("step:", "preroll: 1\n    step:").replace("[[0,", "[[-1,")
+    scene = written(tmp_path, early)
+    with pytest.raises(ToleranceError, match="before frame 1"):
+        bake(scene, tmp_path / "o.usdc", BakeOptions(keep_stopped=True))
+    assert not list(tmp_path.glob("*.usd*"))
+
+
+def test_kept_frames_of_no_simulation_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="goes with a scene that has systems"):
+        bake(tmp_path / "x.bvh", tmp_path / "o.usdc", BakeOptions(keep_stopped=True))
 
 
 def test_warnings_stop_where_none_are_wanted(tmp_path: Path) -> None:

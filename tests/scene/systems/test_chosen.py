@@ -16,7 +16,7 @@ from animtool.report.describe_scene import describe_scene
 from animtool.scene import outputs as scene_outputs
 from animtool.scene.file import load_scene
 from animtool.scene.options import BakeOptions
-from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.systems import simulation
 
 HEAD = "scene: animtool/1\nfps: 24\n"
@@ -128,7 +128,7 @@ def test_a_name_that_there_is_none_of_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as error:
         load_scene(written(tmp_path, " {file: a.usdc, systems: [flag, snwo, x]}"))
     one, other = error.value.faults
-    assert (one.code, other.code) == ("SCN080", "SCN080")
+    assert (one.code, other.code) == ("SCN063", "SCN063")
     assert one.where == "output.systems[1]"
     assert "snow" in str(one.hint)
     assert "cord, flag, snow" in str(other.hint)

@@ -18,7 +18,7 @@ from support.system_examples import EXAMPLES
 from animtool import BakeOptions
 from animtool.errors import OptionError, ToleranceError
 from animtool.maths import so3
-from animtool.scene.systems.schema import SystemModel
+from animtool.scene.schema import SystemModel
 from animtool.sim.trajectory import Status
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.units import LengthUnit

@@ -13,8 +13,8 @@ from support.cli import animtool
 from support.simulated import Simulator
 
 from animtool.errors import FormatError
-from animtool.scene.systems.saved import write_state
 from animtool.scene.systems.simulation import clocked, open_systems
+from animtool.systems.saved import write_states
 from animtool.systems.simulation import SimulationRun
 
 SCENE = """\
@@ -120,7 +120,7 @@ def other(path: Path, **changes: Any) -> None:
 
 
 CHANGES = {
-    "no state": ({"format": None}, "no file of a state"),
+    "no state": ({"format": None}, "no file of states"),
     "another kind": ({"kind": np.array("rope")}, "the state of rope"),
     "another step": ({"clock": np.array([-0.1, 0.02, 9])}, "steps of 0.02 s"),
     "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "begin at 0 s"),
@@ -160,7 +160,7 @@ def opened(folder: Path, **keys: Any) -> SimulationRun:
     assert isinstance(run, SimulationRun)
     if "resume" not in keys:
         run.at(0.253)
-        write_state(folder / "half.npz", clocked(system, run), run.state)
+        write_states(folder / "half.npz", {"": (clocked(system, run), run.state)})
     return run
 
 
@@ -235,7 +235,8 @@ def test_a_state_that_springs_cannot_go_on_from_is_refused(
     (system,) = Simulator(tmp_path).scene([{"rope": ROPE}]).systems
     (rope,) = open_systems([system], 0.5)
     rope.at(0.25)
-    write_state(tmp_path / "half.npz", clocked(system, rope.run), rope.run.state)
+    reached = clocked(system, rope.run), rope.run.state
+    write_states(tmp_path / "half.npz", {"": reached})
     changes, word = SPRINGS[case]
     other(tmp_path / "half.npz", **changes)
     resumed = [{"rope": {**ROPE, "resume": "half.npz"}}]

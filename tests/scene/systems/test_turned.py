@@ -12,8 +12,9 @@ from animtool import bake
 from animtool.errors import AnimtoolError, FormatError
 from animtool.maths import so3
 from animtool.scene.file import load_scene
-from animtool.scene.systems.surroundings import MovingMesh
+from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import Poses
+from animtool.systems.fields import MovingMeshModel
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 25]\noutput: {file: o.usdc}\nsystems:\n"
 PARTICLES = "- particles:\n    step: 0.005\n    emitters: [%s]\n"
@@ -132,7 +133,8 @@ def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:
     points = stage.GetPrimAtPath("/sheet").GetAttribute("points")
     points.Set(Vt.Vec3fArray(5), 48)
     stage.Save()
-    motion = MovingMesh(tmp_path / "set.usda", "/sheet").sheet().motion
+    mesh = MovingMeshModel(file=str(tmp_path / "set.usda"), prim="/sheet")
+    motion = moving_sheet(mesh).motion
     assert len(motion.points(-1.0)) == 4
     with pytest.raises(AnimtoolError) as error:
         motion.points(1.0)

@@ -21,8 +21,8 @@ from animtool.errors import AnimtoolError, FormatError, OptionError
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.outputs import bake_scene
+from animtool.scene.plan_steps import StepKind, bake_steps
 from animtool.scene.sources import open_source
-from animtool.scene.steps import StepKind, bake_steps
 from animtool.shot import FrameRange
 from animtool.units import LengthUnit, UpAxis
 

@@ -20,9 +20,9 @@ from animtool.systems.molecules.molecules import (
     MEGAPASCALS,
     Molecules,
     MoleculeState,
+    bath_factor,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
-from animtool.systems.molecules.thermostat import bath_factor
 from animtool.systems.simulation import Reached, SimulationRun
 
 ARGON = {"name": "argon", "count": 256}

@@ -254,7 +254,8 @@ def test_what_went_through_is_moved_back() -> None:
     start = simulate_springs(system, [0, 1 / 240], XPBD).checkpoint
     for side, end in ((1, 0.02), (-1, -0.02)):
         passages = np.array([[3, 0, side]])
-        known = replace(start.memory, passages=passages, state=system.state, index=0)
+        state = replace(start.memory.state, passages=passages, motion=system.state)
+        known = replace(start.memory, state=state, index=0)
         motion = simulate_springs(
             system, np.arange(13) / 24, XPBD, replace(start, time=0.0, memory=known)
         )

@@ -156,9 +156,9 @@ def test_edges_that_went_through_are_moved_back() -> None:
     start = simulate_springs(system, [0, 1 / 240], options).checkpoint
     # Edges in order: 0-1, 0-2, 1-2, 3-4 and so on.
     for side in (1, -1):
-        known = replace(
-            start.memory, passages=np.array([[6, 3, side]]), state=system.state, index=0
-        )
+        passages = np.array([[6, 3, side]])
+        state = replace(start.memory.state, passages=passages, motion=system.state)
+        known = replace(start.memory, state=state, index=0)
         motion = simulate_springs(
             system, np.arange(13) / 24, options, replace(start, time=0.0, memory=known)
         )

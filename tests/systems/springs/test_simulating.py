@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +21,6 @@ from animtool.systems.springs import (
     Pins,
     Solver,
     SpringOptions,
-    Springs,
     SpringSystem,
     Targets,
     join,
@@ -124,13 +125,7 @@ def test_the_order_of_springs_changes_nothing(seed: int) -> None:
     system = flag(4)
     springs = system.body.springs
     mixed = np.random.default_rng(seed).permutation(len(springs.rest))
-    swapped = Springs(
-        springs.ends[mixed], springs.rest[mixed], springs.stiffness[mixed],
-        springs.damping[mixed], springs.limit[mixed],
-    )  # fmt: skip
-    body = Body(
-        system.body.positions, system.body.masses, swapped, system.body.triangles
-    )
+    body = replace(system.body, springs=springs.select(mixed))
     other = SpringSystem(body, pins=Pins([0, 3]), drag=0.2)
     for solver in SOLVERS:
         found, there = (
@@ -221,14 +216,8 @@ def test_torn_springs_are_those_of_the_body() -> None:
         for x, tear in ((0, np.inf), (1, 0.01), (2, np.inf))
     ]
     body = join(lines[::-1])
-    shuffled = Springs(
-        body.springs.ends[[2, 0, 1]], body.springs.rest, body.springs.stiffness,
-        body.springs.damping, body.springs.limit[[2, 0, 1]],
-    )  # fmt: skip
-    system = SpringSystem(
-        Body(body.positions, body.masses, shuffled, body.triangles),
-        pins=Pins([0, 2, 4]),
-    )  # fmt: skip
+    shuffled = replace(body, springs=body.springs.select([2, 0, 1]))
+    system = SpringSystem(shuffled, pins=Pins([0, 2, 4]))
     motion = simulate_springs(system, [0, 0.5])
     assert motion.torn.tolist() == [False, False, True]
 

@@ -267,7 +267,7 @@ def torn_at(folder: Path, text: str, frames: int) -> np.ndarray:
     for frame in range(frames):
         for system in opened:
             system.at(frame / 24)
-    return run.run.simulation.torn(run.run.state.state)
+    return run.run.simulation.system.torn(run.run.state.state.torn)
 
 
 def test_cloth_parts_where_springs_tear(tmp_path: Path) -> None:
@@ -750,7 +750,7 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if line.startswith("[")]
     nothing, springs, particles = map(json.loads, lines)
     # Keys of the kinds, and those that they share, are part of the schema of scenes.
-    keys = ["springs", "springs.records", "springs.spec", "springs.spec_parts"]
+    keys = ["springs", "springs.records", "springs.spec"]
     others = ["colours", "crowds", "crowds.spec", "fields", "flocks", "flocks.spec"]
     others += ["fluid", "fluid.spec", "kinds", "molecules", "molecules.spec", "nbody"]
     others += ["nbody.spec", "particles", "particles.spec", "rigid", "rigid.spec"]

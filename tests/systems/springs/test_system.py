@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -119,10 +121,7 @@ def test_the_order_of_particles_does_not_matter(seed: int) -> None:
     springs = system.body.springs
     mixed = rng.permutation(len(springs.rest))
     place = np.argsort(order)
-    swapped = Springs(
-        place[springs.ends[mixed]], springs.rest[mixed], springs.stiffness[mixed],
-        springs.damping[mixed], springs.limit[mixed],
-    )  # fmt: skip
+    swapped = replace(springs, ends=place[springs.ends]).select(mixed)
     body = Body(
         system.body.positions[order], system.body.masses[order], swapped,
         place[system.body.triangles],
@@ -141,12 +140,7 @@ def test_no_motion_is_faster_than_its_bound(seed: int) -> None:
     rest = np.linalg.norm(
         np.diff(system.body.positions[springs.ends], axis=1)[:, 0], axis=1
     )
-    body = Body(
-        system.body.positions,
-        system.body.masses,
-        Springs(springs.ends, rest, springs.stiffness, springs.damping, springs.limit),
-        system.body.triangles,
-    )
+    body = replace(system.body, springs=replace(springs, rest=rest))
     relaxed = SpringSystem(
         body, pins=Pins([2]), targets=Targets([4], [[0, 0, 0]], 30.0)
     )
@@ -168,13 +162,8 @@ def test_a_lone_particle_has_no_fastest_motion() -> None:
 
 
 def test_a_spring_of_no_length_pulls_by_its_distance() -> None:
-    springs = Springs(
-        np.array([[0, 1]]),
-        np.zeros(1),
-        np.array([3.0]),
-        np.zeros(1),
-        np.array([np.inf]),
-    )
+    columns = np.array([[0.0], [3.0], [0.0], [np.inf]])
+    springs = Springs(np.array([[0, 1]]), *columns)
     for gap in (0.0, 1e-200, 1e-9, 2.0):
         body = Body(
             np.array([[0.0, 0, 0], [gap, 0, 0]]), np.ones(2), springs,
@@ -187,14 +176,8 @@ def test_a_spring_of_no_length_pulls_by_its_distance() -> None:
 
 def test_ends_at_one_place_pull_nothing() -> None:
     body = rope([1, 1, 1], [1, 1, 1], 3, Family(100.0, 1.0), mass=1.0)
-    stretched = Springs(
-        body.springs.ends, np.ones(2), body.springs.stiffness, body.springs.damping,
-        body.springs.limit,
-    )  # fmt: skip
-    system = SpringSystem(
-        Body(body.positions, body.masses, stretched, body.triangles),
-        gravity=(0, 0, 0), velocities=np.eye(3),
-    )  # fmt: skip
+    stretched = replace(body, springs=replace(body.springs, rest=np.ones(2)))
+    system = SpringSystem(stretched, gravity=(0, 0, 0), velocities=np.eye(3))
     assert not system.acceleration(0.0, *system.state).any()
     by_x, _ = system.jacobians(0.0, *system.state)
     assert np.isfinite(by_x.toarray()).all()

@@ -6,7 +6,7 @@ from typing import cast
 
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object
-from animtool.systems.particles.forces.force import Force
+from animtool.systems.particles.forces.base import Force
 
 __all__ = ["FORCES", "find_force"]
 

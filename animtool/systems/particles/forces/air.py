@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.systems.particles.forces.force import (
+from animtool.systems.particles.forces.base import (
     Force,
     NotNegative,
     Positive,

@@ -16,7 +16,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.options import at_least
-from animtool.systems.particles.forces.force import (
+from animtool.systems.particles.forces.base import (
     Force,
     NotNegative,
     Positive,

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.options import Range
-from animtool.systems.particles.forces.force import (
+from animtool.systems.particles.forces.base import (
     AnyVector,
     Finite,
     Force,

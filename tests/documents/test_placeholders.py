@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, TypeAdapter
 
 from animtool.clip.schema import ClipModel
 from animtool.documents.check import FileModel
-from animtool.documents.mend import (
+from animtool.documents.placeholders import (
     UNKNOWN,
     annotation_at,
     annotation_of,

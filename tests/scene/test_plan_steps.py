@@ -13,7 +13,7 @@ from support.cli import animtool
 from animtool import open_source
 from animtool.errors import OptionError
 from animtool.scene.file import load_scene
-from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.plan_steps import StepKind, bake_steps
 
 SCENE = """scene: animtool/1
 source: {file: walk.bvh, units: cm}
