@@ -180,7 +180,7 @@ OPENED = {
     "animtool.usd.layers": "a layer that it has looked at",
     "animtool.usd.skinned": "a file that was just written",
     "animtool.usd.rig_layer": "a layer in memory",
-    "animtool.usd.simulated_read": "layers that dependencies has looked at",
+    "animtool.usd.point_info": "layers that dependencies has looked at",
     "animtool.mocap.retarget.names": "a table that is part of animtool",
     "animtool.spool": "what it has written itself",
     "animtool.rules": "pages that are part of animtool",

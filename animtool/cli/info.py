@@ -98,7 +98,7 @@ def _described(
     if not is_usd(path):
         return describe(path, source_options_record(params)), info_summary.take_text
     if params["prim_path"] is None and params["take"] is None:
-        from animtool.usd.simulated_read import describe_points
+        from animtool.usd.point_info import describe_points
 
         points = describe_points(path)
         if points is not None:

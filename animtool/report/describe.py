@@ -19,7 +19,7 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
-    from animtool.usd.simulated_read import PointPrim
+    from animtool.usd.point_info import PointPrim
 
 
 FRAMES_AT_ONCE = 1024
@@ -146,7 +146,7 @@ def _points(path: Path) -> list[PointPrim]:
     """Return what a USD file shows of points that move."""
     if not is_usd(path):
         return []
-    from animtool.usd.simulated_read import displaced_points
+    from animtool.usd.point_info import displaced_points
 
     return displaced_points(path)
 

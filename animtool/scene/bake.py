@@ -15,14 +15,13 @@ from animtool.errors import Fault, OptionError, Severity, listed, refuse_warning
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
 from animtool.reorient import reorient
-from animtool.scene.frames import TakePlan
+from animtool.scene.frames import TakePlan, TakeRun
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import (
     BakePlan,
     BakeReport,
     Draft,
     OutputPrims,
-    TakeRun,
 )
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import (
@@ -229,7 +228,7 @@ def _check_props(plan: BakePlan) -> None:
     tracks = [take.stream.tracks for take in plan.takes]
     if not any(tracks):
         return
-    from animtool.usd.author_props import check_props
+    from animtool.usd.transform_writer import check_props
 
     stage = None if plan.target is None else plan.target.stage
     for some in tracks:
@@ -253,8 +252,7 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
         from animtool.scene.joint_prims import JointPrims
 
         return JointPrims()
-    from animtool.scene.deform import open_character
-    from animtool.scene.point_prims import PointPrims
+    from animtool.scene.point_prims import PointPrims, open_character
 
     return PointPrims(open_character(take, target))
 

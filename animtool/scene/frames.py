@@ -1,12 +1,12 @@
-"""The frames of a bake: when the source is sampled, and which joints move."""
+"""The frames of a bake: when a take is sampled, what it is then, which joints move."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -22,11 +22,18 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
+from animtool.scene.prims import MeshReport, TakeReport
+from animtool.scene.sources import motion_bytes
 from animtool.shot import FrameRange, Shot, frame_spans
 from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
+    from animtool.scene.systems.character_motion import CharacterWatch
+    from animtool.usd.jobs import WrittenTake
     from animtool.usd.target import JointMap
+    from animtool.usd.transform_writer import PropSamples
+
+TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +54,7 @@ class TakePlan:
 class TimedTake:
     """A take at the times of an output."""
 
-    blocks: Iterator[tuple[FloatArray, Motion]]  # time codes and motions
+    blocks: TimedBlocks
     rig: Rig
     # When the source is sampled; None where its own samples are written.
     times: SampleTimes | None = None
@@ -167,9 +174,7 @@ def _sampled(
     return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
 
 
-def _streamed(
-    plan: TakePlan, stream: TakeStream
-) -> Iterator[tuple[FloatArray, Motion]]:
+def _streamed(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
     done = 0
     for block in stream.blocks:
         first = plan.start + done * stream.step
@@ -255,3 +260,74 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     if rig.roots and not moving.any():
         moving[rig.roots[0]] = True
     return moving
+
+
+class TakeRun:
+    """One take on its way from its source to the writer."""
+
+    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
+        self.plan = plan
+        self.frames = self.samples = 0  # read of the source, and made for the output
+        self.props: PropSamples | None = None
+        self._watch = watch
+        self._timed: TimedTake | None = None
+
+    def open(self) -> TimedTake:
+        """Return the source's frames at the output's times, counted as they pass."""
+        if self._timed is not None:
+            return self._timed
+        stream = self.plan.stream
+        stream = replace(stream, blocks=self._counted(stream.blocks))
+        if self._watch is not None:
+            stream = self._watch.read(stream)
+        opened = timed_blocks(self.plan, stream)
+        if stream.tracks:
+            from animtool.usd.transform_writer import PropSamples
+
+            self.props = PropSamples(stream.tracks)
+        self._timed = replace(opened, blocks=self._seen(opened.blocks))
+        return self._timed
+
+    @property
+    def rig(self) -> Rig:
+        """The rig at rest."""
+        return self.open().rig
+
+    def report(
+        self,
+        written: WrittenTake,
+        joint: str = "",
+        meshes: Sequence[MeshReport] = (),
+        meshes_of: str = "",
+    ) -> TakeReport:
+        """Return the result of the take: what rounding moved most, and its meshes."""
+        plan, stream, times = self.plan, self.plan.stream, self.open().times
+        return TakeReport(
+            plan.source,
+            written,
+            stream.count or self.frames,
+            stream.fps / stream.step,
+            joint,
+            plan.options.source.unit is None and "units" not in stream.details,
+            motion_bytes(plan.source),
+            stream.details,
+            meshes=list(meshes),
+            meshes_of=meshes_of,
+            simulated=list(stream.simulated),
+            scores=list(stream.scores),
+            between=0 if times is None else times.between,
+        )
+
+    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self.frames += block.frames
+            yield block
+
+    def _seen(self, blocks: TimedBlocks) -> TimedBlocks:
+        for codes, motion in blocks:
+            self.samples += len(codes)
+            if self._watch is not None:
+                self._watch.see(codes)
+            if self.props is not None:
+                self.props.see(codes, motion)
+            yield codes, motion

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import replace
 from fractions import Fraction
@@ -11,31 +10,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
 from animtool.maths.curves import Curves
 from animtool.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.frames import TakePlan, moving_joints
-from animtool.scene.prims import (
-    BakePlan,
-    BakeReport,
-    Draft,
-    TakeReport,
-    TakeRun,
-)
+from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
+from animtool.scene.prims import BakePlan, Draft, TakeReport
+from animtool.scene.progress import timed
 from animtool.scene.sources import source_stem
 from animtool.signals import prefetch
-from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenBlock, WrittenTake
+from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
+from animtool.usd.joint_writer import round_blocks
 from animtool.usd.names import UsdNames, joint_names
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-
-TimedBlocks = Iterator[tuple[FloatArray, Motion]]
 
 
 class JointPrims:
@@ -59,20 +50,18 @@ class JointPrims:
         notices += plan.notices + job.names.notices + result.notices
         draft.layer = authored.animation
         draft.write = lambda save: write_usd(job, authored, result, save)
-        draft.read += [take.seconds for take in takes]
-        draft.report = BakeReport(
+        draft.read += [take.seconds["read"] for take in takes]
+        draft.report = plan.report(
             [
                 take.report(job, written)
                 for take, written in zip(takes, result.takes, strict=True)
             ],
             result,
-            f"{plan.form} ({plan.reason})",
-            len(plan.takes[0].stream.rig.joints),
-            job.meters_per_unit,
-            job.rig.up.value,
-            rest_size(rest),
             notices,
-            shot=plan.options.shot,
+            joints=len(plan.takes[0].stream.rig.joints),
+            size=rest_size(rest),
+            meters_per_unit=job.meters_per_unit,
+            up=job.rig.up,
         )
         return lambda: None
 
@@ -116,15 +105,12 @@ def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
 def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
     """Yield every take, made ready when the writer comes to it."""
     for take in takes:
-        usd_take, timed = take.prepare(job.rig)
+        usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
-        rounded = prefetch(
-            take.time(
-                round_blocks(
-                    timed, job.rig, job.meters_per_unit, root_motion=root_motion
-                )
-            )
+        made = round_blocks(
+            blocks, job.rig, job.meters_per_unit, root_motion=root_motion
         )
+        rounded = prefetch(timed(made, take.seconds, "read"))
         try:
             yield replace(usd_take, blocks=rounded)
         finally:
@@ -136,7 +122,7 @@ class _JointTake:
 
     def __init__(self, run: TakeRun) -> None:
         self.plan, self._run = run.plan, run
-        self.seconds = 0.0  # spent on making blocks [s]
+        self.seconds = {"read": 0.0}  # spent on making blocks [s]
         self._thinned: Thinned | None = None
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
@@ -145,22 +131,22 @@ class _JointTake:
         The rig is as it is written: of the rig layer, or of the first take.
         """
         opened = self._run.open()
-        timed, frames = opened.blocks, opened.frames
+        blocks, frames = opened.blocks, opened.frames
         plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
         chosen = None
         if mapping is not None:
             mapped = mapping
-            timed = ((codes, mapped.apply(motion)) for codes, motion in timed)
+            blocks = ((codes, mapped.apply(motion)) for codes, motion in blocks)
             if (mapping.source < 0).any():
                 chosen = mapping.source >= 0
         if options.sparse:
-            held = list(timed)
+            held = list(blocks)
             moving = moving_joints(plan, rig, [motion for _, motion in held])
             kept = moving if chosen is None else moving & chosen
-            chosen, timed = kept if kept.any() else chosen, iter(held)
+            chosen, blocks = kept if kept.any() else chosen, iter(held)
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
-            timed, self._thinned, frames = _thinned(plan, timed, frames, rig, step)
+            blocks, self._thinned, frames = _thinned(plan, blocks, frames, rig, step)
         take = UsdTake(
             (),
             plan.start,
@@ -173,7 +159,7 @@ class _JointTake:
             source_name=source_stem(plan.source),
             props=self._run.props,
         )
-        return take, timed
+        return take, blocks
 
     def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
         """Return the result of the take."""
@@ -185,20 +171,10 @@ class _JointTake:
             report.thinned_joint = job.rig.names[thinned.joint]
         return report
 
-    def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:
-        """Count the seconds that making blocks takes."""
-        while True:
-            began = time.perf_counter()
-            block = next(blocks, None)
-            self.seconds += time.perf_counter() - began
-            if block is None:
-                return
-            yield block
-
 
 def _thinned(
     plan: TakePlan,
-    timed: TimedBlocks,
+    blocks: TimedBlocks,
     frames: tuple[Fraction, Fraction] | None,
     rig: Rig,
     step: Fraction,
@@ -206,7 +182,7 @@ def _thinned(
     """Return the samples that are needed, what that does, first and last frame."""
     from animtool.edit.thin import thin_samples
 
-    held = list(timed)
+    held = list(blocks)
     codes = np.concatenate([codes for codes, _ in held])
     motion = Motion.concatenate([motion for _, motion in held])
     tolerance = plan.options.reduce

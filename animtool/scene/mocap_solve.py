@@ -28,9 +28,9 @@ from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import Progress
+from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions
-from animtool.scene.written import take_outputs, timed, write_take
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
 
 if TYPE_CHECKING:

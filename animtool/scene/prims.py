@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from animtool._types import FloatArray
 from animtool.clock import FrameSpan
 from animtool.errors import Fault, ToleranceError
-from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.scene.frames import TakePlan, TimedTake, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
-from animtool.scene.sources import motion_bytes
 from animtool.scores import PassScores
 from animtool.shot import Shot
+from animtool.units import UpAxis
 from animtool.usd.jobs import Form, UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import RigPaths, legal_name
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
+    from animtool.scene.frames import TakePlan, TakeRun
     from animtool.scene.systems.character_motion import CharacterWatch
-    from animtool.usd.author_props import PropSamples
-    from animtool.usd.point_based import CachedMesh
+    from animtool.usd.point_writer import CachedMesh
     from animtool.usd.target import RigTarget
 
 
@@ -169,6 +166,31 @@ class BakePlan:
             name = self.output.stem
         return RigPaths.below(self.options.prim_path or f"/{legal_name(name)}")
 
+    def report(
+        self,
+        takes: list[TakeReport],
+        result: UsdResult,
+        notices: list[Fault],
+        *,
+        joints: int = 0,
+        size: float = 0.0,
+        meters_per_unit: float,
+        up: UpAxis,
+        what: str = "",
+    ) -> BakeReport:
+        """Return the report of what was written of takes; ``what`` names its form."""
+        return BakeReport(
+            takes,
+            result,
+            f"{what}{self.form} ({self.reason})",
+            joints,
+            meters_per_unit,
+            up.value,
+            size,
+            notices,
+            shot=self.options.shot,
+        )
+
 
 @dataclass(slots=True)
 class Draft:
@@ -182,6 +204,16 @@ class Draft:
     save: Save = save_layer  # writes the layer
     write: Callable[[Save], object] | None = None  # writes all files with that
     read: list[float] = field(default_factory=list)  # spent on making frames [s]
+
+    def begin(self, layer: Any, result: UsdResult) -> None:
+        """Begin with a layer that is a file of its own."""
+        output = self.plan.output
+
+        def write(save: Save) -> None:
+            result.bytes = save(layer, output)
+            result.outputs += [] if output is None else [output]
+
+        self.layer, self.write = layer, write
 
 
 class OutputPrims(Protocol):
@@ -201,81 +233,3 @@ class OutputPrims(Protocol):
             StrictError: There were warnings, and ``strict`` is on.
             ToleranceError: A system blew up.
         """
-
-
-def with_seen(
-    blocks: Iterator[tuple[FloatArray, Motion]], see: Callable[[FloatArray], None]
-) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield frames, each block's time codes shown first."""
-    for codes, motion in blocks:
-        see(codes)
-        yield codes, motion
-
-
-class TakeRun:
-    """One take on its way from its source to the writer."""
-
-    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
-        self.plan = plan
-        self.frames = self.samples = 0  # read of the source, and made for the output
-        self.props: PropSamples | None = None
-        self._watch = watch
-        self._timed: TimedTake | None = None
-
-    def open(self) -> TimedTake:
-        """Return the source's frames at the output's times, counted as they pass."""
-        if self._timed is not None:
-            return self._timed
-        stream = self.plan.stream
-        stream = replace(stream, blocks=self._counted(stream.blocks))
-        if self._watch is not None:
-            stream = self._watch.read(stream)
-        opened = timed_blocks(self.plan, stream)
-        blocks = with_seen(opened.blocks, self._see)
-        if stream.tracks:
-            from animtool.usd.author_props import PropSamples
-
-            self.props = PropSamples(stream.tracks)
-            blocks = self.props.watched(blocks)
-        self._timed = replace(opened, blocks=blocks)
-        return self._timed
-
-    @property
-    def rig(self) -> Rig:
-        """The rig at rest."""
-        return self.open().rig
-
-    def report(
-        self,
-        written: WrittenTake,
-        joint: str = "",
-        meshes: Sequence[MeshReport] = (),
-        meshes_of: str = "",
-    ) -> TakeReport:
-        """Return the result of the take: what rounding moved most, and its meshes."""
-        plan, stream, times = self.plan, self.plan.stream, self.open().times
-        return TakeReport(
-            plan.source,
-            written,
-            stream.count or self.frames,
-            stream.fps / stream.step,
-            joint,
-            plan.options.source.unit is None and "units" not in stream.details,
-            motion_bytes(plan.source),
-            stream.details,
-            meshes=list(meshes),
-            meshes_of=meshes_of,
-            simulated=list(stream.simulated),
-            scores=list(stream.scores),
-            between=0 if times is None else times.between,
-        )
-
-    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        for block in blocks:
-            self.frames += block.frames
-            yield block
-
-    def _see(self, codes: FloatArray) -> None:
-        self.samples += len(codes)
-        if self._watch is not None:
-            self._watch.see(codes)

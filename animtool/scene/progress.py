@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -40,6 +40,19 @@ def told(
         done += size(item)
         if progress is not None and count:
             progress(min(done / count, 1.0))
+
+
+def timed(
+    items: Iterator[Item], seconds: MutableMapping[str, float], stage: str
+) -> Iterator[Item]:
+    """Yield items, and count the time that they take as a stage's."""
+    while True:
+        began = time.perf_counter()
+        item = next(items, None)
+        seconds[stage] += time.perf_counter() - began
+        if item is None:
+            return
+        yield item
 
 
 def share_of(progress: Progress, i: int, count: int) -> Progress:

@@ -18,7 +18,7 @@ from animtool.scene.progress import Meter, StageCost
 from animtool.take import TakeStream
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis
-from animtool.usd.props import PropSource, open_prop
+from animtool.usd.transform_reader import PropSource, open_prop
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9

@@ -21,9 +21,9 @@ from animtool.scene.convert import ConvertReport
 from animtool.scene.ik import naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import Progress
+from animtool.scene.progress import Progress, timed
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.scene.written import take_outputs, timed, write_take
+from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
 from animtool.units import unit_name
 

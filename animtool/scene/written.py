@@ -1,13 +1,11 @@
-"""Writing a take that a command makes: to USD, or to another format."""
+"""Writing a take that a command makes, or that passes do: to USD or another format."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.motion import Motion
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
@@ -65,16 +63,3 @@ def take_outputs(
 
         return bake_outputs([source], output, options)
     return convert_outputs(output, rig_file)
-
-
-def timed(
-    blocks: Iterator[Motion], seconds: MutableMapping[str, float], stage: str
-) -> Iterator[Motion]:
-    """Yield blocks, and count the time that they take as a stage's."""
-    while True:
-        began = time.perf_counter()
-        block = next(blocks, None)
-        seconds[stage] += time.perf_counter() - began
-        if block is None:
-            return
-        yield block

@@ -19,7 +19,7 @@ from animtool.reorient import reorient
 from animtool.rig.surfaces import surfaces_of
 from animtool.take import Take, TakeStream
 from animtool.units import LengthUnit
-from animtool.usd.animation import AnimationWriter, round_blocks
+from animtool.usd.chunks import Whole, write_frames
 from animtool.usd.extents import author_extents
 from animtool.usd.jobs import (
     Form,
@@ -30,6 +30,7 @@ from animtool.usd.jobs import (
     check_suffix,
     output_paths,
 )
+from animtool.usd.joint_writer import AnimationWriter, round_blocks
 from animtool.usd.layers import (
     StageMetadata,
     author_metadata,
@@ -72,7 +73,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
                 )
                 authored.visible = True
             if job.bones:
-                from animtool.usd.skeleton import author_bones
+                from animtool.usd.meshes import author_bones
 
                 authored.visible |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
@@ -88,7 +89,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     result = UsdResult(layer_span(animation), takes=written, notices=notices)
     for part in parts:
         if part.curves:
-            from animtool.usd.curves import author_controls
+            from animtool.usd.splines import author_controls
 
             part.written.curves = author_controls(
                 animation, part.written.animation, part.curves
@@ -129,15 +130,14 @@ def _author_take(
         _begin_library(job, authored, take.name)
     with_skeleton = job.form is not Form.LAYER and not take.name
     author_binding(layer, paths, skeleton=with_skeleton)
-    for block in take.blocks:
-        writer.add(block)
+    write_frames(take.blocks, Whole([writer]), [writer.rounding])
     if job.target is None:
         writer.finish([], replaces_motion=False)
     else:
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written = _written(job, take, writer)
     if take.props is not None:
-        from animtool.usd.author_props import author_props, prop_placements
+        from animtool.usd.transform_writer import author_props, prop_placements
 
         rig_layer = None if authored.rig is layer else authored.rig
         places = prop_placements(

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Sdf
 
 from animtool._types import FloatArray
 from animtool.maths import so3
@@ -30,6 +30,7 @@ from animtool.usd.layers import (
     relationship,
     vector,
 )
+from animtool.usd.meshes import author_mesh
 from animtool.usd.names import legal_name
 from animtool.usd.rig_layer import author_ball
 
@@ -164,15 +165,15 @@ class PhysicsWriter:
         corners = shape.triangles.astype(np.int32).ravel()
         counts = np.full(len(shape.triangles), 3, np.int32)
         bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-        point3, floats, ints = _TYPES.Point3fArray, _TYPES.Float3Array, _TYPES.IntArray
-        vectors, numbers = Vt.Vec3fArray.FromNumpy, Vt.IntArray.FromNumpy
-        attribute(spec, "points", point3, vectors(points))
-        attribute(spec, "extent", floats, vectors(bounds))
-        attribute(spec, "faceVertexCounts", ints, numbers(counts))
-        attribute(spec, "faceVertexIndices", ints, numbers(corners))
-        token = _TYPES.Token
-        attribute(spec, "subdivisionScheme", token, "none", uniform=True)
-        attribute(spec, "physics:approximation", token, approximation, uniform=True)
+        values = {
+            "points": points,
+            "extent": bounds,
+            "faceVertexCounts": counts,
+            "faceVertexIndices": corners,
+        }
+        author_mesh(spec, values, closed=True)
+        name, token = "physics:approximation", _TYPES.Token
+        attribute(spec, name, token, approximation, uniform=True)
 
     def _material(self, friction: float, restitution: float) -> str:
         """Return the path of a material, which is written once."""

@@ -28,9 +28,15 @@ from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.point_reader import PointReader
-from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_layer import read_ball
-from animtool.usd.rig_prims import decompose, open_stage, up_axis, upwards
+from animtool.usd.rig_prims import (
+    decompose,
+    open_stage,
+    placing_times,
+    up_axis,
+    upwards,
+)
+from animtool.usd.transform_reader import find_prim, nearest_prim
 
 AXES = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
 Y = AXES["Y"]
@@ -217,9 +223,7 @@ class _Reader:
 
     def _moves(self, prim: Any, start: float) -> tuple[FloatArray, FloatArray | None]:
         """Return times [s] and poses of a kinematic body; none of one that stays."""
-        codes: set[float] = set()
-        for one in filter(UsdGeom.Xformable, upwards(prim)):
-            codes |= set(UsdGeom.Xformable(one).GetTimeSamples())
+        codes = placing_times(prim)
         if len(codes) < 2:
             return np.zeros(1), None
         ordered, rows = sorted(codes), []

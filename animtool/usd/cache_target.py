@@ -17,7 +17,7 @@ from animtool.units import UpAxis
 from animtool.usd.faults import Spot
 from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands
-from animtool.usd.point_based import PointSpace
+from animtool.usd.point_cache import PointSpace
 from animtool.usd.point_reader import PointReader
 from animtool.usd.skinned import MAX_NAMED
 from animtool.usd.target import RigTarget, compose_check
@@ -61,13 +61,12 @@ class CacheTarget:
         """Up axis that the stage states."""
         return self.rig.up
 
-    def author(self, layer: Any, *, normals: bool) -> Mapping[str, Any]:
-        """Write the overs; return those of the meshes and strands by path."""
+    def author(self, layer: Any, *, normals: bool) -> None:
+        """Write overs on the SkelRoot, the meshes and the strands."""
         # As UsdSkel.BakeSkinning does it: outside a SkelRoot nothing is skinned.
         root = prim(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
             author_order(root, *self.rig.operations)
-        specs = {}
         for mesh in self.prims:
             spec = prim(layer, mesh.path, over=True)
             blocked = mesh.blocked
@@ -76,8 +75,6 @@ class CacheTarget:
             for name in blocked:
                 kind = Sdf.ValueTypeNames.Normal3fArray
                 attribute(spec, name, kind, Sdf.ValueBlock())
-            specs[mesh.path] = spec
-        return specs
 
     def check(self, layer: Any, *, points: bool = True) -> None:
         """Compose the layer with its rig, and see that its points are what shows.

@@ -29,9 +29,10 @@ from animtool.usd.layers import (
     quatf,
     relationship,
 )
+from animtool.usd.meshes import author_bones, author_meshes
 from animtool.usd.names import RigPaths, distinct_names, joint_names
-from animtool.usd.point_based import CharactersReport
-from animtool.usd.skeleton import author_bones, author_rig
+from animtool.usd.point_writer import CharactersReport
+from animtool.usd.skeleton import author_rig
 from animtool.usd.sparse import (
     NEAR,
     NEAR_STANDING,
@@ -123,8 +124,6 @@ def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
     names = joint_names(rig.joints, 0)
     author_rig(layer, rig, names, paths, unit)
     if rig.meshes:
-        from animtool.usd.meshes import author_meshes
-
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
         author_meshes(layer, surfaces_of(rig), paths, tokens, unit)
     else:

@@ -1,17 +1,18 @@
-"""Layers that are saved while they grow: memory stays the same, however long they get.
+"""Frames on their way to files: one loop over time codes, into one layer or in chunks.
 
-A crate that is saved now and then has its samples on disk.
+Layers may be saved while they grow, so that memory stays the same however long they
+get: a crate that is saved now and then has its samples on disk.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from pxr import Sdf, Tf, Vt
@@ -26,6 +27,9 @@ from animtool.usd.layers import (
     save_layer,
     usd_reason,
 )
+
+if TYPE_CHECKING:
+    from animtool.usd.point_writer import Block
 
 # Samples in memory before they go to the disk [byte].
 HELD = 32_000_000
@@ -153,10 +157,66 @@ def system_files(output: Path) -> ClipFiles:
     return ClipFiles(output, "systems", manifest)
 
 
-ChunkFile = TypeVar("ChunkFile")
+class Frames(Protocol):
+    """Frames of one prim."""
+
+    @property
+    def prim(self) -> int:
+        """Place of the prim among those that are written."""
+
+    @property
+    def codes(self) -> FloatArray:
+        """Time codes ``(F,)``."""
 
 
-class Chunks(Generic[ChunkFile]):
+FramesT = TypeVar("FramesT", bound=Frames)
+FramesIn_contra = TypeVar("FramesIn_contra", contravariant=True)
+
+
+class Writer(Protocol[FramesIn_contra]):
+    """What writes the frames of a prim."""
+
+    def add(self, block: FramesIn_contra) -> None:
+        """Write frames."""
+
+
+class Report(Protocol[FramesIn_contra]):
+    """What is said of the frames of a prim."""
+
+    def count(self, block: FramesIn_contra) -> None:
+        """Add frames that are written."""
+
+
+def write_frames(
+    blocks: Iterable[FramesT],
+    writer: Writer[FramesT],
+    reports: Sequence[Report[FramesT]],
+) -> None:
+    """Write all frames of all prims: every time code of a bake passes here.
+
+    writer: `Whole` or `Chunks`; reports: of each prim.
+    """
+    for block in blocks:
+        reports[block.prim].count(block)
+        writer.add(block)
+
+
+class Whole(Generic[FramesT]):
+    """All samples in one layer."""
+
+    def __init__(self, writers: Sequence[Writer[FramesT]]) -> None:
+        """Begin: with what writes each prim."""
+        self._writers = writers
+        self.first, self.last = np.inf, -np.inf  # time codes
+
+    def add(self, block: FramesT) -> None:
+        """Write frames."""
+        self._writers[block.prim].add(block)
+        self.first = min(self.first, block.codes[0])
+        self.last = max(self.last, block.codes[-1])
+
+
+class Chunks:
     """Samples in files of some each, closed when every prim has samples of the next.
 
     Every file also has the first sample of the next, for what lies between them.
@@ -167,16 +227,16 @@ class Chunks(Generic[ChunkFile]):
         files: ClipFiles,
         size: int,
         prims: int,
-        build: Callable[[Path, int], AbstractContextManager[ChunkFile]],
+        build: Callable[[Path, int], AbstractContextManager[Sequence[Writer[Block]]]],
     ) -> None:
         """Begin.
 
-        size: samples a file; prims: how many there are; build: gives a file, 0 being
-        the first, that is whole at the end of the block.
+        size: samples a file; prims: how many there are; build: gives what writes each
+        prim to a file, 0 being the first, that is whole at the end of the block.
         """
         self.files, self._size, self._build = files, size, build
         self._done = [0] * prims
-        self._open: dict[int, tuple[ExitStack, ChunkFile]] = {}
+        self._open: dict[int, tuple[ExitStack, Sequence[Writer[Block]]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
 
@@ -196,31 +256,29 @@ class Chunks(Generic[ChunkFile]):
         """The files, in order."""
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
-    def add(
-        self, prim: int, codes: FloatArray, put: Callable[[ChunkFile, slice], object]
-    ) -> None:
-        """Put frames at time codes ``(F,)`` into the files that they belong to.
-
-        prim: 0 being the first; put: writes some of the frames to a file.
-        """
-        begin = 0
+    def add(self, block: Block) -> None:
+        """Put frames into the files that they belong to."""
+        codes, begin = block.codes, 0
         while begin < len(codes):
-            number, at = divmod(self._done[prim], self._size)
+            number, at = divmod(self._done[block.prim], self._size)
             count = min(self._size - at, len(codes) - begin)
             if at == 0 and number:
-                put(self._open[number - 1][1], slice(begin, begin + 1))
+                self._put(number - 1, block.some(slice(begin, begin + 1)))
             if number == len(self.starts):
                 stack = ExitStack()
                 context = self._build(self.files.chunk(number), number)
                 self._open[number] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
-            put(self._open[number][1], slice(begin, begin + count))
-            self._done[prim] += count
+            self._put(number, block.some(slice(begin, begin + count)))
+            self._done[block.prim] += count
             begin += count
         self.last = max(self.last, float(codes[-1]))
         for number in sorted(self._open):
             if min(self._done) > (number + 1) * self._size:
                 self._close(number)
+
+    def _put(self, number: int, block: Block) -> None:
+        self._open[number][1][block.prim].add(block)
 
     def _close(self, number: int) -> None:
         self._open.pop(number)[0].close()

@@ -10,8 +10,8 @@ from pxr import Gf, Sdf
 
 from animtool._types import Float32Array, FloatArray
 from animtool.errors import Fault, OutputError
-from animtool.usd.animation import AnimationWriter
 from animtool.usd.jobs import UsdJob
+from animtool.usd.joint_writer import AnimationWriter
 from animtool.usd.layers import attribute, prim
 
 
@@ -26,6 +26,8 @@ def shape_bounds(
     """
     from pxr import Usd, UsdGeom
 
+    from animtool.usd.point_reader import PointReader, transformed
+
     largest = np.zeros(len(shapes))
     for rows in weights:
         largest = np.maximum(largest, np.abs(rows).max(axis=0, initial=0.0))
@@ -34,14 +36,14 @@ def shape_bounds(
     lows: list[FloatArray] = []
     highs: list[FloatArray] = []
     for mesh in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-        points = (
-            UsdGeom.Mesh(mesh).GetPointsAttr().Get() if mesh.IsA(UsdGeom.Mesh) else ()
-        )
-        if not points:
+        if not mesh.IsA(UsdGeom.Mesh):
+            continue
+        points = PointReader(mesh).at(Usd.TimeCode.Default())
+        if not len(points):
             continue
         own, _ = cache.ComputeRelativeTransform(mesh, root)
         matrix = np.array(own, np.float64)
-        placed = np.array(points, np.float64) @ matrix[:3, :3] + matrix[3, :3]
+        placed = transformed(points, matrix)
         pad = _shape_padding(mesh, reach) * float(np.linalg.norm(matrix[:3, :3], 2))
         lows.append(placed.min(axis=0) - pad)
         highs.append(placed.max(axis=0) + pad)

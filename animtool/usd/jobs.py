@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from animtool.maths.curves import Curves
     from animtool.rig.skeleton import Rig
     from animtool.shot import Shot
-    from animtool.usd.author_props import PropSamples
-    from animtool.usd.curves import CurveReport
     from animtool.usd.names import RigPaths, UsdNames
+    from animtool.usd.splines import CurveReport
     from animtool.usd.target import RigTarget
+    from animtool.usd.transform_writer import PropSamples
 
 
 SUFFIXES = (".usd", ".usda", ".usdc")
@@ -102,6 +102,7 @@ class WrittenBlock:
     # Of the rig's shapes ``(F, S)`` float32; None where there are none.
     weights: Float32Array | None = None
     scales_rounded: bool = False  # whether a scale is another number as float16
+    prim: int = 0  # a SkelAnimation is written alone
 
 
 @dataclass(slots=True)
@@ -113,7 +114,7 @@ class Rounding:
     joint: int = 0  # index of the joint that moved
     scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
 
-    def add(self, block: WrittenBlock) -> None:
+    def count(self, block: WrittenBlock) -> None:
         """Take the larger of the two errors."""
         self.scales |= block.scales_rounded
         if block.error > self.error:

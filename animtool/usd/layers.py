@@ -347,28 +347,27 @@ class Samples:
 
     The frames before the first change share one array, as copies of it would. Signs of
     quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
-    every rotation over time is written here.
+    every rotation over time is written here. With `every`, each frame is a sample, and
+    with `first` too the first is the default.
 
     sampled: whether they changed, or are sampled all the same.
     """
 
     def __init__(
         self,
-        spec: Any,
-        name: str,
-        type_name: Any,
+        attr: Any,
         make: Callable[[Any], Any],
         *,
-        interpolation: str = "",
+        every: bool = False,
+        first: bool = True,
         quaternions: bool = False,
         of: str = "",
         names: Sequence[str] = (),
     ) -> None:
-        self._attribute = attribute(spec, name, type_name, interpolation=interpolation)
-        self._path = self._attribute.path
-        self._set = spec.layer.SetTimeSample
-        self._make = make
-        self._letter = largest(type_name)
+        self._attribute, self._path = attr, attr.path
+        self._set = attr.layer.SetTimeSample
+        self._make, self._every, self._rests = make, every, first
+        self._letter = largest(attr.typeName)
         self._labels = Labels(str(self._path), of, names)
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
@@ -381,7 +380,11 @@ class Samples:
         rows = np.ascontiguousarray(self._continued(rows))
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)
-        if self._first is None:
+        if self._every:
+            if not self.sampled and self._rests:
+                self._attribute.default = self._make(rows[0])
+            self.sampled = True
+        elif self._first is None:
             self._first = rows[0].copy()
         if not self.sampled:
             if (rows == self._first).all():

@@ -1,4 +1,7 @@
-"""Authoring the meshes and blend shapes of a rig, bound to its Skeleton."""
+"""Mesh prims: those of rigs with their skin and blend shapes, of bones, and of frames.
+
+`author_mesh` says what every mesh is; `doubleSided` and subdivision are stated there.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, UsdGeom, Vt
+import numpy.typing as npt
+from pxr import Gf, Sdf, Vt
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.errors import Fault, Severity
-from animtool.maths.faces import closed
+from animtool.frames import MeshFrame
+from animtool.maths.faces import closed, triangulated, vertex_normals
+from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Subdivision
-from animtool.rig.surfaces import Strands, Surface, SurfaceShape, SurfaceSkin
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.finite import Labels, check_value, narrowed
 from animtool.usd.layers import (
@@ -23,71 +30,13 @@ from animtool.usd.layers import (
     relationship,
 )
 from animtool.usd.names import RigPaths, distinct_names
-from animtool.usd.point_based import author_faces, author_linear, author_width
-
-# Below the SkelRoot, what holds the curves.
-SCOPE = "Strands"
-# How wide curves are drawn [m]: the format of rigs says nothing of it.
-WIDTH = 4e-4
-
-
-def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
-    """Return paths of the strands' prims."""
-    names_given = [entry.name for entry in strands]
-    names = distinct_names(names_given, names_given, names_given).names
-    return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
-
-
-def author_strands(
-    layer: Any,
-    strands: Sequence[Strands],
-    paths: RigPaths,
-    tokens: Mapping[str, str],
-    meters_per_unit: float,  # unit of the layer [m]
-    *,
-    bound: bool = True,
-) -> None:
-    """Write strands as linear curves below the SkelRoot, each bound to its joint."""
-    if not strands:
-        return
-    prim(layer, f"{paths.root}/{SCOPE}", "Scope")
-    for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
-        spec = prim(layer, path, "BasisCurves")
-        if Sdf.Path(path).name != entry.name:
-            spec.SetInfo("customData", {"animtool": {"name": entry.name}})
-        _curves(spec, entry.points / meters_per_unit, WIDTH / meters_per_unit)
-        if bound:
-            _bound(spec, tokens[entry.joint])
-
-
-def _curves(spec: Any, points: FloatArray, width: float) -> None:
-    count, length = points.shape[:2]
-    labels = Labels(f"{spec.path}.points", "point")
-    flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
-    places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
-    extent = UsdGeom.Curves.ComputeExtent(places, widths)
-    attribute(spec, "extent", _TYPES.Float3Array, extent)
-    author_linear(spec)
-    counts = Vt.IntArray(count, length)
-    attribute(spec, "curveVertexCounts", _TYPES.IntArray, counts)
-    attribute(spec, "points", _TYPES.Point3fArray, places)
-    author_width(spec, width)
-
-
-def _bound(spec: Any, token: str) -> None:
-    """Bind a prim to one joint as a whole."""
-    apply_schemas(spec, ["SkelBindingAPI"])
-    own = Vt.TokenArray([token])
-    attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
-    for name, kind, value in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
-        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
-    ):
-        attr = attribute(
-            spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
-        )
-        attr.SetInfo("elementSize", 1)
-
+from animtool.usd.point_writer import (
+    FrameForm,
+    FramePrim,
+    author_values,
+    bounds,
+)
+from animtool.usd.skeleton import SCOPE
 
 # Fewer moving vertices than this share are written with their indices: an index is a
 # third of an offset.
@@ -101,6 +50,55 @@ SUBDIVISION = {
 }
 _TYPES = Sdf.ValueTypeNames
 _METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
+
+
+def author_mesh(
+    spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", closed: bool
+) -> None:
+    """Write what a mesh is, apart from what frames change.
+
+    values: its attributes, in their order; closed: whether it is visible from outside
+    alone.
+    """
+    author_values(spec, {**values, "subdivisionScheme": subdivision})
+    if not closed:
+        author_values(spec, {"doubleSided": True})
+
+
+class MeshForm(FrameForm[MeshFrame]):
+    """A mesh over time, whose normals follow its faces."""
+
+    type_name = "Mesh"
+    sampled = ("points", "velocities", "extent", "normals")
+
+    def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
+        """Return the faces."""
+        return {
+            "faceVertexCounts": frame.counts.astype(np.int32),
+            "faceVertexIndices": frame.indices.astype(np.int32),
+        }
+
+    def tears(self, frame: MeshFrame) -> bool:
+        """Return whether its faces may be others."""
+        return frame.tears
+
+    def describe(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+        """Write that it is no cage, and whether both sides are visible."""
+        author_mesh(spec, {}, closed=frame.closed)
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: MeshFrame,
+        points: Float32Array,
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return bounds and normals; what does not tear has the first frame's faces."""
+        faces = writer.triangles
+        if frame.tears:
+            faces = triangulated(frame.counts, frame.indices)
+        normals = vertex_normals(frame.points, faces)
+        return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
 
 
 def mesh_names(
@@ -159,21 +157,20 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
     spec = prim(layer, path, "Mesh")
     points = surface.points / meters_per_unit
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
-    attribute(spec, "extent", _TYPES.Float3Array, _vec3f(extent, f"{path}.extent"))
-    counts, indices = (
-        Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
-        for values in (surface.counts, surface.indices)
-    )
-    attribute(spec, "faceVertexCounts", _TYPES.IntArray, counts)
-    attribute(spec, "faceVertexIndices", _TYPES.IntArray, indices)
-    attribute(spec, "points", _TYPES.Point3fArray, _vec3f(points, f"{path}.points"))
+    values = {
+        "extent": _narrow(extent, f"{path}.extent"),
+        "faceVertexCounts": np.ascontiguousarray(surface.counts, np.int32),
+        "faceVertexIndices": np.ascontiguousarray(surface.indices, np.int32),
+        "points": _narrow(points, f"{path}.points"),
+    }
     if surface.normals is not None:
-        normals = _vec3f(surface.normals, f"{path}.normals")
-        attribute(
-            spec, "normals", _TYPES.Normal3fArray, normals, interpolation="vertex"
-        )
-    whole = closed(surface.counts, surface.indices)
-    author_faces(spec, SUBDIVISION[surface.subdivision], closed=whole)
+        values["normals"] = _narrow(surface.normals, f"{path}.normals")
+    author_mesh(
+        spec,
+        values,
+        subdivision=SUBDIVISION[surface.subdivision],
+        closed=closed(surface.counts, surface.indices),
+    )
     return spec
 
 
@@ -191,9 +188,13 @@ def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     return Gf.Matrix4d(*rows.ravel().tolist())
 
 
-def _vec3f(values: FloatArray, where: str) -> Any:
+def _narrow(values: FloatArray, where: str) -> Float32Array:
     labels = Labels(where, "point")
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(narrowed(values, "f", labels)))
+    return np.ascontiguousarray(narrowed(values, "f", labels))
+
+
+def _vec3f(values: FloatArray, where: str) -> Any:
+    return Vt.Vec3fArray.FromNumpy(_narrow(values, where))
 
 
 def _skin(
@@ -300,3 +301,108 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
                 _vec3f(step.normals[rows], f"{spec.path}.{name}:normalOffsets"),
                 uniform=True,
             )
+
+
+# A bone is an octahedron, widest a fifth of the way along.
+WAIST = 0.2
+HALF_WIDTH = 0.08
+# Of the length, at either end: no two bones share a point, which tools would merge.
+GAP = 0.005
+
+_FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
+
+
+def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
+    """Return bones at rest: ends ``(B, 2, 3)`` [m], world, and the joint of each.
+
+    One bone leads from a joint to each of its children and each of its tips;
+    those without length are left out.
+    """
+    world = rest_world(rig)
+    ends, joints = [], []
+    for i, joint in enumerate(rig.joints):
+        if joint.parent >= 0:
+            ends.append((world.positions[0, joint.parent], world.positions[0, i]))
+            joints.append(joint.parent)
+        for tip in joint.tips:
+            here = world.positions[0, i]
+            ends.append((here, here + world.linear[0, i] @ np.asarray(tip)))
+            joints.append(i)
+    segments = np.array(ends, np.float64).reshape(-1, 2, 3)
+    owners = np.array(joints, np.int64)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+    real = lengths > 1e-6 * lengths.max(initial=0.0)
+    return segments[real], owners[real]
+
+
+def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:
+    """Write a mesh of octahedra, each bound rigidly to its joint.
+
+    Returns whether there was a bone to write.
+    """
+    segments, owners = bone_segments(rig)
+    if not len(segments):
+        return False
+    corners, outwards = _octahedra(segments / meters_per_unit)
+    points = _narrow(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
+    faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
+    spec = prim(layer, f"{paths.root}/Bones", "Mesh")
+    apply_schemas(spec, ["SkelBindingAPI"])
+    values = {
+        "faceVertexCounts": np.full(len(faces) // 3, 3, np.int32),
+        "faceVertexIndices": faces.astype(np.int32),
+        "points": points,
+        "normals": outwards.reshape(-1, 3).astype(np.float32),
+        "extent": np.stack([points.min(axis=0), points.max(axis=0)]),
+        "purpose": "guide",
+    }
+    author_mesh(spec, values, closed=True)
+    color = Vt.Vec3fArray([Gf.Vec3f(0.75, 0.72, 0.65)])
+    attribute(
+        spec,
+        "primvars:displayColor",
+        _TYPES.Color3fArray,
+        color,
+        interpolation="constant",
+    )
+    skinned = np.repeat(owners, 6).astype(np.int32)
+    for name, kind, value in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(skinned)),
+        (
+            "jointWeights",
+            _TYPES.FloatArray,
+            Vt.FloatArray.FromNumpy(np.ones(len(skinned), np.float32)),
+        ),
+    ):
+        attr = attribute(
+            spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
+        )
+        attr.SetInfo("elementSize", 1)
+    identity = Gf.Matrix4d(1.0)
+    attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, identity)
+    relationship(spec, "skel:skeleton", paths.skeleton)
+    return True
+
+
+def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return six points a bone: head, four about the waist, tail; and their normals.
+
+    Both are ``(B, 6, 3)``.
+    """
+    along = segments[:, 1] - segments[:, 0]
+    head, tail = segments[:, 0] + GAP * along, segments[:, 1] - GAP * along
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    direction = along / length
+    # The axis that the bone is least along gives a side that is never degenerate.
+    other = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
+    side = np.cross(direction, other)
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    front = np.cross(direction, side)
+    waist = head + WAIST * along
+    width = HALF_WIDTH * length
+    around = [side, front, -side, -front]
+    ring = [waist + width * v for v in around]
+    return (
+        np.stack([head, *ring, tail], axis=1),
+        np.stack([-direction, *around, direction], axis=1),
+    )

@@ -1,8 +1,8 @@
-"""Authoring deformed points as point caches: a stage of meshes, or overs on a rig."""
+"""What joints deform as point caches: a stage of meshes, or overs on a rig."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,7 +18,7 @@ from animtool.rig.surfaces import Strands, Surface
 from animtool.shot import Shot
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis
-from animtool.usd.chunks import Chunks, author_span, point_files
+from animtool.usd.chunks import Chunks, Whole, author_span, point_files, write_frames
 from animtool.usd.finite import Labels, rounded
 from animtool.usd.layers import (
     StageMetadata,
@@ -29,18 +29,22 @@ from animtool.usd.layers import (
     new_layer,
     prim,
 )
-from animtool.usd.meshes import author_meshes, author_strands, mesh_names, strand_paths
+from animtool.usd.meshes import author_meshes, mesh_names
 from animtool.usd.names import RigPaths
-from animtool.usd.point_based import (
-    BlockWriter,
-    CachedMesh,
-    PointBlock,
-    PointSpace,
-    empty_attribute,
-)
+from animtool.usd.point_writer import Block, CachedMesh, PointWriter, empty_attribute
+from animtool.usd.skeleton import author_strands, strand_paths
 
 if TYPE_CHECKING:
     from animtool.usd.cache_target import CacheTarget
+
+
+@dataclass(frozen=True, slots=True)
+class PointSpace:
+    """Where the points of a mesh are written."""
+
+    # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
+    placement: FloatArray | None = None
+    margin: float = 0.0  # half the width of curves, in the layer's unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ def round_points(
     deformed: Deformed,
     meters_per_unit: float,
     space: PointSpace,
-) -> PointBlock:
+) -> Block:
     """Return frames of a mesh rounded to what USD holds, and what the rounding did.
 
     codes: time codes ``(F,)``; deformed: its frames [m]; meters_per_unit: unit of the
@@ -98,19 +102,14 @@ def round_points(
     def alike(name: str, values: FloatArray, unit: float) -> Float32Array:
         return rounded(values, unit, Labels(name, "point"), codes)[0]
 
-    return PointBlock(
-        mesh,
-        codes,
-        rounded_points,
-        _widened(alike("extent", extents, meters_per_unit), space.margin),
-        None if normals is None else alike("normals", normals, 1.0),
-        None
-        if velocities is None
-        else alike("velocities", velocities, meters_per_unit),
-        error,
-        float(codes[frame]),
-        vertex,
-    )
+    extent = alike("extent", extents, meters_per_unit)
+    values = {"points": rounded_points, "extent": _widened(extent, space.margin)}
+    if normals is not None:
+        values["normals"] = alike("normals", normals, 1.0)
+    if velocities is not None:
+        values["velocities"] = alike("velocities", velocities, meters_per_unit)
+    code = float(codes[frame])
+    return Block(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
 def _widened(extents: Float32Array, margin: float) -> Float32Array:
@@ -126,7 +125,7 @@ def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
 
 
 def author_cache(
-    job: CacheJob, blocks: Iterator[PointBlock]
+    job: CacheJob, blocks: Iterator[Block]
 ) -> tuple[Any, list[CachedMesh]]:
     """Author a layer in memory; nothing is written yet.
 
@@ -136,26 +135,30 @@ def author_cache(
     deformed already.
     """
     layer = new_layer(job.output or Path("stdout.usda"))
+    reports = [CachedMesh(path) for path in job.meshes]
+    writers = [PointWriter(layer, report) for report in reports]
+    whole = Whole(writers)
     with Sdf.ChangeBlock():
-        specs = author_prims(layer, job)
-        writers = [BlockWriter(specs[path]) for path in job.meshes]
-        whole = job.target is None
-        first, last = np.inf, -np.inf
-        for block in blocks:
-            writers[block.mesh].add(block)
-            first, last = min(first, block.codes[0]), max(last, block.codes[-1])
-        reports = [writer.finish(rest=whole) for writer in writers]
-        author_metadata(layer, cache_metadata(job, first, last))
+        _author_prims(layer, job)
+        write_frames(blocks, whole, reports)
+        for writer in writers:
+            writer.finish(rest=job.target is None)
+        author_metadata(layer, cache_metadata(job, whole.first, whole.last))
     if job.target is not None:
         job.target.check(layer)
     return layer, reports
 
 
-def author_prims(layer: Any, job: CacheJob) -> Mapping[str, Any]:
-    """Write everything but points; return the meshes' prims by path."""
-    if job.target is None:
-        return _author_stage(layer, job)
-    return job.target.author(layer, normals=job.normals)
+def _author_prims(layer: Any, job: CacheJob) -> None:
+    """Write everything but points."""
+    if job.target is not None:
+        job.target.author(layer, normals=job.normals)
+        return
+    author_model(layer, job.paths.model)
+    prim(layer, job.paths.root, "Xform")
+    unit = job.meters_per_unit
+    author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
+    author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
@@ -168,15 +171,6 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
     return StageMetadata(default, job.fps, *frames, unit, up, job.shot)
 
 
-def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
-    author_model(layer, job.paths.model)
-    prim(layer, job.paths.root, "Xform")
-    unit = job.meters_per_unit
-    author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
-    author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
-    return {path: layer.GetPrimAtPath(path) for path in job.meshes}
-
-
 @dataclass(frozen=True, slots=True)
 class ChunkedCache:
     """A cache whose chunks are written, and a layer in memory that joins them."""
@@ -184,7 +178,7 @@ class ChunkedCache:
     layer: Any
     reports: list[CachedMesh]
     _manifest: Any
-    _chunks: Chunks[list[BlockWriter]]
+    _chunks: Chunks
 
     def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
@@ -195,9 +189,7 @@ class ChunkedCache:
         return [*files, clips.output]
 
 
-def write_chunks(
-    job: CacheJob, blocks: Iterator[PointBlock], size: int
-) -> ChunkedCache:
+def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
     """Write the points of a cache in files of some samples each.
 
     Nothing is there under its name before all is written, the layer last. Only then do
@@ -206,45 +198,45 @@ def write_chunks(
     assert job.output is not None
     layer = new_layer(job.output)
     with Sdf.ChangeBlock():
-        specs = author_prims(layer, job)
+        _author_prims(layer, job)
     chunked = [_ChunkedMesh(path) for path in job.meshes]
+    reports = [mesh.report for mesh in chunked]
 
-    def chunk(path: Path, number: int) -> AbstractContextManager[list[BlockWriter]]:
-        return _chunk(job, path, rest=number == 0 and job.target is None)
+    def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
+        return _chunk(job, path, reports, rest=number == 0 and job.target is None)
 
     files = point_files(job.output)
     with Chunks(files, size, len(chunked), chunk) as chunks:
-        for block in blocks:
-            chunked[block.mesh].see(block)
-            chunks.add(block.mesh, block.codes, block.put)
+        write_frames(blocks, chunks, chunked)
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     manifest = new_layer(files.manifest)
     with Sdf.ChangeBlock():
         for mesh in chunked:
-            mesh.author(specs[mesh.report.path], whole=job.target is None)
+            mesh.author(layer.GetPrimAtPath(mesh.report.path), whole=job.target is None)
             mesh.declare(prim(manifest, mesh.report.path, over=True))
         author_metadata(layer, metadata)
         author_metadata(manifest, metadata)
         chunks.join(layer, job.paths.root)
     if job.target is not None:
         job.target.check(layer, points=False)
-    reports = [mesh.report for mesh in chunked]
     if job.target is None and any(report.samples for report in reports):
         layer.subLayerPaths.append(files.defaults)
     return ChunkedCache(layer, reports, manifest, chunks)
 
 
 @contextmanager
-def _chunk(job: CacheJob, path: Path, *, rest: bool) -> Iterator[list[BlockWriter]]:
+def _chunk(
+    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, rest: bool
+) -> Iterator[list[PointWriter]]:
     """Give the writers of a file, with defaults of points if asked."""
     layer = new_layer(path)
-    writers = [BlockWriter(prim(layer, mesh, over=True)) for mesh in job.meshes]
+    for mesh in job.meshes:
+        prim(layer, mesh, over=True)
+    writers = [PointWriter(layer, report) for report in reports]
     yield writers
     with Sdf.ChangeBlock():
         for writer in writers:
-            writer.release()
-            if rest:
-                writer.rest()
+            writer.release(rest=rest)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
     with replacing(path) as temporary:
         export_layer(layer, temporary, path)
@@ -258,14 +250,15 @@ class _ChunkedMesh:
         # Values of the first frame, while points are where they are there.
         self._still: dict[str, Float32Array] | None = None
 
-    def see(self, block: PointBlock) -> None:
+    def count(self, block: Block) -> None:
         """Note which attributes frames have, and whether points move."""
-        values = dict(block.values())
+        values = block.values
         if not self.report.sampled:
             self._still = {name: rows[0].copy() for name, rows in values.items()}
-        block.count(self.report)
+        self.report.count(block)
         self.report.sampled = list(values)
-        if self._still is not None and (block.points != self._still["points"]).any():
+        still = self._still
+        if still is not None and (values["points"] != still["points"]).any():
             self._still = None
 
     def author(self, spec: Any, *, whole: bool) -> None:

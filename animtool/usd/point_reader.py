@@ -1,4 +1,7 @@
-"""Points of prims over time: of meshes, curves, particles and copies, on any stage."""
+"""Points of prims over time: of meshes, curves, particles and copies, on any stage.
+
+Whoever reads points, faces or when they move does it by `PointReader`.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,10 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
+from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (
@@ -23,9 +28,11 @@ from animtool.usd.rig_prims import (
     integers,
     numbers,
     open_stage,
+    placing_times,
     up_axis,
 )
 from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.transform_reader import find_prim, nearest_prim
 
 # Half floats are as far from a unit quaternion as this.
 UNIT_TOLERANCE = 5e-3
@@ -47,10 +54,7 @@ class PointReader:
     @property
     def moments(self) -> list[float]:
         """Time codes of the samples of its points and of what places it."""
-        stage, paths = self.prim.GetStage(), self.prim.GetPath().GetPrefixes()
-        above = [UsdGeom.Xformable(stage.GetPrimAtPath(path)) for path in paths]
-        placing = (prim.GetTimeSamples() for prim in above if prim)
-        return sorted({*self.times}.union(*placing))
+        return sorted({*self.times, *placing_times(self.prim)})
 
     def has(self, name: str) -> bool:
         """Return whether the prim states values of an attribute."""
@@ -233,3 +237,80 @@ def open_points(path: Path) -> PointSource | None:
         stage = open_stage(path)
         source = None if has_character(stage) else PointSource(path, stage)
     return source if source and source.names else None
+
+
+@dataclass(frozen=True, slots=True)
+class StillMesh:
+    """Points and faces in the world."""
+
+    points: FloatArray  # ``(N, 3)`` [m]
+    counts: IntArray  # corners of each face ``(M,)``
+    indices: IntArray  # corners, face by face
+
+
+def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
+    """Return a mesh as it is at the earliest time that its file has."""
+    return open_mesh(path, prim, up).at(None)
+
+
+class MeshSource:
+    """A mesh of a stage that is open.
+
+    span: first and last time code at which it is told to move, in shape or place; None
+    where it never does.
+    """
+
+    def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
+        # A prim lives no longer than its stage.
+        self._stage, self._reader = stage, PointReader(prim)
+        self._unit = UsdGeom.GetStageMetersPerUnit(stage)
+        self._turn = up_from_up(up, up_axis(stage))
+        self.fps = float(stage.GetTimeCodesPerSecond())
+        times = self._reader.moments
+        self.span = (float(times[0]), float(times[-1])) if times else None
+
+    def at(self, code: float | None) -> StillMesh:
+        """Return it at a time code; None is the earliest that there is.
+
+        Raises:
+            OptionError: It makes no sense (SIM051).
+        """
+        time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
+        points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
+        _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
+        world = self._reader.world_from_prim(time)
+        placed = transformed(points, world) * self._unit
+        if self._turn is not None:
+            placed = so3.rotate(np.array(self._turn), placed)
+        return StillMesh(np.asarray(placed, np.float64), counts, indices)
+
+
+def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
+    """Return a mesh that can be looked at over time."""
+    with usd_errors(path):
+        stage = open_stage(path)
+        mesh = find_prim(stage, prim)
+        if mesh is None or not mesh.IsA(UsdGeom.Mesh):
+            what = "no prim" if mesh is None else "no mesh"
+            hint = nearest_prim(stage, prim) if mesh is None else None
+            message = f"{path.name} holds {what} {excerpt(prim)}"
+            raise OptionError(Fault("SIM051", message, hint=hint))
+        return MeshSource(stage, mesh, up)
+
+
+def _check_mesh(
+    points: FloatArray, counts: IntArray, indices: IntArray, prim: str
+) -> None:
+    message = ""
+    if not len(points) or not len(counts):
+        message = "has no points or no faces"
+    elif not np.isfinite(points).all():
+        message = "has a point that is not finite"
+    elif (counts < 3).any():
+        message = f"has a face of {counts.min()} corners"
+    elif counts.sum() != len(indices):
+        message = f"has {len(indices)} corners, and its faces {counts.sum()}"
+    elif indices.min() < 0 or indices.max() >= len(points):
+        message = f"has a corner that is none of its {len(points)} points"
+    if message:
+        raise OptionError(Fault("SIM051", f"{prim} {message}"))

@@ -121,6 +121,12 @@ def upwards(prim: Any) -> Iterator[Any]:
         prim = prim.GetParent()
 
 
+def placing_times(prim: Any) -> set[float]:
+    """Return the time codes of samples of what places a prim in the world."""
+    places = filter(None, map(UsdGeom.Xformable, upwards(prim)))
+    return {time for place in places for time in place.GetTimeSamples()}
+
+
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
     """Return the Skeleton prims on a stage, those inside instances too."""
     start = stage.GetPrimAtPath(below)

@@ -1,21 +1,23 @@
-"""Authoring a rig's prims: model, SkelRoot, Skeleton."""
+"""Authoring a rig's prims: model, SkelRoot, Skeleton, strands."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Sdf, Vt
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.maths import so3
-from animtool.rig.kinematics import bind_world, rest_world
+from animtool.rig.kinematics import bind_world
 from animtool.rig.parts import ArraySource, Shape
 from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.surfaces import Strands, strands_of
 from animtool.rig.write import rig_text
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import (
@@ -25,9 +27,15 @@ from animtool.usd.layers import (
     prim,
     relationship,
 )
-from animtool.usd.names import RigPaths, UsdNames
+from animtool.usd.names import RigPaths, UsdNames, distinct_names
+from animtool.usd.point_writer import LINEAR, author_values, author_width
 
+_TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
+# Below the SkelRoot, what holds the curves.
+SCOPE = "Strands"
+# How wide curves are drawn [m]: the format of rigs says nothing of it.
+WIDTH = 4e-4
 
 
 def author_rig(
@@ -48,9 +56,6 @@ def author_rig(
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
-        from animtool.rig.surfaces import strands_of
-        from animtool.usd.meshes import author_strands
-
         named = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
     data: dict[str, Any] = {}
@@ -156,110 +161,62 @@ def author_binding(
         relationship(spec, "skel:skeleton", paths.skeleton)
 
 
-# A bone is an octahedron, widest a fifth of the way along.
-WAIST = 0.2
-HALF_WIDTH = 0.08
-# Of the length, at either end: no two bones share a point, which tools would merge.
-GAP = 0.005
-
-_FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
+def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
+    """Return paths of the strands' prims."""
+    names_given = [entry.name for entry in strands]
+    names = distinct_names(names_given, names_given, names_given).names
+    return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
 
 
-def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
-    """Return bones at rest: ends ``(B, 2, 3)`` [m], world, and the joint of each.
+def author_strands(
+    layer: Any,
+    strands: Sequence[Strands],
+    paths: RigPaths,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,  # unit of the layer [m]
+    *,
+    bound: bool = True,
+) -> None:
+    """Write strands as linear curves below the SkelRoot, each bound to its joint."""
+    if not strands:
+        return
+    prim(layer, f"{paths.root}/{SCOPE}", "Scope")
+    for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
+        spec = prim(layer, path, "BasisCurves")
+        if Sdf.Path(path).name != entry.name:
+            spec.SetInfo("customData", {"animtool": {"name": entry.name}})
+        _curves(spec, entry.points / meters_per_unit, WIDTH / meters_per_unit)
+        if bound:
+            _bound(spec, tokens[entry.joint])
 
-    One bone leads from a joint to each of its children and each of its tips;
-    those without length are left out.
-    """
-    world = rest_world(rig)
-    ends, joints = [], []
-    for i, joint in enumerate(rig.joints):
-        if joint.parent >= 0:
-            ends.append((world.positions[0, joint.parent], world.positions[0, i]))
-            joints.append(joint.parent)
-        for tip in joint.tips:
-            here = world.positions[0, i]
-            ends.append((here, here + world.linear[0, i] @ np.asarray(tip)))
-            joints.append(i)
-    segments = np.array(ends, np.float64).reshape(-1, 2, 3)
-    owners = np.array(joints, np.int64)
-    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
-    real = lengths > 1e-6 * lengths.max(initial=0.0)
-    return segments[real], owners[real]
+
+def _curves(spec: Any, points: FloatArray, width: float) -> None:
+    from pxr import UsdGeom
+
+    count, length = points.shape[:2]
+    labels = Labels(f"{spec.path}.points", "point")
+    flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
+    places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
+    values = {
+        "extent": np.array(UsdGeom.Curves.ComputeExtent(places, widths)),
+        **LINEAR,
+        "curveVertexCounts": np.full(count, length, np.int32),
+        "points": flat,
+    }
+    author_values(spec, values)
+    author_width(spec, width)
 
 
-def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:
-    """Write a mesh of octahedra, each bound rigidly to its joint.
-
-    Returns whether there was a bone to write.
-    """
-    segments, owners = bone_segments(rig)
-    if not len(segments):
-        return False
-    corners, outwards = _octahedra(segments / meters_per_unit)
-    labels = Labels(f"{paths.root}/Bones.points", "point")
-    points = narrowed(corners.reshape(-1, 3), "f", labels)
-    normals = Vt.Vec3fArray.FromNumpy(outwards.reshape(-1, 3).astype(np.float32))
-    faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
-    spec = prim(layer, f"{paths.root}/Bones", "Mesh")
+def _bound(spec: Any, token: str) -> None:
+    """Bind a prim to one joint as a whole."""
     apply_schemas(spec, ["SkelBindingAPI"])
-    types = Sdf.ValueTypeNames
-    counts = Vt.IntArray.FromNumpy(np.full(len(faces) // 3, 3, np.int32))
-    attribute(spec, "faceVertexCounts", types.IntArray, counts)
-    indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
-    attribute(spec, "faceVertexIndices", types.IntArray, indices)
-    attribute(spec, "points", types.Point3fArray, Vt.Vec3fArray.FromNumpy(points))
-    attribute(spec, "normals", types.Normal3fArray, normals, interpolation="vertex")
-    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    attribute(spec, "extent", types.Float3Array, Vt.Vec3fArray.FromNumpy(bounds))
-    attribute(spec, "purpose", types.Token, "guide", uniform=True)
-    attribute(spec, "subdivisionScheme", types.Token, "none", uniform=True)
-    color = Vt.Vec3fArray([Gf.Vec3f(0.75, 0.72, 0.65)])
-    attribute(
-        spec,
-        "primvars:displayColor",
-        types.Color3fArray,
-        color,
-        interpolation="constant",
-    )
-    skinned = np.repeat(owners, 6).astype(np.int32)
+    own = Vt.TokenArray([token])
+    attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
     for name, kind, value in (
-        ("jointIndices", types.IntArray, Vt.IntArray.FromNumpy(skinned)),
-        (
-            "jointWeights",
-            types.FloatArray,
-            Vt.FloatArray.FromNumpy(np.ones(len(skinned), np.float32)),
-        ),
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
     ):
         attr = attribute(
-            spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
+            spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
         )
         attr.SetInfo("elementSize", 1)
-    identity = Gf.Matrix4d(1.0)
-    attribute(spec, "primvars:skel:geomBindTransform", types.Matrix4d, identity)
-    relationship(spec, "skel:skeleton", paths.skeleton)
-    return True
-
-
-def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return six points a bone: head, four about the waist, tail; and their normals.
-
-    Both are ``(B, 6, 3)``.
-    """
-    along = segments[:, 1] - segments[:, 0]
-    head, tail = segments[:, 0] + GAP * along, segments[:, 1] - GAP * along
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    direction = along / length
-    # The axis that the bone is least along gives a side that is never degenerate.
-    other = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
-    side = np.cross(direction, other)
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    front = np.cross(direction, side)
-    waist = head + WAIST * along
-    width = HALF_WIDTH * length
-    around = [side, front, -side, -front]
-    ring = [waist + width * v for v in around]
-    return (
-        np.stack([head, *ring, tail], axis=1),
-        np.stack([-direction, *around, direction], axis=1),
-    )

@@ -277,7 +277,7 @@ class _Samples:
 def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> Any:
     from pxr import Sdf
 
-    from animtool.usd.animation import AnimationWriter
+    from animtool.usd.joint_writer import AnimationWriter
     from animtool.usd.layers import new_layer, prim, save_layer
     from animtool.usd.names import RigPaths
 

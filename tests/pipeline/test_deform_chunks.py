@@ -14,7 +14,6 @@ from support.skinned_rig import write_pair
 from support.usd import validation_errors
 
 from animtool.usd import chunks
-from animtool.usd.point_based import BlockWriter
 
 CODES = [float(code) for code in range(1, 10)]
 NAMES = ["points", "extent", "normals", "velocities"]
@@ -89,13 +88,13 @@ def test_few_files_are_open_at_a_time(
     most = 0
     closing = chunks.Chunks._close
 
-    def close(self: chunks.Chunks[list[BlockWriter]], number: int) -> None:
+    def close(self: chunks.Chunks, number: int) -> None:
         nonlocal most
         most = max(most, len(self._open))
         closing(self, number)
 
     monkeypatch.setattr(chunks.Chunks, "_close", close)
-    monkeypatch.setattr("animtool.scene.deform.PIECE", 3)
+    monkeypatch.setattr("animtool.scene.point_prims.PIECE", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2
 

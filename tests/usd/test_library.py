@@ -25,9 +25,9 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakeReport
 from animtool.shot import FrameRange
 from animtool.take import Take
-from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake
+from animtool.usd.joint_writer import round_blocks
 from animtool.usd.library import take_range
 from animtool.usd.names import RigPaths, joint_names
 from animtool.usd.read import read_usd

@@ -18,9 +18,9 @@ from support.usd import open_stage, skeleton_query, validation_errors
 from animtool.errors import FormatError, OutputError
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
+from animtool.usd.joint_writer import round_blocks
 from animtool.usd.names import RigPaths, joint_names
 from animtool.usd.read import read_usd
 from animtool.usd.rig_layer import write_rig_layer

@@ -14,14 +14,13 @@ from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
 from animtool.output import once_named, size_of
 from animtool.scene.options import BakeOptions
-from animtool.scene.prims import BakePlan, BakeReport, Draft, Save, TakeReport
+from animtool.scene.prims import BakePlan, Draft, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
 from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.shot import FrameRange
 from animtool.units import UpAxis
-from animtool.usd.author_props import overlap, prop_paths
 from animtool.usd.chunks import Growing, save_grown, system_files
 from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import (
@@ -31,13 +30,14 @@ from animtool.usd.layers import (
     layer_span,
 )
 from animtool.usd.names import legal_name
-from animtool.usd.point_based import CachedMesh
+from animtool.usd.point_writer import CachedMesh
 from animtool.usd.simulated import (
     SimulatedJob,
     chunk_simulated,
     grow_simulated,
     simulated_layer,
 )
+from animtool.usd.transform_writer import overlap, prop_paths
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
@@ -111,34 +111,25 @@ class SystemPrims:
     def _begin(self, draft: Draft) -> None:
         """Begin a layer of systems alone, and its report."""
         plan, metadata = draft.plan, self.job.metadata
-        layer = draft.layer = simulated_layer(self.job, plan.output)
+        layer = simulated_layer(self.job, plan.output)
         take = WrittenTake("", "", len(self.codes), metadata.first, metadata.last)
         result = UsdResult(layer_span(layer), takes=[take])
 
-        def write(save: Save) -> None:
-            result.bytes = save(layer, plan.output)
-            result.outputs += [] if plan.output is None else [plan.output]
-
-        draft.write = write
-        draft.report = BakeReport(
-            [
-                TakeReport(
-                    self.scene.path,
-                    take,
-                    len(self.codes),
-                    metadata.fps,
-                    "",
-                    meshes_of=self.scene.path.name,
-                )
-            ],
+        draft.begin(layer, result)
+        report = TakeReport(
+            self.scene.path,
+            take,
+            len(self.codes),
+            metadata.fps,
+            "",
+            meshes_of=self.scene.path.name,
+        )
+        draft.report = plan.report(
+            [report],
             result,
-            f"{plan.form} ({plan.reason})",
-            0,
-            metadata.meters_per_unit,
-            metadata.up.value,
-            0.0,
             list(plan.notices),
-            shot=plan.options.shot,
+            meters_per_unit=metadata.meters_per_unit,
+            up=metadata.up,
         )
 
     def _end(self, draft: Draft, run: SystemRun, layer: Any) -> None:

@@ -50,7 +50,7 @@ from animtool.units import UpAxis
 
 if TYPE_CHECKING:
     from animtool.scene.systems.gaits import GaitsSource
-    from animtool.usd.prims import StillMesh
+    from animtool.usd.point_reader import StillMesh
 
 Reader: TypeAlias = Callable[[Location, Any], Any]
 
@@ -77,7 +77,7 @@ class Prototype:
         return tuple(at(first + (last - first) * float(share)) for share in shares)
 
     def _of_stage(self) -> _Moving:
-        from animtool.usd.prims import open_mesh
+        from animtool.usd.point_reader import open_mesh
 
         assert self.prim is not None
         source = open_mesh(self.path, self.prim, UpAxis.Y)
@@ -279,7 +279,7 @@ class PartReader(EntryReader):
 
     def still_mesh(self, at: Location, model: PrimMeshModel) -> StillMesh | None:
         """Return a mesh of a USD file as it is at its first frame."""
-        from animtool.usd.prims import read_still_mesh
+        from animtool.usd.point_reader import read_still_mesh
 
         path = self.input((*at, "file"), model.file)
         if path is None:
@@ -326,7 +326,7 @@ class PartReader(EntryReader):
 
     def carrying_prim(self, at: Location, model: CarryingPrimModel) -> OnPrim | None:
         """Return a prim that carries others."""
-        from animtool.usd.props import open_prop
+        from animtool.usd.transform_reader import open_prop
 
         path = self.input((*at, "file"), model.file)
         if path is None:

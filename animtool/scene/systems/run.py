@@ -29,7 +29,7 @@ from animtool.systems.simulation import ON_STEP, EntryRun, Reached, SeenAhead
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name
-from animtool.usd.point_based import CachedMesh
+from animtool.usd.point_writer import CachedMesh
 from animtool.usd.simulated import SimulatedJob
 
 

@@ -23,7 +23,7 @@ from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
-    from animtool.usd.prims import MeshSource
+    from animtool.usd.point_reader import MeshSource
 
 
 # Keys of an entry that name what it runs into.
@@ -38,7 +38,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
     Raises:
         OptionError: There is no such mesh, or it makes no sense (SIM051).
     """
-    from animtool.usd.prims import open_mesh
+    from animtool.usd.point_reader import open_mesh
 
     motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
     material = mesh.restitution, mesh.friction

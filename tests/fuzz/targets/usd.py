@@ -21,8 +21,8 @@ from animtool.take import TakeStream
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers import compute_alone, forget_layers
 from animtool.usd.mesh_read import source_meshes
+from animtool.usd.point_info import describe_points
 from animtool.usd.read import read_usd
-from animtool.usd.simulated_read import describe_points
 from animtool.usd.stored_rig import read_whole_rig
 from animtool.usd.target import open_target
 from fuzz.mutations import pick, spoil

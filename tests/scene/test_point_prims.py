@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from animtool.motion import Channel, Motion
-from animtool.scene import deform
-from animtool.scene.deform import pieces
+from animtool.scene import point_prims
+from animtool.scene.point_prims import pieces
 
 
 def motion_of(codes: np.ndarray) -> Motion:
@@ -40,7 +40,7 @@ def test_pieces_are_the_motion_with_their_neighbours(
 ) -> None:
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(deform, "PIECE", most)
+        patch.setattr(point_prims, "PIECE", most)
         found = list(pieces(blocks(lengths), neighbours=neighbours))
     own = []
     for codes, motion, kept in found:

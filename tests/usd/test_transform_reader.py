@@ -14,7 +14,7 @@ from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.transforms import PropRequest
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.props import PropSource, open_prop
+from animtool.usd.transform_reader import PropSource, open_prop
 
 CODES = np.array(FRAMES, np.float64)
 

@@ -1,29 +1,45 @@
-"""Writing things beside a rig: their prims, where they are, and their values."""
+"""Prims that move as a whole: tracks beside a rig, and copies of meshes.
+
+Props, cameras and lights are a prim each; copies a PointInstancer, or Xforms by name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from pxr import Gf, Sdf
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, Float32Array, FloatArray
 from animtool.errors import Fault, OptionError, Severity
+from animtool.frames import MeshFrame, TransformsFrame
+from animtool.maths import so3
 from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import (
     Samples,
     asset_path,
+    attribute,
     author_order,
     prim,
     quaternion,
+    relationship,
     vector,
 )
-from animtool.usd.names import TAKE_SET, RigPaths
+from animtool.usd.names import TAKE_SET, RigPaths, UsdNames, distinct_names
+from animtool.usd.point_writer import (
+    ATTRIBUTES,
+    FrameForm,
+    FramePrim,
+    Kind,
+    author_values,
+    bounds,
+)
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
@@ -39,15 +55,11 @@ class PropSamples:
     # Which time of its own each track shows there ``(F, N)``, likewise.
     times: list[FloatArray] = field(default_factory=list)
 
-    def watched(
-        self, timed: Iterator[tuple[FloatArray, Motion]]
-    ) -> Iterator[tuple[FloatArray, Motion]]:
-        """Yield frames, and keep which times of the tracks they show."""
-        for codes, motion in timed:
-            assert motion.track_times is not None
-            self.codes.append(codes)
-            self.times.append(motion.track_times.dense()[..., 0])
-            yield codes, motion
+    def see(self, codes: FloatArray, motion: Motion) -> None:
+        """Keep which times of the tracks frames show."""
+        assert motion.track_times is not None
+        self.codes.append(codes)
+        self.times.append(motion.track_times.dense()[..., 0])
 
 
 # From a row of values to what USD has of it.
@@ -235,7 +247,8 @@ def _author_track(
 
     def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
         quaternions = type_name == types.Quatd
-        samples = Samples(spec, name, type_name, make, quaternions=quaternions)
+        attr = attribute(spec, name, type_name)
+        samples = Samples(attr, make, quaternions=quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
 
@@ -274,3 +287,149 @@ def _numbers(row: FloatArray) -> tuple[float, ...]:
 
 def _matrix(row: FloatArray) -> Any:
     return Gf.Matrix4d(row.tolist())
+
+
+# Operations of an Xform that moves.
+_OPERATIONS = ("xformOp:translate", "xformOp:orient")
+PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # prims that are no copy
+
+
+class InstancerForm(FrameForm[TransformsFrame]):
+    """Copies as a PointInstancer."""
+
+    type_name = "PointInstancer"
+    sampled = (
+        "positions",
+        "velocities",
+        "ids",
+        "orientationsf",
+        "angularVelocities",
+        "scales",
+        "protoIndices",
+    )
+    points = "positions"
+
+    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+        """Write the meshes below the prim."""
+        relationship(spec, "prototypes", *_prototypes(writer, spec, frame.meshes))
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: TransformsFrame,
+        points: Float32Array,
+        code: float,
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return which mesh each is, its turn and scale, and bounds of all."""
+        boxes = np.stack([_corners(mesh.points) for mesh in frame.meshes])
+        corners = boxes[frame.copied] * (frame.scales[:, None] / writer.unit)
+        corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
+        extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
+        return {
+            "ids": frame.ids,
+            "orientationsf": writer.narrowed("orientationsf", frame.rotations, code),
+            "angularVelocities": writer.narrowed(
+                "angularVelocities", np.degrees(frame.spins), code
+            ),
+            "scales": writer.narrowed("scales", frame.scales, code),
+            "protoIndices": frame.copied.astype(np.int32),
+            "extent": bounds(extent, 0.0),
+        }
+
+
+class XformsForm(FrameForm[TransformsFrame]):
+    """Copies with names: an Xform each, with a mesh that refers to a prototype."""
+
+    type_name = "Xform"
+    points = ""
+
+    def kinds(self, frame: TransformsFrame) -> dict[str, Kind]:
+        """Return the operations of those that move."""
+        return {
+            f"{part}.{name}": ATTRIBUTES[name]
+            for i, part in enumerate(part_names(frame.names).names)
+            if i not in frame.still
+            for name in _OPERATIONS
+        }
+
+    def divide(self, spec: Any, frame: TransformsFrame) -> None:
+        """Write the Xforms, in order."""
+        for part in part_names(frame.names).names:
+            prim(spec.layer, f"{spec.path}/{part}", "Xform")
+
+    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+        """Write meshes, in which order operations follow, and where the still ones are.
+
+        The prototypes are a class, which nothing shows.
+        """
+        layer, paths = spec.layer, _prototypes(writer, spec, frame.meshes)
+        layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
+        for i, part in enumerate(writer.parts):
+            own = layer.GetPrimAtPath(f"{spec.path}/{part}")
+            names = list(_OPERATIONS)
+            if i in frame.still:
+                placed = _placed(frame, i, writer.unit)
+                author_values(own, dict(zip(names, placed, strict=True)))
+            if not (frame.scales[i] == 1.0).all():
+                scale = Gf.Vec3f(*frame.scales[i].tolist())
+                attribute(own, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                names.append("xformOp:scale")
+            author_order(own, *names)
+            mesh = prim(layer, f"{own.path}/mesh")
+            mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.copied[i]]))
+        if frame.physics is not None:
+            from animtool.usd.body_physics import PhysicsWriter
+
+            PhysicsWriter(
+                spec, writer.parts, frame.physics, writer.unit, writer.turn
+            ).write()
+
+    def values(
+        self,
+        writer: FramePrim,
+        frame: TransformsFrame,
+        points: Float32Array,  # noqa: ARG002
+        code: float,  # noqa: ARG002
+    ) -> Mapping[str, npt.NDArray[Any]]:
+        """Return where those are that move."""
+        return {
+            f"{part}.{name}": value
+            for i, part in enumerate(writer.parts)
+            if i not in frame.still
+            for name, value in zip(
+                _OPERATIONS, _placed(frame, i, writer.unit), strict=True
+            )
+        }
+
+
+def _placed(
+    frame: TransformsFrame, i: int, unit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return translation, in a unit [m], and rotation of a copy."""
+    return frame.points[i] / unit, frame.rotations[i]
+
+
+def part_names(names: Sequence[str]) -> UsdNames:
+    """Return legal and distinct names of copies.
+
+    >>> part_names(["brick[3]", "brick_3"]).names
+    ['brick_3', 'brick_3_2']
+    """
+    every = [PROTOTYPES, PHYSICS, *names]
+    distinct = distinct_names(every, [name.removesuffix("]") for name in every], every)
+    return replace(distinct, names=distinct.names[2:])
+
+
+def _prototypes(writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]) -> list[str]:
+    """Write meshes below a prim; return their paths."""
+    above = prim(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    paths = [f"{above.path}/mesh_{i + 1}" for i in range(len(meshes))]
+    for path, mesh in zip(paths, meshes, strict=True):
+        writer.write_still(spec.layer, path, mesh)
+    return paths
+
+
+def _corners(points: FloatArray) -> FloatArray:
+    """Return the corners ``(8, 3)`` of the box about points ``(N, 3)``."""
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return ends[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

@@ -1,4 +1,4 @@
-"""Authoring a motion as a SkelAnimation, block by block."""
+"""Joints: a motion as a SkelAnimation, block by block."""
 
 from __future__ import annotations
 
@@ -107,6 +107,13 @@ def _move_root(
     return RootPath(move, turn)
 
 
+_TRANSFORMS = {
+    "translations": (Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy),
+    "rotations": (Sdf.ValueTypeNames.QuatfArray, Vt.QuatfArray.FromNumpy),
+    "scales": (Sdf.ValueTypeNames.Half3Array, Vt.Vec3hArray.FromNumpy),
+}
+
+
 @dataclass
 class AnimationWriter:
     """Writes a SkelAnimation and what moves with it."""
@@ -129,32 +136,17 @@ class AnimationWriter:
         self._count = len(names)
         self._transforms: dict[str, Samples] = {}
         if names:
-            joint: dict[str, Any] = {"of": "joint", "names": names}
             tokens = Vt.TokenArray(names)
             attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
             self._transforms = {
-                "translations": Samples(
-                    spec,
-                    "translations",
-                    types.Float3Array,
-                    Vt.Vec3fArray.FromNumpy,
-                    **joint,
-                ),
-                "rotations": Samples(
-                    spec,
-                    "rotations",
-                    types.QuatfArray,
-                    Vt.QuatfArray.FromNumpy,
-                    quaternions=True,
-                    **joint,
-                ),
-                "scales": Samples(
-                    spec,
-                    "scales",
-                    types.Half3Array,
-                    Vt.Vec3hArray.FromNumpy,
-                    **joint,
-                ),
+                name: Samples(
+                    attribute(spec, name, kind),
+                    make,
+                    quaternions=name == "rotations",
+                    of="joint",
+                    names=names,
+                )
+                for name, (kind, make) in _TRANSFORMS.items()
             }
         self._weights: list[Float32Array] = []
         self._weight_samples: Samples | None = None
@@ -180,7 +172,6 @@ class AnimationWriter:
         self._extents.append(block.extents)
         if block.root is not None:
             self._root_path.append(block.root)
-        self.rounding.add(block)
 
     @property
     def sampled(self) -> list[str]:
@@ -212,9 +203,8 @@ class AnimationWriter:
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
-        samples = Samples(
-            spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy
-        )
+        attr = attribute(spec, "extent", Sdf.ValueTypeNames.Float3Array)
+        samples = Samples(attr, Vt.Vec3fArray.FromNumpy)
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
         samples.finish(np.zeros((2, 3), np.float32))
@@ -239,9 +229,8 @@ class AnimationWriter:
         names = [n for n, keep in zip(self.shapes, used, strict=True) if keep]
         tokens = Vt.TokenArray(names)
         attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
-        samples = Samples(
-            spec, "blendShapeWeights", types.FloatArray, Vt.FloatArray.FromNumpy
-        )
+        attr = attribute(spec, "blendShapeWeights", types.FloatArray)
+        samples = Samples(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
             samples.add(codes, rows[:, used])
         samples.finish(np.zeros(len(names), np.float32))
@@ -252,8 +241,10 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = Samples(spec, names[0], types.Double3, vector)
-        turn = Samples(spec, names[1], types.Quatd, quaternion, quaternions=True)
+        move = Samples(attribute(spec, names[0], types.Double3), vector)
+        turn = Samples(
+            attribute(spec, names[1], types.Quatd), quaternion, quaternions=True
+        )
         author_order(spec, *placing, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from pxr import Sdf, Ts, Usd
 
 from animtool.maths.curves import Curves, Extrapolation, SegmentKind, fold
-from animtool.usd.curves import author_curve
+from animtool.usd.splines import author_curve
 
 Floats = npt.NDArray[np.float64]
 PRIM = "/hero/Rig/Anim"

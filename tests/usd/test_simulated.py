@@ -18,7 +18,8 @@ from animtool.frames import (
     TransformsFrame,
 )
 from animtool.maths import so3
-from animtool.usd.frame_writer import FrameWriter
+from animtool.usd.point_writer import PointWriter
+from animtool.usd.simulated import SimulatedPrim
 
 POINTS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 10.0]])
 PRIMVARS = {
@@ -58,12 +59,13 @@ FRAMES: list[Frame] = [
 def test_named_arrays_of_every_frame_are_sampled_primvars() -> None:
     for frame in FRAMES:
         layer = Sdf.Layer.CreateAnonymous(".usda")
-        writer = FrameWriter("/it", 0.01)
-        writer.begin(layer, frame)
-        writer.write(layer, 1.0, writer.values(1.0, frame)[0])
+        simulated = SimulatedPrim("/it", 0.01)
+        simulated.begin(layer, frame)
+        writer = PointWriter(layer, simulated.report, every=True)
+        writer.add(simulated.block(0, 1.0, frame))
         other = {name: values + 1 for name, values in PRIMVARS.items()}
         changed = replace(frame, primvars=other)
-        writer.write(layer, 2.0, writer.values(2.0, changed)[0])
+        writer.add(simulated.block(0, 2.0, changed))
         stage = Usd.Stage.Open(layer)
         prim = stage.GetPrimAtPath("/it")
         for name, values in PRIMVARS.items():
@@ -80,14 +82,15 @@ def test_named_arrays_of_every_frame_are_sampled_primvars() -> None:
 
 def test_copies_of_meshes_are_where_they_are_told() -> None:
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    writer, nothing = FrameWriter("/it", 0.01), np.arange(0)
+    simulated, nothing = SimulatedPrim("/it", 0.01), np.arange(0)
     some = {name: values[nothing] for name, values in PRIMVARS.items()}
     empty = replace(
         COPIES, primvars=some, **{n: getattr(COPIES, n)[nothing] for n in ROWS}
     )
-    writer.begin(layer, COPIES)
+    simulated.begin(layer, COPIES)
+    writer = PointWriter(layer, simulated.report, every=True)
     for code, frame in ((1.0, COPIES), (2.0, empty)):
-        writer.write(layer, code, writer.values(code, frame)[0])
+        writer.add(simulated.block(0, code, frame))
     stage = Usd.Stage.Open(layer)
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/it"))
     found = np.array(instancer.ComputeInstanceTransformsAtTime(1.0, 1.0))
@@ -117,8 +120,8 @@ def test_what_is_too_large_is_of_a_body_or_a_point(
     names: tuple[str, ...], which: str
 ) -> None:
     frame = replace(COPIES, names=names)
-    writer = FrameWriter("/it", 1.0)
-    writer.begin(Sdf.Layer.CreateAnonymous(".usda"), frame)
+    simulated = SimulatedPrim("/it", 1.0)
+    simulated.begin(Sdf.Layer.CreateAnonymous(".usda"), frame)
     points = POINTS * [[1], [1e39], [1]]
     with pytest.raises(OutputError, match=f"{which} at frame 2 is 4e"):
-        writer.values(2.0, replace(frame, points=points))
+        simulated.block(0, 2.0, replace(frame, points=points))
