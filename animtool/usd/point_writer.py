@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +16,17 @@ from pxr import Sdf, Vt
 
 from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.errors import Fault
-from animtool.frames import (
-    CurvesFrame,
-    Frame,
-    MeshFrame,
-    PointsFrame,
-    TransformsFrame,
-)
 from animtool.usd.finite import Labels
 from animtool.usd.layers import Samples, attribute, quaternion, vector
+
+if TYPE_CHECKING:
+    from animtool.frames import (
+        CurvesFrame,
+        Frame,
+        MeshFrame,
+        PointsFrame,
+        TransformsFrame,
+    )
 
 _TYPES = Sdf.ValueTypeNames
 
@@ -309,7 +311,7 @@ class FramePrim(Protocol):
         """Write a frame as a prim that never moves."""
 
 
-FrameT = TypeVar("FrameT", CurvesFrame, MeshFrame, PointsFrame, TransformsFrame)
+FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
 
 
 class FrameForm(Generic[FrameT]):

@@ -28,7 +28,6 @@ from animtool.usd.layers import (
     relationship,
 )
 from animtool.usd.names import RigPaths, UsdNames, distinct_names
-from animtool.usd.point_writer import LINEAR, author_values, author_width
 
 _TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
@@ -192,6 +191,8 @@ def author_strands(
 
 def _curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
+
+    from animtool.usd.point_writer import LINEAR, author_values, author_width
 
     count, length = points.shape[:2]
     labels = Labels(f"{spec.path}.points", "point")
