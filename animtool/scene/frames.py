@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -22,14 +22,11 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
-from animtool.scene.prims import MeshReport, TakeReport
-from animtool.scene.sources import motion_bytes
 from animtool.shot import FrameRange, Shot, frame_spans
 from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
-    from animtool.usd.jobs import WrittenTake
     from animtool.usd.target import JointMap
     from animtool.usd.transform_writer import PropSamples
 
@@ -292,31 +289,6 @@ class TakeRun:
     def rig(self) -> Rig:
         """The rig at rest."""
         return self.open().rig
-
-    def report(
-        self,
-        written: WrittenTake,
-        joint: str = "",
-        meshes: Sequence[MeshReport] = (),
-        meshes_of: str = "",
-    ) -> TakeReport:
-        """Return the result of the take: what rounding moved most, and its meshes."""
-        plan, stream, times = self.plan, self.plan.stream, self.open().times
-        return TakeReport(
-            plan.source,
-            written,
-            stream.count or self.frames,
-            stream.fps / stream.step,
-            joint,
-            plan.options.source.unit is None and "units" not in stream.details,
-            motion_bytes(plan.source),
-            stream.details,
-            meshes=list(meshes),
-            meshes_of=meshes_of,
-            simulated=list(stream.simulated),
-            scores=list(stream.scores),
-            between=0 if times is None else times.between,
-        )
 
     def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:

@@ -16,7 +16,7 @@ from animtool.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
-from animtool.scene.prims import BakePlan, Draft, TakeReport
+from animtool.scene.prims import BakePlan, Draft, TakeReport, take_report
 from animtool.scene.progress import timed
 from animtool.scene.sources import source_stem
 from animtool.signals import prefetch
@@ -165,7 +165,7 @@ class _JointTake:
         """Return the result of the take."""
         thinned = self._thinned
         joint = job.names.names[written.rounding.joint] if job.names.names else ""
-        report = self._run.report(written, joint)
+        report = take_report(self._run, written, joint)
         report.thinned = thinned
         if thinned and job.rig.names:
             report.thinned_joint = job.rig.names[thinned.joint]

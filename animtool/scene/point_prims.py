@@ -26,7 +26,7 @@ from animtool.rig.kinematics import (
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks
-from animtool.scene.prims import BakePlan, Draft, MeshReport, Save
+from animtool.scene.prims import BakePlan, Draft, MeshReport, Save, take_report
 from animtool.scene.sources import is_usd
 from animtool.signals import prefetch
 from animtool.skin.character import (
@@ -46,13 +46,12 @@ from animtool.usd.jobs import Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import layer_span
 from animtool.usd.point_cache import (
     CacheJob,
-    PointSpace,
     author_cache,
     mesh_paths,
     round_points,
     write_chunks,
 )
-from animtool.usd.point_writer import Block, CachedMesh
+from animtool.usd.point_writer import Block, CachedMesh, PointSpace
 from animtool.usd.skeleton import WIDTH
 from animtool.usd.transform_writer import author_props, prop_placements
 
@@ -342,7 +341,7 @@ class PointPrims:
             )
         ]
         draft.report = plan.report(
-            [run.report(result.takes[0], "", reports, character.origin)],
+            [take_report(run, result.takes[0], "", reports, character.origin)],
             result,
             stream.notices + plan.notices,
             joints=len(stream.rig.joints),

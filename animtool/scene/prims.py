@@ -13,6 +13,7 @@ from animtool.errors import Fault, ToleranceError
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
+from animtool.scene.sources import motion_bytes
 from animtool.scores import PassScores
 from animtool.shot import Shot
 from animtool.units import UpAxis
@@ -63,6 +64,32 @@ class TakeReport:
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)  # of its passes
     between: int = 0  # samples of the source that fall between the frames written
+
+
+def take_report(
+    run: TakeRun,
+    written: WrittenTake,
+    joint: str = "",
+    meshes: Sequence[MeshReport] = (),
+    meshes_of: str = "",
+) -> TakeReport:
+    """Return the result of a take: what rounding moved most, and its meshes."""
+    plan, stream, times = run.plan, run.plan.stream, run.open().times
+    return TakeReport(
+        plan.source,
+        written,
+        stream.count or run.frames,
+        stream.fps / stream.step,
+        joint,
+        plan.options.source.unit is None and "units" not in stream.details,
+        motion_bytes(plan.source),
+        stream.details,
+        meshes=list(meshes),
+        meshes_of=meshes_of,
+        simulated=list(stream.simulated),
+        scores=list(stream.scores),
+        between=0 if times is None else times.between,
+    )
 
 
 @dataclass(slots=True)

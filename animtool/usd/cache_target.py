@@ -17,8 +17,8 @@ from animtool.units import UpAxis
 from animtool.usd.faults import Spot
 from animtool.usd.layers import attribute, author_order, prim
 from animtool.usd.mesh_read import bound_meshes, bound_strands
-from animtool.usd.point_cache import PointSpace
 from animtool.usd.point_reader import PointReader
+from animtool.usd.point_writer import PointSpace
 from animtool.usd.skinned import MAX_NAMED
 from animtool.usd.target import RigTarget, compose_check
 

@@ -46,6 +46,7 @@ class Growing:
         self.layer = layer
         self._path = path
         self._held = 0
+        self.size = 0  # of the file, when it is written [byte]
 
     def added(self, size: int) -> None:
         """Note samples of a size [byte]; bring them to the disk where they are many."""
@@ -71,21 +72,22 @@ def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
     growing.save()
 
 
-def save_grown(layer: Any, path: Path | None, grow: Callable[[Growing], object]) -> int:
-    """Write a layer and what is put into it then, whole or not at all.
+@contextmanager
+def growing_layer(layer: Any, path: Path | None) -> Iterator[Growing]:
+    """Give what a layer has, to put samples into; it is written at the end, or not.
 
     path: the file; None is usda on stdout.
-
-    Returns the bytes written.
     """
     if path is None or path.suffix.lower() == ".usda":
-        grow(Growing(layer))
-        return save_layer(layer, path)
+        growing = Growing(layer)
+        yield growing
+        growing.size = save_layer(layer, path)
+        return
     with replacing(path) as temporary:
         with growing_crate(temporary, path) as growing:
             growing.layer.TransferContent(layer)
-            grow(growing)
-        return temporary.stat().st_size
+            yield growing
+        growing.size = temporary.stat().st_size
 
 
 @contextmanager

@@ -31,20 +31,17 @@ from animtool.usd.layers import (
 )
 from animtool.usd.meshes import author_meshes, mesh_names
 from animtool.usd.names import RigPaths
-from animtool.usd.point_writer import Block, CachedMesh, PointWriter, empty_attribute
+from animtool.usd.point_writer import (
+    Block,
+    CachedMesh,
+    PointSpace,
+    PointWriter,
+    empty_attribute,
+)
 from animtool.usd.skeleton import author_strands, strand_paths
 
 if TYPE_CHECKING:
     from animtool.usd.cache_target import CacheTarget
-
-
-@dataclass(frozen=True, slots=True)
-class PointSpace:
-    """Where the points of a mesh are written."""
-
-    # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
-    placement: FloatArray | None = None
-    margin: float = 0.0  # half the width of curves, in the layer's unit
 
 
 @dataclass(frozen=True, slots=True)

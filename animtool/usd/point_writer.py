@@ -154,6 +154,15 @@ class Block:
         return replace(self, codes=self.codes[frames], values=values)
 
 
+@dataclass(frozen=True, slots=True)
+class PointSpace:
+    """Where the points of a mesh are written."""
+
+    # Mesh from skeleton space, in the layer's unit (4, 4); None where they are one.
+    placement: FloatArray | None = None
+    margin: float = 0.0  # half the width of curves, in the layer's unit
+
+
 @dataclass(slots=True)
 class CachedMesh:
     """What was written of a PointBased prim."""

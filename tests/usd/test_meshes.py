@@ -13,15 +13,19 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.surfaces import held, shaped_rig
 from support.usd import open_stage, validation_errors
 
+from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
 from animtool.rig.parts import HeldArray, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.scene.bake import bake
+from animtool.scene.options import BakeOptions
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
+from animtool.usd.meshes import bone_segments
 from animtool.usd.rig_layer import write_rig_layer
 from animtool.usd.stored_rig import read_rig, read_whole_rig
 
@@ -261,3 +265,33 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises(Exception) as caught:  # noqa: PT011 - its code says which
         read_rig(path)
     assert [fault.code for fault in caught.value.faults] == [code]  # type: ignore[attr-defined]
+
+
+def test_bones_face_outwards_and_belong_to_one_joint(
+    walk: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "walk.usda"
+    bake(walk, output, BakeOptions(bones=True))
+    stage = Usd.Stage.Open(str(output))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/walk/Rig/Bones"))
+    assert mesh.GetPurposeAttr().Get() == "guide"
+    points = np.array(mesh.GetPointsAttr().Get(), float)
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 8, 3)
+    for bone in faces:
+        center = points[np.unique(bone)].mean(axis=0)
+        a, b, c = (points[bone[:, i]] for i in range(3))
+        outward = np.sum(np.cross(b - a, c - a) * (a - center), axis=-1)
+        assert (outward > 0).all()
+    joints = np.array(mesh.GetPrim().GetAttribute("primvars:skel:jointIndices").Get())
+    assert (joints.reshape(-1, 6) == joints.reshape(-1, 6)[:, :1]).all()
+
+
+def test_every_length_is_a_bone(walk: Path) -> None:
+    rig = read_bvh(walk).collect().rig
+    segments, owners = bone_segments(rig)
+    tips = sum(len(joint.tips) for joint in rig.joints)
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+    zero = sum(not np.any(j.translation) for j in rig.joints if j.parent >= 0)
+    assert len(segments) == len(rig.joints) - len(rig.roots) + tips - zero
+    assert lengths.min() > 0
+    assert set(owners.tolist()) <= set(range(len(rig.joints)))

@@ -21,7 +21,7 @@ from animtool.scene.systems.character_motion import CharacterWatch
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.shot import FrameRange
 from animtool.units import UpAxis
-from animtool.usd.chunks import Growing, save_grown, system_files
+from animtool.usd.chunks import growing_layer, system_files
 from animtool.usd.jobs import Form, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers import (
     StageMetadata,
@@ -89,14 +89,16 @@ class SystemPrims:
             once_named(lambda: names.remove_others(files))
         else:
 
-            def grow(growing: Growing) -> None:
-                written.extend(grow_simulated(job, rows, growing))
-                self._end(draft, run, growing.layer)
-                run.note(written)
-                refuse_warnings(run.notices, strict=plan.options.strict)
-                run.save_states(folder)
+            def save(layer: Any, path: Path | None) -> int:
+                with growing_layer(layer, path) as growing:
+                    written.extend(grow_simulated(job, rows, growing))
+                    self._end(draft, run, growing.layer)
+                    run.note(written)
+                    refuse_warnings(run.notices, strict=plan.options.strict)
+                    run.save_states(folder)
+                return growing.size
 
-            draft.save = lambda layer, path: save_grown(layer, path, grow)
+            draft.save = save
         return lambda: self._report(draft, run, files, written)
 
     def _on_take(self, watch: CharacterWatch) -> SystemPrims:
