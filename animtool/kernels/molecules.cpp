@@ -14,60 +14,6 @@ namespace animtool {
 
 namespace {
 
-struct PlainLanes {
-  struct D {
-    double of[MOLECULE_LANES];
-
-    template <class Do>
-    static D each(Do make) {
-      D row;
-      for (std::size_t k = 0; k < MOLECULE_LANES; ++k) row.of[k] = make(k);
-      return row;
-    }
-    friend D operator+(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] + b.of[k]; });
-    }
-    friend D operator-(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] - b.of[k]; });
-    }
-    friend D operator*(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] * b.of[k]; });
-    }
-    friend D operator/(const D& a, const D& b) {
-      return each([&](std::size_t k) { return a.of[k] / b.of[k]; });
-    }
-  };
-
-  static D spread(double value) {
-    return D::each([&](std::size_t) { return value; });
-  }
-  static D load(const double* from) {
-    return D::each([&](std::size_t k) { return from[k]; });
-  }
-  static void store(const D& a, double* to) { std::copy_n(a.of, MOLECULE_LANES, to); }
-  static D below(const D& a, const D& b) {
-    return D::each([&](std::size_t k) { return a.of[k] < b.of[k] ? 1.0 : 0.0; });
-  }
-  static D most(const D& a, const D& b) {
-    return D::each([&](std::size_t k) { return a.of[k] > b.of[k] ? a.of[k] : b.of[k]; });
-  }
-  static D where(const D& which, const D& value) {
-    return D::each([&](std::size_t k) { return which.of[k] != 0 ? value.of[k] : 0.0; });
-  }
-  static bool any(const D& a) {
-    return a.of[0] != 0 || a.of[1] != 0 || a.of[2] != 0 || a.of[3] != 0;
-  }
-  static double total(const D& a) { return (a.of[0] + a.of[1]) + (a.of[2] + a.of[3]); }
-  static void gather(const double* from, const std::int32_t* rows, D* columns) {
-    for (std::size_t k = 0; k < 4; ++k)
-      columns[k] = D::each([&](std::size_t i) { return from[4 * rows[i] + static_cast<std::int32_t>(k)]; });
-  }
-  static void scatter(const D* columns, const std::int32_t* rows, double* to) {
-    for (std::size_t i = 0; i < MOLECULE_LANES; ++i)
-      for (std::size_t k = 0; k < 4; ++k) to[4 * rows[i] + static_cast<std::int32_t>(k)] -= columns[k].of[i];
-  }
-};
-
 void check_box(const In<double, 1>& box, double reach) {
   check::shape("box", box, {3});
   for (std::size_t k = 0; k < 3; ++k) {
@@ -117,7 +63,7 @@ std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> mol
                    const std::int32_t other = ranks[grid.index()[*hit]];
                    if (other > self) found.push_back(other);
                  }
-                 while (found.size() % MOLECULE_LANES) found.push_back(nobody);
+                 while (found.size() % LANES) found.push_back(nobody);
                  starts.get()[++own] = static_cast<std::int64_t>(found.size());
                });
     if (!fits) check::refuse("most", "there are more pairs than " + check::text(most));
@@ -141,7 +87,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
   check::shape("starts", starts, {count + 1});
   check::starts("starts", starts, partners.shape(0));
   for (std::size_t i = 0; i <= count; ++i)
-    if (starts.data()[i] % static_cast<std::int64_t>(MOLECULE_LANES))
+    if (starts.data()[i] % static_cast<std::int64_t>(LANES))
       check::refuse("starts", "index " + check::text(i) + " is not a multiple of four");
   check::indices("partners", partners, 0, static_cast<std::int64_t>(count) + 1);
   check::shape("kinds", kinds, {count});

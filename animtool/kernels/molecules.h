@@ -6,8 +6,6 @@
 
 namespace animtool {
 
-constexpr std::size_t MOLECULE_LANES = 4;
-
 // What acts between two, beside charges: c12/r¹² - c6/r⁶.
 struct MoleculeForce {
   double twelve, six;

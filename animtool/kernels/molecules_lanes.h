@@ -6,6 +6,7 @@
 
 #include <cmath>
 
+#include "lanes.h"
 #include "molecules.h"
 
 namespace animtool {
@@ -66,7 +67,7 @@ struct MoleculeLoops {
                   : system.forces;
       const std::int32_t* end = system.partners + system.starts[i + 1];
       for (const std::int32_t* j = system.partners + system.starts[i]; j < end;
-           j += MOLECULE_LANES) {
+           j += LANES) {
         D off[4];
         L::gather(system.rows, j, off);
         D squared = zero;
@@ -78,8 +79,8 @@ struct MoleculeLoops {
         const D within = L::below(squared, law.cutoff);
         if (!L::any(within)) continue;
         if constexpr (several) {
-          double twelves[MOLECULE_LANES], sixes[MOLECULE_LANES];
-          for (std::size_t k = 0; k < MOLECULE_LANES; ++k) {
+          double twelves[LANES], sixes[LANES];
+          for (std::size_t k = 0; k < LANES; ++k) {
             const MoleculeForce& force = forces[system.kind[j[k]]];
             twelves[k] = force.twelve, sixes[k] = force.six;
           }
@@ -97,9 +98,9 @@ struct MoleculeLoops {
           energy = share * energy;
         }
         if constexpr (charged) {
-          double squares[MOLECULE_LANES], energies[MOLECULE_LANES], pulls[MOLECULE_LANES];
+          double squares[LANES], energies[LANES], pulls[LANES];
           L::store(squared, squares);
-          for (std::size_t k = 0; k < MOLECULE_LANES; ++k) {
+          for (std::size_t k = 0; k < LANES; ++k) {
             energies[k] = pulls[k] = 0;
             const double both = system.charges[i] * system.charges[j[k]];
             if (both == 0 || !(squares[k] < system.cutoff)) continue;
