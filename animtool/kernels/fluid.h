@@ -17,7 +17,7 @@ using collide::Vec;
 // Radius that particles see each other in, in spacings.
 constexpr double REACH = 2.0;
 // Positions beyond the radius that lists of neighbours hold, over the radius.
-constexpr double SKIN = 0.2;
+constexpr double SKIN = 0.15;
 // Share of a step to the place where nothing is dense that is taken: all particles step at
 // once, and steps of more than two thirds grow where every second one is dense.
 constexpr double RELAXED = 0.6;

@@ -86,18 +86,21 @@ def test_walls_fade_smoothly_with_distance(shape: Any) -> None:
 def test_water_at_rest_stays_and_its_pressure_is_that_of_its_depth(
     simulator: Simulator,
 ) -> None:
-    """By least squares over particles and frames; layers at the floor stray more."""
+    """By least squares over particles and frames, and of layers two by two.
+
+    One layer at a wall has some of the pressure of the next.
+    """
     own = fluid(primvars=["pressure"], viscosity=0.002, spacing=0.05)
-    rows = simulator.simulate(own, (np.arange(20) / 100 + 0.8).tolist())["it"]
+    rows = simulator.simulate(own, (np.arange(40) / 100 + 0.8).tolist())["it"]
     y = np.concatenate([row.points[:, 1] for row in rows])
     pressure = np.concatenate([row.primvars["pressure"] for row in rows])
     assert abs(y.mean() - 0.25) < 0.05 * 0.25
     wanted = 9810 * np.maximum(0.5 - y, 0.0)
     share = (pressure @ wanted) / (wanted @ wanted)
     assert share == pytest.approx(1.0, rel=0.05)
-    for low in np.arange(0.05, 0.4, 0.05):
-        layer = (y >= low) & (y < low + 0.05)
-        assert pressure[layer].mean() == pytest.approx(wanted[layer].mean(), rel=0.1)
+    for low in np.arange(0.0, 0.4, 0.1):
+        layer = (y >= low) & (y < low + 0.1)
+        assert pressure[layer].mean() == pytest.approx(wanted[layer].mean(), rel=0.07)
 
 
 def floated(simulator: Simulator, density: float) -> np.ndarray:
