@@ -108,7 +108,7 @@ Walls::Walls() {
 void Walls::integral(double distance, double curved, double& value, double& slope) const {
   const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
   // One over the integral of the weight over the ball.
-  const double norm = 1 / (2.0 / 21);
+  const double norm = 210.0 / 23;
   value = slope = 0;
   const double stretch = std::max(1 + curvature * d, 1e-3);
   for (int i = 0; i < SHELLS; ++i) {
@@ -165,6 +165,12 @@ double curvature(const Collider& c) {
   return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
 }
 
+// Layers of a fluid in motion lie looser than a lattice does: it would keep as much further from
+// a wall, and more from a body that it goes around, in radii.
+double nearer(const Collider& c) {
+  return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
+}
+
 // A box presses through the face that a particle is before: what of the share changes along
 // a face would make it wider than it is.
 void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
@@ -172,7 +178,8 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
   const double at[3] = {local.x, local.y, local.z};
   double inside[3], slopes[3];
   for (int k = 0; k < 3; ++k) {
-    const double half = std::max(c.size[k] - c.margin * (c.container ? 1 : -1), 0.0);
+    const double half = std::max(
+        c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
     double high, low, falls, rises;
     walls().share((half - at[k]) / radius, 0, high, falls);
     walls().share((half + at[k]) / radius, 0, low, rises);
@@ -199,7 +206,7 @@ Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
     return out;
   }
   double slope;
-  walls().share(found.distance / radius, curvature(c) * radius, out.share, slope);
+  walls().share(found.distance / radius + nearer(c), curvature(c) * radius, out.share, slope);
   out.slope = out.push = found.normal * (slope / radius);
   return out;
 }
@@ -439,7 +446,7 @@ class Steps {
   FluidPairs pairs() {
     const double inverse = 1 / radius_;
     // Of the slope of a weight over the distance, over the distance.
-    const double steep = -20 * inverse * inverse / lattice_;
+    const double steep = -3 * inverse * inverse / lattice_;
     return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
             &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
             squares_.data(), inverse,          steep,            0,

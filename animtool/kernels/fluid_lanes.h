@@ -61,17 +61,19 @@ struct FluidLoops {
     }
   }
 
-  static D square(const D* off) { return off[0] * off[0] + off[1] * off[1] + off[2] * off[2]; }
+  static D squares_of(const D* off) { return off[0] * off[0] + off[1] * off[1] + off[2] * off[2]; }
 
   static void look(const FluidPairs& pairs) {
-    const D zero = L::spread(0), one = L::spread(1), four = L::spread(4);
+    const D zero = L::spread(0), one = L::spread(1), three = L::spread(3);
+    const D five = L::spread(5), six = L::spread(6);
     const D inverse = L::spread(pairs.inverse), steep = L::spread(pairs.steep);
     each(pairs, pairs.sums, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
-      const D squared = square(off), q = L::root(squared) * inverse;
-      const D left = L::most(one - q, zero), cubed = left * left * left, factor = steep * cubed;
+      const D squared = squares_of(off), q = L::root(squared) * inverse;
+      const D left = L::most(one - q, zero), square = left * left;
+      const D factor = steep * square * (six - five * q);
       L::store(factor, pairs.factors + k);
       for (std::size_t c = 0; c < 3; ++c) parts[c] = factor * off[c];
-      parts[3] = zero - cubed * left * (four * q + one);
+      parts[3] = zero - square * left * (one + three * q * left);
       double squares[LANES];
       L::store(factor * factor * squared, squares);
       for (std::size_t c = 0; c < LANES; ++c) pairs.squares[pairs.partners[k + c]] += squares[c];
@@ -92,7 +94,7 @@ struct FluidLoops {
         parts[c] = across * (there[c] - L::spread(pairs.velocities[4 * i + c]));
       parts[3] = zero;
       if (!(pairs.cohesion > 0)) return;
-      const D q = L::root(square(off)) * inverse, left = L::most(one - q, zero);
+      const D q = L::root(squares_of(off)) * inverse, left = L::most(one - q, zero);
       const D along = cohesion * left * left * (balance - q);
       for (std::size_t c = 0; c < 3; ++c) parts[c] = parts[c] + along * off[c];
     });
@@ -104,7 +106,7 @@ struct FluidLoops {
     each(pairs, pairs.moved, [&](std::size_t, std::size_t k, const D* off, D* parts) {
       const D push = off[3] * L::load(pairs.factors + k);
       for (std::size_t c = 0; c < 3; ++c) parts[c] = push * off[c];
-      parts[3] = zero - push * square(off) * sixth;
+      parts[3] = zero - push * squares_of(off) * sixth;
     });
   }
 
