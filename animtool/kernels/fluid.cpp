@@ -5,6 +5,7 @@
 #include <array>
 
 #include "checks.h"
+#include "fluid_lanes.h"
 #include "kernels.h"
 #include "neighbours.h"
 #include "springs_contacts.h"
@@ -107,7 +108,7 @@ Walls::Walls() {
 void Walls::integral(double distance, double curved, double& value, double& slope) const {
   const double d = std::clamp(distance * scale_, -1.0, 1.0), curvature = curved / scale_, from = std::fabs(d), span = 1 - from;
   // One over the integral of the weight over the ball.
-  const double norm = 1 / (2.0 / 21);
+  const double norm = 210.0 / 23;
   value = slope = 0;
   const double stretch = std::max(1 + curvature * d, 1e-3);
   for (int i = 0; i < SHELLS; ++i) {
@@ -164,6 +165,12 @@ double curvature(const Collider& c) {
   return radius > 0 ? 1 / (c.container ? -radius : radius) : 0.0;
 }
 
+// Layers of a fluid in motion lie looser than a lattice does: it would keep as much further from
+// a wall, and more from a body that it goes around, in radii.
+double nearer(const Collider& c) {
+  return (c.container || c.shape == Shape::PLANE ? LOOSE : LOOSE_AROUND) / REACH;
+}
+
 // A box presses through the face that a particle is before: what of the share changes along
 // a face would make it wider than it is.
 void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, Beyond& out) {
@@ -171,7 +178,8 @@ void beyond_box(const Collider& c, const Pose& pose, Vec point, double radius, B
   const double at[3] = {local.x, local.y, local.z};
   double inside[3], slopes[3];
   for (int k = 0; k < 3; ++k) {
-    const double half = std::max(c.size[k] - c.margin * (c.container ? 1 : -1), 0.0);
+    const double half = std::max(
+        c.size[k] + (nearer(c) * radius - c.margin) * (c.container ? 1 : -1), 0.0);
     double high, low, falls, rises;
     walls().share((half - at[k]) / radius, 0, high, falls);
     walls().share((half + at[k]) / radius, 0, low, rises);
@@ -198,12 +206,12 @@ Beyond beyond(const Collider& c, const Pose& pose, Vec point, double radius) {
     return out;
   }
   double slope;
-  walls().share(found.distance / radius, curvature(c) * radius, out.share, slope);
+  walls().share(found.distance / radius + nearer(c), curvature(c) * radius, out.share, slope);
   out.slope = out.push = found.normal * (slope / radius);
   return out;
 }
 
-struct Row {
+struct alignas(32) Row {
   double x = 0, y = 0, z = 0, w = 0;
 
   Vec vec() const { return {x, y, z}; }
@@ -253,13 +261,6 @@ struct Rule {
   double mass() const { return density * spacing * spacing * spacing; }
 };
 
-// Force between two particles by distance over the radius, without its scale: apart where
-// near, together where far, so that it adds no pressure within.
-double pull(double q) {
-  const double left = 1 - q;
-  return left * left * q * (q - 0.47);
-}
-
 class Steps {
  public:
   Steps(const Rule& rule, std::vector<Collider> colliders, std::vector<std::int32_t> owners,
@@ -275,9 +276,11 @@ class Steps {
 
   void begin(const double* state, const double* accelerations, std::size_t count) {
     count_ = count;
-    order_.resize(count);
-    place_.resize(count), before_.resize(count), velocity_.resize(count), pulled_.resize(count);
-    pressure_.assign(count, 0);
+    const std::size_t rows = count + 1;
+    order_.assign(rows, static_cast<std::int32_t>(count));
+    place_.assign(rows, {NOWHERE, NOWHERE, NOWHERE, 0});
+    before_ = place_;
+    velocity_.assign(rows, {}), pulled_.assign(rows, {}), pressure_.assign(rows, 0);
     for (std::size_t i = 0; i < count; ++i) {
       order_[i] = static_cast<std::int32_t>(i);
       const double *x = state + 3 * i, *v = state + 3 * (count + i), *a = accelerations + 3 * i;
@@ -302,7 +305,8 @@ class Steps {
       old_poses_ = poses_;
       place_colliders(share, poses_);
       if (!listed_ || stale()) list();
-      look(h);
+      look();
+      drag(h, k, parts);
       press(h);
       settle(h);
       push_bodies(h, 1 - share);
@@ -323,7 +327,7 @@ class Steps {
   void densities(double* out) {
     before_ = place_;
     list();
-    look(0);
+    look();
     for (std::size_t i = 0; i < count_; ++i) out[order_[i]] = 1 + dense_[i];
   }
 
@@ -392,6 +396,7 @@ class Steps {
       for (std::size_t i = 0; i < count_; ++i)
         if (!there[i]) by.push_back(static_cast<std::int32_t>(i));
     }
+    by.push_back(static_cast<std::int32_t>(count_));
     reorder(order_, by), reorder(place_, by), reorder(before_, by), reorder(velocity_, by);
     reorder(pulled_, by), reorder(pressure_, by);
     first_.assign(count_ + 1, 0);
@@ -400,6 +405,7 @@ class Steps {
                             [&](std::size_t i, const double*, const std::int32_t* hit,
                                 const std::int32_t* end) {
                               seen_.insert(seen_.end(), hit, end);
+                              while (seen_.size() % WIDE) seen_.push_back(by.back());
                               first_[i + 1] = seen_.size();
                             });
     for (std::size_t i = grid.size(); i < count_; ++i) first_[i + 1] = seen_.size();
@@ -408,7 +414,7 @@ class Steps {
     listed_poses_ = poses_;
     listed_ = true;
     list_colliders();
-    dense_.resize(count_), moved_.resize(count_);
+    dense_.resize(count_), virial_.resize(count_);
   }
 
   void list_colliders() {
@@ -437,67 +443,52 @@ class Steps {
     }
   }
 
-  // How dense it is at each, which way that rises, and what moves particles beside it.
-  void look(double h) {
-    const double inverse = 1 / radius_, scale = 1 / lattice_;
+  FluidPairs pairs() {
+    const double inverse = 1 / radius_;
     // Of the slope of a weight over the distance, over the distance.
-    const double steep = scale * inverse * inverse * -20;
-    // Brookshaw's Laplacian, of velocities.
-    const bool viscous = rule_.viscosity > 0 && h > 0, pulls = rule_.cohesion > 0 && h > 0;
-    const double drag = -2 * rule_.viscosity * h * h;
-    const double cohesion = rule_.cohesion * h * h / rule_.mass();
-    sums_.assign(count_, {});
-    virial_.resize(count_);
-    for (Row& one : moved_) one = {};
-    for (std::size_t i = 0; i < count_; ++i) dense_[i] = 0;
-    for (std::size_t i = 0; i < count_; ++i) {
-      const Row here = place_[i];
-      Row slope;  // and the sum of squares
-      double dense = 0;
-      for (std::size_t k = first_[i]; k < first_[i + 1]; ++k) {
-        const std::size_t j = static_cast<std::size_t>(seen_[k]);
-        const double x = here.x - place_[j].x, y = here.y - place_[j].y, z = here.z - place_[j].z;
-        const double squared = x * x + y * y + z * z;
-        const double q = std::sqrt(squared) * inverse, left = std::max(1 - q, 0.0);
-        const double cubed = left * left * left, weight = cubed * left * (4 * q + 1);
-        const double factor = steep * cubed;
-        factor_[k] = factor;
-        const double square = factor * factor * squared;
-        dense += weight;
-        dense_[j] += weight;
-        slope.x += factor * x, slope.y += factor * y, slope.z += factor * z, slope.w += square;
-        Row& other = sums_[j];
-        other.x -= factor * x, other.y -= factor * y, other.z -= factor * z, other.w += square;
-        if (viscous || pulls) {
-          double along = 0, across = viscous ? drag * factor : 0;
-          if (pulls && q > 0) along = -cohesion * pull(std::min(q, 1.0)) / (q * radius_);
-          const double dx = along * x - across * (velocity_[i].x - velocity_[j].x);
-          const double dy = along * y - across * (velocity_[i].y - velocity_[j].y);
-          const double dz = along * z - across * (velocity_[i].z - velocity_[j].z);
-          moved_[i].x += dx, moved_[i].y += dy, moved_[i].z += dz;
-          moved_[j].x -= dx, moved_[j].y -= dy, moved_[j].z -= dz;
-        }
-      }
-      dense_[i] += dense;
-      sums_[i].x += slope.x, sums_[i].y += slope.y, sums_[i].z += slope.z, sums_[i].w += slope.w;
-    }
+    const double steep = -3 * inverse * inverse / lattice_;
+    return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
+            &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
+            squares_.data(), inverse,          steep,            0,
+            0};
+  }
+
+  // How dense it is at each, and which way that rises.
+  void look() {
+    sums_.assign(count_ + 1, {}), moved_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
+    loops_.look(pairs());
+    const double scale = 1 / lattice_, least = LEAST / (radius_ * radius_);
     const double per_wall = Walls::virial();
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
-      double dense = (dense_[i] + 1) * scale - 1;
       Row slope = sums_[i];
-      const double beyond = look_at_colliders(i, scale, slope);
-      dense += beyond;
+      const double inner = (1 + slope.w) * scale - 1;
+      slope.w = squares_[i];
+      const double beyond = look_at_colliders(i, scale, slope), dense = inner + beyond;
       dense_[i] = dense;
       const double over = std::max(dense, 0.0);
       sum += over;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      place_[i].w = over > 0 ? -relaxed_ * over / std::max(steepness, LEAST * inverse * inverse) : 0.0;
+      place_[i].w = over > 0 ? -relaxed_ * over / std::max(steepness, least) : 0.0;
       // A wall presses as the layers of a lattice would that it is in place of.
       virial_[i] = -per_wall * beyond * place_[i].w;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
+  }
+
+  // Viscosity of one part stands for as many as are stable together.
+  void drag(double h, std::size_t part, std::size_t parts) {
+    FluidPairs given = pairs();
+    const double longest = STICKY * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
+    const std::size_t together = longest < static_cast<double>(parts)
+                                     ? std::max<std::size_t>(static_cast<std::size_t>(longest), 1)
+                                     : parts;
+    if (rule_.viscosity > 0 && part % together == 0)
+      given.drag = -2 * rule_.viscosity * h * h *
+                   static_cast<double>(std::min(together, parts - part));
+    given.cohesion = rule_.cohesion * h * h / rule_.mass();
+    if (given.drag < 0 || given.cohesion > 0) loops_.drag(given);
   }
 
   // Squares of slopes below are as good as none, in radii.
@@ -526,29 +517,12 @@ class Steps {
     return whole * (1 - open);
   }
 
-  // Moves all apart that are dense. Half of what a pair presses, by the way between them, is
-  // the virial of each.
+  // Moves all apart that are dense.
   void press(double h) {
-    for (std::size_t i = 0; i < count_; ++i) {
-      const Row here = place_[i];
-      Row sum;
-      for (std::size_t k = first_[i]; k < first_[i + 1]; ++k) {
-        const std::size_t j = static_cast<std::size_t>(seen_[k]);
-        const Row there = place_[j];
-        const double push = (here.w + there.w) * factor_[k];
-        const double ax = here.x - there.x, ay = here.y - there.y, az = here.z - there.z;
-        const double x = push * ax, y = push * ay, z = push * az;
-        const double virial = (x * ax + y * ay + z * az) * (0.5 / 3);
-        virial_[j] += virial;
-        sum.x += x, sum.y += y, sum.z += z, sum.w += virial;
-        moved_[j].x -= x, moved_[j].y -= y, moved_[j].z -= z;
-      }
-      moved_[i].x += sum.x, moved_[i].y += sum.y, moved_[i].z += sum.z;
-      virial_[i] += sum.w;
-    }
+    loops_.press(pairs());
     const double per = rule_.density / (h * h);
     for (std::size_t i = 0; i < count_; ++i) {
-      pressure_[i] += virial_[i] * per;
+      pressure_[i] += (virial_[i] + moved_[i].w) * per;
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         // The wall presses as what is before it does.
@@ -645,6 +619,13 @@ class Steps {
     Vec point = {};
   };
 
+  // Where the one is that fills lists up.
+  static constexpr double NOWHERE = 1e30;
+  // Of squares of spacings over the viscosity.
+  static constexpr double STICKY = 0.1;
+
+  const FluidFunctions& loops_ =
+      fluid_in_quads() ? *fluid_in_quads() : FluidLoops<PlainRows>::functions;
   const Rule rule_;
   const double sound_;
   double relaxed_ = 0;
@@ -659,7 +640,7 @@ class Steps {
   // All in the order of the grid; `order_` says which each is.
   std::vector<std::int32_t> order_, seen_;
   std::vector<std::size_t> first_, near_first_;
-  std::vector<double> factor_, dense_, pressure_, virial_;
+  std::vector<double> factor_, squares_, dense_, pressure_, virial_;
   std::vector<Row> place_, before_, velocity_, pulled_, moved_, sums_, listed_at_;
   std::vector<Near> near_;
   std::vector<Pose> poses_, old_poses_, listed_poses_;

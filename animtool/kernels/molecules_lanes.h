@@ -20,25 +20,6 @@ template <class W>
 struct MoleculeLoops {
   using D = Wide<W>;
 
-  static double total(const D& a) {
-    double of[WIDE];
-    a.store(of);
-    return (of[0] + of[1]) + (of[2] + of[3]);
-  }
-  static void gather(const double* from, const std::int32_t* rows, D* columns) {
-    typename W::Row at[WIDE];
-    for (std::size_t k = 0; k < WIDE; ++k) at[k] = W::load(from + 4 * rows[k]);
-    W::turn(at);
-    for (std::size_t k = 0; k < WIDE; ++k) columns[k] = at[k];
-  }
-  // Takes columns away from rows, one after the other.
-  static void scatter(const D* columns, const std::int32_t* rows, double* to) {
-    typename W::Row at[WIDE] = {columns[0].row, columns[1].row, columns[2].row, columns[3].row};
-    W::turn(at);
-    for (std::size_t k = 0; k < WIDE; ++k)
-      (D::of(to + 4 * rows[k]) - at[k]).store(to + 4 * rows[k]);
-  }
-
   // What is the same for all pairs.
   struct Law {
     D cutoff, from, width, box[3], over[3];

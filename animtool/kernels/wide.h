@@ -5,7 +5,10 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <type_traits>
+
+#include "rows.h"
 
 namespace animtool {
 
@@ -42,6 +45,45 @@ struct Wide {
   friend double largest(const Wide& a) { return W::largest(a.row); }
   friend double smallest(const Wide& a) { return W::smallest(a.row); }
 };
+
+template <class W>
+double total(const Wide<W>& a) {
+  double of[WIDE];
+  a.store(of);
+  return (of[0] + of[1]) + (of[2] + of[3]);
+}
+
+// Four rows to their columns.
+template <class W>
+void turn(const Wide<W>* rows, Wide<W>* columns) {
+  typename W::Row at[WIDE] = {rows[0].row, rows[1].row, rows[2].row, rows[3].row};
+  W::turn(at);
+  for (std::size_t k = 0; k < WIDE; ++k) columns[k] = at[k];
+}
+
+// The total of each of four.
+template <class W>
+Wide<W> totals(const Wide<W>* rows) {
+  Wide<W> of[WIDE];
+  turn(rows, of);
+  return (of[0] + of[1]) + (of[2] + of[3]);
+}
+
+// Rows in memory as columns.
+template <class W>
+void gather(const double* from, const std::int32_t* rows, Wide<W>* columns) {
+  for (std::size_t k = 0; k < WIDE; ++k) columns[k] = Wide<W>::of(from + 4 * rows[k]);
+  turn(columns, columns);
+}
+
+// Takes columns away from rows in memory, one after the other.
+template <class W>
+void scatter(const Wide<W>* columns, const std::int32_t* rows, double* to) {
+  Wide<W> parts[WIDE];
+  turn(columns, parts);
+  for (std::size_t k = 0; k < WIDE; ++k)
+    (Wide<W>::of(to + 4 * rows[k]) - parts[k]).store(to + 4 * rows[k]);
+}
 
 // Numbers from one vector of four to the next in memory.
 constexpr std::size_t WIDE_VECTOR = 12;

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.sim.colliders import Capsule, Collider, Colliders, Sphere
 from animtool.systems.springs.body import Loads, Paths, Springs
 
 HELD = np.array([0, 7])
@@ -94,6 +94,22 @@ def molecules(rng: np.random.Generator) -> list[np.ndarray]:
     return found
 
 
+def fluids(rng: np.random.Generator) -> list[np.ndarray]:
+    x = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)
+    state = np.stack(
+        [0.1 * x + rng.uniform(0, 0.03, x.shape), rng.normal(size=x.shape)]
+    )
+    pull, ball = np.tile([0.0, -9.81, 0.0], (len(x), 1)), Collider(Sphere(0.25))
+    return [
+        array
+        for cohesion in (0.0, 0.4)
+        for array in _kernels.fluid_steps(
+            Colliders([ball]).arrays(0.0, 0.01), np.full(1, -1, np.int32),
+            np.zeros((0, 13)), state, pull, 0.1, 1000.0, 0.01, cohesion, 30.0, 0.01, 5,
+        )[:2]
+    ]  # fmt: skip
+
+
 def strands(rng: np.random.Generator) -> list[np.ndarray]:
     places = np.cumsum(rng.uniform(-0.02, 0.03, (6, 7, 3)), axis=1)
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
@@ -134,7 +150,7 @@ def skins(rng: np.random.Generator) -> list[np.ndarray]:
 
 def digests() -> dict[str, list[str]]:
     kinds: list[Callable[[np.random.Generator], list[np.ndarray]]] = [
-        springs, strands, skins, flocks, bodies, molecules,
+        springs, strands, skins, flocks, fluids, bodies, molecules,
     ]  # fmt: skip
     return {
         kind.__name__: [

@@ -163,11 +163,11 @@ class Fluid:
         self, state: FluidState, t: float, dt: float, pull: FloatArray
     ) -> tuple[FluidState, Sequence[Wrenches]]:
         """Return the end of a step, in as many parts as keep it from being dense."""
-        speeds = np.linalg.norm(state.motion[1], axis=1)
+        speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
         most_pull = float(np.linalg.norm(pull, axis=1).max())
-        fastest = float(speeds.max()) + most_pull * dt + self._colliders.fastest
+        fastest = float(speeds.max()) + most_pull * dt
         sound = self._substeps.sound(
-            state.sound, state.pressures, fastest, most_pull, dt
+            state.sound, state.pressures, speeds, most_pull, dt
         )
         wanted = self._substeps.parts(dt, fastest, sound)
         if wanted > self._substeps.most:
@@ -181,14 +181,13 @@ class Fluid:
             found, sound, parts = again, 2 * sound, 2 * parts
         if not np.isfinite(found.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "take shorter steps")
-        if found.compression > max(COLLAPSED, TIMES * allowed):
-            message = (
-                f"it is {found.compression:.1%} denser than at rest: it has no room"
-            )
+        dense = found.compression
+        if dense > max(COLLAPSED, TIMES * allowed):
+            message = f"it is {dense:.1%} denser than at rest: it has no room"
             hint = "widen what holds it, open a drain, or close an emitter before"
             self._stop("SIM108", t + dt, message, hint)
-        if found.compression > allowed:
-            message = f"it is {found.compression:.2%} denser than at rest at "
+        if dense > allowed:
+            message = f"it is {dense:.2%} denser than at rest at "
             message += f"{t + dt:g} s, where {allowed:.2%} is allowed"
             self._warn("SIM137", message, "give it room: it is squeezed")
         after = replace(
@@ -196,8 +195,8 @@ class Fluid:
             motion=found.motion,
             pressures=found.pressures,
             sound=sound,
-            compression=found.compression,
-            densest=max(state.densest, found.compression),
+            compression=dense,
+            densest=max(state.densest, dense),
             parts=parts,
         )
         self._watch(after, t + dt, dt)

@@ -13,7 +13,7 @@ from animtool.systems.fluid.spec import FluidModel
 # One round of pressure in each part makes the fluid as stiff as sound that goes one
 # spacing in a part would. Density then rises by pressure over the square of that speed.
 # Of the most of all particles the mean is less than half, which leaves room.
-MEAN = 1.0
+MEAN = 1.1
 # Share of the spacing that anything may move in a part.
 TRAVEL = 0.25
 # Of squares of spacings over the viscosity that a part may last: its diffusion grows
@@ -24,7 +24,7 @@ RIPPLE = 0.4
 # Within which it slows down where it need not be as fast any more, and within which it
 # gets faster [s]: where that is sudden, what is pressed then gains energy.
 FORGET, GAIN = 1.0, 0.05
-# Particles that may have more pressure than parts are made for.
+# Particles that may have more speed and pressure than parts are made as stiff for.
 FEW = 0.005
 # Moves of sheets between looks, in spacings, and looks in a step.
 PIECE, MAX_PIECES = 0.5, 32
@@ -63,17 +63,18 @@ class Substeps:
         self,
         before: float,
         pressures: FloatArray,
-        fastest: float,
+        speeds: FloatArray,
         pull: float,
         dt: float,
     ) -> float:
         """Return how fast pressure is to go in a step [m/s].
 
-        ``before`` it was as fast, with pressures ``(N,)`` [Pa]; nothing goes or pulls
-        by more than ``fastest`` [m/s] and ``pull`` [m/s²].
+        ``before`` it was as fast, with pressures ``(N,)`` [Pa]; particles approach
+        what they meet by ``speeds`` ``(N,)`` [m/s], and ``pull`` [m/s²] adds to them.
         """
         few = len(pressures) - 1 - int(FEW * len(pressures))
-        head = float(np.partition(pressures, few)[few]) / self._spec.density
+        pressure, fast = (np.partition(a, few)[few] for a in (pressures, speeds))
+        head, fastest = float(pressure) / self._spec.density, float(fast) + pull * dt
         layers = LAYERS * self._spec.spacing * pull
         head = max(head, layers, self._pulled) + fastest**2 / 2
         slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
