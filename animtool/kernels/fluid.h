@@ -20,7 +20,7 @@ constexpr double REACH = 2.0;
 constexpr double SKIN = 0.15;
 // How much further off walls and bodies count than they are, in spacings: measured by how much
 // fluid is displaced.
-constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.15;
+constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
 // Share of a step to the place where nothing is dense that is taken: all particles step at
 // once, and steps of more than two thirds grow where every second one is dense.
 constexpr double RELAXED = 0.6;
