@@ -206,6 +206,7 @@ class Falling:
         return self._posed[agent][1]
 
     def _pose(self, falls: Falls, k: int) -> _Pose:
+        """Return what `poses` does, from the bodies that fall."""
         agent = int(falls.agents[k])
         rig = self._rigs[agent]
         falling = self._falling(agent, falls.positions[k], falls.turns[k])
