@@ -245,7 +245,7 @@ def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     taken = {paths.root: "the character"}
-    taken |= {path: "a thing beside it" for path in prop_paths(tracks, paths.model)}
+    taken |= {path: "a prop" for path in prop_paths(tracks, paths.model)}
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):
@@ -253,7 +253,7 @@ def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
         if not whose and target is not None and _is_other(target, path):
             whose = ["the rig layer"]
         if whose:
-            message = f"{path} is of {whose[0]}"
+            message = f"{path} belongs to {whose[0]}"
             faults.append(system.place.fault("SCN068", message, "give it another name"))
     if faults:
         raise FormatError(faults)
