@@ -296,6 +296,11 @@ def test_a_rig_is_checked_without_usd_scipy_or_kernels(root: Path) -> None:
     assert not loaded(code) & heavy
 
 
+def test_a_capture_is_checked_without_the_models_of_files(walk: Path) -> None:
+    code = f"from animtool.cli.main import run\nrun(['validate', {str(walk)!r}])"
+    assert not loaded(code) & {"pxr", "scipy", "rich", "pydantic", "animtool.batch"}
+
+
 def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> None:
     code = (
         "from animtool.cli.main import run\n"

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, cast
 
 import click
 from click.shell_completion import get_completion_class
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options
+from animtool.plugins import load_object
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 
 @click.command(
@@ -28,6 +33,7 @@ def completion(console: Console, shell: str) -> None:
     console.document(kind(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source())
 
 
+# Models, or what returns one.
 MODELS = {
     "batch": "animtool.batch.file:BatchModel",
     "cameras": "animtool.mocap.cameras.file:CamerasModel",
@@ -37,9 +43,15 @@ MODELS = {
     "markers": "animtool.mocap.template.file:MarkersModel",
     "remap": "animtool.rig.remap:RemapModel",
     "rig": "animtool.rig.schema:RigModel",
-    "scene": "animtool.scene.schema:SceneModel",
+    "scene": "animtool.scene.schema:whole_model",
     "targets": "animtool.ik.schema:TargetsModel",
 }
+
+
+def model_of(kind: str) -> type[BaseModel]:
+    """Return the model of a kind of file."""
+    found = cast("Callable[[], type[BaseModel]]", load_object(MODELS[kind]))
+    return found if isinstance(found, type) else found()
 
 
 @click.command(
@@ -57,9 +69,7 @@ def schema(console: Console, /, kind: str) -> None:
     An editor that knows it completes keys and marks faults while one writes. In VS
     Code, with the YAML extension, it goes under "yaml.schemas".
     """
-    module, _, name = MODELS[kind].partition(":")
-    model = getattr(importlib.import_module(module), name)
-    described = model.model_json_schema(by_alias=True)
+    described = model_of(kind).model_json_schema(by_alias=True)
     if kind == "scene":
         from animtool.documents.variables import with_variables
 

@@ -42,6 +42,7 @@ from animtool.scene.schema import (
     SceneModel,
     SourceModel,
     SystemModel,
+    model_for,
 )
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links, check_names
@@ -85,8 +86,9 @@ def scene_of_document(
     """Return the scene of a document; see `load_scene`."""
     given = variables or {}
     check_version(document, "scene")
-    found = resolve_variables(document, SceneModel, given, parts)
-    model = validated(document, SceneModel)
+    keys = model_for(document.value)
+    found = resolve_variables(document, keys, given, parts)
+    model = validated(document, keys)
     named = {
         name: Path(text) for name, text in given.items() if Path(text).is_absolute()
     }

@@ -5,10 +5,19 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from copy import copy
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar
 
 from annotated_types import Ge, Len
-from pydantic import AfterValidator, Discriminator, Field, Tag, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+)
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -25,6 +34,8 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import with_keys
 from animtool.scene.sources import SourceOptions
 from animtool.systems.kinds import SYSTEM_KINDS
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class TracksModel(FileModel):
@@ -107,32 +118,8 @@ class PropModel(FileModel):
     )
 
 
-class _SystemModel(FileModel):
+class SystemModel(FileModel):
     """One simulation, of one kind."""
-
-
-if TYPE_CHECKING:
-    SystemModel = _SystemModel
-else:
-    # Of an entry's kinds one is given; that one may not be nothing.
-    _NOT_GIVEN: Any = None
-    SystemModel = create_model(
-        "SystemModel",
-        __base__=_SystemModel,
-        __module__=__name__,
-        __doc__=_SystemModel.__doc__,
-        **{
-            name: (
-                load_object(kind.spec),
-                Field(
-                    default=_NOT_GIVEN,
-                    description=kind.description,
-                    examples=[kind.example],
-                ),
-            )
-            for name, kind in SYSTEM_KINDS.items()
-        },
-    )
 
 
 def _one_or_several(value: Any) -> str:
@@ -277,4 +264,59 @@ class SceneModel(FileModel):
         "Findings of `animtool validate` that are known and stay.",
         [{"code": "SCN102", "why": "it is meant"}],
         default=[],
+    )
+
+
+def whole_model() -> type[SceneModel]:
+    """Return the model of a scene, with systems of every kind."""
+    return _with_kinds(tuple(SYSTEM_KINDS))
+
+
+def model_for(written: Any) -> type[SceneModel]:
+    """Return a model that reads a scene as `whole_model` does.
+
+    It knows the kinds of systems that the scene names, and no other is imported. Of a
+    key that no scene has, or an entry that is no mapping, any kind may be meant.
+    """
+    known = {field.alias or name for name, field in SceneModel.model_fields.items()}
+    if not isinstance(written, dict) or not known.issuperset(written):
+        return whole_model()
+    systems = written.get("systems") or []
+    entries = systems if isinstance(systems, list) else [systems]
+    if not all(isinstance(entry, dict) for entry in entries):
+        return whole_model()
+    named = {kind for entry in entries for kind in entry}
+    if not named.issubset(SYSTEM_KINDS):
+        return whole_model()
+    return _with_kinds(tuple(kind for kind in SYSTEM_KINDS if kind in named))
+
+
+@cache
+def _with_kinds(kinds: tuple[str, ...]) -> type[SceneModel]:
+    # Of an entry's kinds one is given; that one may not be nothing.
+    not_given: Any = None
+    fields: dict[str, Any] = {
+        name: (
+            load_object(SYSTEM_KINDS[name].spec),
+            Field(
+                default=not_given,
+                description=SYSTEM_KINDS[name].description,
+                examples=[SYSTEM_KINDS[name].example],
+            ),
+        )
+        for name in kinds
+    }
+    system = _derived(SystemModel, fields)
+    field = copy(SceneModel.model_fields["systems"])
+    return _derived(SceneModel, {"systems": (list[system], field)})  # type: ignore[valid-type]
+
+
+def _derived(base: type[Model], fields: dict[str, Any]) -> type[Model]:
+    """Return a model of the same name with other fields too."""
+    return create_model(
+        base.__name__,
+        __base__=base,
+        __module__=__name__,
+        __doc__=base.__doc__,
+        **fields,
     )

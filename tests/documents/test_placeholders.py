@@ -23,7 +23,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.rig.joint_schema import JointModel
 from animtool.rig.schema import RigModel
-from animtool.scene.schema import SceneModel
+from animtool.scene.schema import whole_model
 
 
 def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
@@ -38,7 +38,7 @@ def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
             pending += list(getattr(found, "__args__", ()))
 
 
-@pytest.mark.parametrize("model", [RigModel, ClipModel, SceneModel])
+@pytest.mark.parametrize("model", [RigModel, ClipModel, whole_model()])
 def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     seen = 0
     for inner in models(model):

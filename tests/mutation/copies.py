@@ -101,6 +101,8 @@ class Copy:
         kernels = importlib.util.find_spec("animtool._kernels")
         if kernels is None or kernels.origin is None:
             raise RunError("animtool is not installed: its kernels are not found")
+        if any("_editable" in type(finder).__module__ for finder in sys.meta_path):
+            raise RunError("animtool is installed with -e: copies would import that")
         shutil.copy2(kernels.origin, self.root / "animtool")
 
     def _make_environment(self) -> None:

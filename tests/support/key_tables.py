@@ -9,14 +9,13 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydantic.fields import FieldInfo
 
-from animtool.cli.schema import MODELS
+from animtool.cli.schema import model_of
 from animtool.documents.check import FileModel
 
 PAGE = Path(__file__).parents[2] / "animtool/docs/formats.md"
@@ -47,10 +46,9 @@ class Key:
 @cache
 def schema_of(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file."""
-    module, _, name = MODELS[kind].partition(":")
-    model = getattr(import_module(module), name)
+    model = model_of(kind)
     described: dict[str, Any] = model.model_json_schema(by_alias=True)
-    described["$defs"] = {**described.get("$defs", {}), name: described}
+    described["$defs"] = {**described.get("$defs", {}), model.__name__: described}
     return described
 
 

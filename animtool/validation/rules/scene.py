@@ -21,7 +21,7 @@ from animtool.scene.bake import take_name
 from animtool.scene.options import BakeOptions
 from animtool.scene.outputs import scene_files
 from animtool.scene.reading import check_options
-from animtool.scene.schema import SceneModel
+from animtool.scene.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
 
 
@@ -74,7 +74,7 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], .
     """Return the files and takes a scene writes, once a scene and version of it."""
     try:
         document = read_document(path)
-        resolve_variables(document, SceneModel, {})
+        resolve_variables(document, model_for(document.value), {})
         document.check()
     except AnimtoolError:
         return ()

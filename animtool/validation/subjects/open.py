@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from animtool.batch.file import batch_of_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
@@ -30,6 +29,8 @@ from animtool.validation.subjects.subject import CheckedFile
 
 def open_batch(document: Document) -> CheckedFile:
     """Return what a batch file asks for."""
+    from animtool.batch.file import batch_of_document
+
     return CheckedFile(Kind.BATCH, [], batch_of_document(document))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
-from animtool.rig.file import rig_of_document
 from animtool.rig.skeleton import Rig
 from animtool.rules import Kind
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
@@ -100,5 +99,7 @@ class RigSubject(DocumentSubject):
 
 def open_rig(document: Document) -> CheckedFile:
     """Return a rig file as its rules see it."""
+    from animtool.rig.file import rig_of_document  # loads the models of a rig
+
     rig = rig_of_document(document)
     return CheckedFile(Kind.RIG, list(rig.notices), RigSubject(document, rig))

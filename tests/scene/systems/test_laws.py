@@ -18,7 +18,7 @@ from support.system_examples import EXAMPLES
 from animtool import BakeOptions
 from animtool.errors import OptionError, ToleranceError
 from animtool.maths import so3
-from animtool.scene.schema import SystemModel
+from animtool.plugins import load_object
 from animtool.sim.trajectory import Status
 from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.units import LengthUnit
@@ -70,7 +70,7 @@ def methods(kind: str) -> list[list[dict[str, Any]]]:
 
 def method_key(kind: str) -> str:
     """Return what the method of a kind is called; empty where it has but one."""
-    keys = SystemModel.model_fields[kind].annotation.model_fields
+    keys = load_object(SYSTEM_KINDS[kind].spec).model_fields
     return next((key for key in ("method", "solver") if key in keys), "")
 
 
