@@ -16,8 +16,6 @@ import json
 import math
 import re
 from dataclasses import asdict
-from fractions import Fraction
-from pathlib import PurePath
 from typing import Any
 
 # A class of a regular expression: what no name has a use for.
@@ -176,6 +174,9 @@ class Description:
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values for a JSON report; a rate also as exact text."""
+        from fractions import Fraction  # every command imports this module
+        from pathlib import PurePath
+
         record: Any = self
         values = asdict(record)
         for name, value in values.items():

@@ -19,7 +19,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -27,6 +26,7 @@ from animtool.errors import ExitCode, Fault, FormatError
 from animtool.signals import ENDING, obey_signals
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from typing import NoReturn
 
 # What a child may note, and what it may read of stdin [bytes]. Pages that are not
@@ -199,6 +199,8 @@ def stdin_lines() -> list[str]:
     lines = [line.rstrip("\r") for line in text.split("\n")]
     for number, line in enumerate(lines, 1):
         if len(line) > MAX_NAME:
+            from pathlib import Path
+
             from animtool.files import unreadable
 
             reason = f"line {number} has {len(line)} letters, and no name of a file has"
@@ -289,6 +291,8 @@ def supervise(
         crash = Crash(-code, notes.path)
         if not crash.path or notes.reported or crash.name == "SIGKILL":
             return refuse(crash)
+        from pathlib import Path  # every command imports this module
+
         _state.crashed[str(Path(crash.path).absolute())] = crash.number
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NoReturn
 
 import click
@@ -51,7 +50,7 @@ COMMANDS = {
         "Rewrite files of older versions as the newest.",
     ),
     "loop": ("animtool.cli.loop:loop", "Find the cycle of a take, and repeat it."),
-    "mocap": ("animtool.cli.mocap:mocap", "Clean captured takes."),
+    "mocap": ("animtool.cli.mocap:mocap", "Turn captures into motion, and clean it."),
     "plugins": (
         "animtool.cli.plugins:plugins",
         "List the passes, readers and executors there are.",
@@ -142,6 +141,8 @@ class _CrashError(Exception):
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
+    from pathlib import Path
+
     from animtool.leftovers import remove_leftovers
 
     remove_leftovers(map(Path, folders), process)
