@@ -278,3 +278,10 @@ class SceneModel(FileModel):
         [{"code": "SCN102", "why": "it is meant"}],
         default=[],
     )
+
+    @property
+    def system_names(self) -> list[str]:
+        """Names of all systems, of those that are faulty too."""
+        return [
+            getattr(e, key).name for e in self.systems for key in e.model_fields_set
+        ]
