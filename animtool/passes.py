@@ -98,7 +98,7 @@ PASSES: dict[str, str] = {
     "layer": "animtool.edit.layers:LAYER",
     "loop": "animtool.edit.looping:PASS",
     "mirror": "animtool.edit.mirroring:PASS",
-    "ragdoll": "animtool.systems.rigid.ragdoll:PASS",
+    "ragdoll": "animtool.systems.rigid.take_pass:PASS",
     "resample": "animtool.edit.resample:PASS",
     "retarget": "animtool.mocap.retarget.take_pass:PASS",
     "root_drift": "animtool.mocap.drift:PASS",

@@ -71,7 +71,7 @@ USD = Reader(
     "animtool.usd.stored_rig:read_rig",
     "animtool.usd.read:read_usd",
     ("prim_path", "take"),
-    "animtool.usd.transform_reader:open_prim",
+    "animtool.usd.prim_transforms:open_prim",
 )
 DOCUMENT = Reader(
     "rig and clip files",

@@ -5,9 +5,9 @@ The tables of ``docs/formats.md`` are made of their descriptions and examples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
 
@@ -38,7 +38,7 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
 from animtool.documents.references import referred_input
 from animtool.scene.options import BakeOptions
-from animtool.scene.output_fields import option_keys, with_keys
+from animtool.scene.output_fields import KeyReader, option_keys, with_keys
 from animtool.scene.sources import SourceOptions, is_timeline
 
 
@@ -246,9 +246,6 @@ class _Reader:
         return text
 
 
-Made = TypeVar("Made")
-
-
 def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
     """Return what a batch file asks for.
 
@@ -279,7 +276,7 @@ class _BatchReader:
         self.document, self.model = document, model
         timeline = any(is_timeline(Path(text)) for text in model.inputs)
         self.of_shots = of_shots or timeline or model.cut is not None
-        self.roots = project_roots(document.path)
+        self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
         model, path = self.model, self.document.path
@@ -294,23 +291,27 @@ class _BatchReader:
         variants = self._variants()
         columns = () if variants is None else variants.names
         self._names(columns)
-        memory = self.parsed(("limits", "memory"), model.limits.memory, parse_bytes)
+        memory = self.keys.parsed(
+            ("limits", "memory"), model.limits.memory, parse_bytes
+        )
         return BatchSpec(
             tuple(model.inputs),
             path.parent,
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
-            None if model.scene is None else self.read_file(("scene",), model.scene),
+            None
+            if model.scene is None
+            else self.keys.read_file(("scene",), model.scene),
             variables_of_document(self.document, ("variables",), model.variables),
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
             None if model.jobs == "auto" else model.jobs,
             path,
-            None if model.cut is None else self.read_file(("cut",), model.cut),
+            None if model.cut is None else self.keys.read_file(("cut",), model.cut),
             model.handles,
             variants,
-            self.roots,
+            self.keys.roots,
             overrides_of_document(
                 self.document, model.overrides, {*self._taken(), *columns}
             ),
@@ -329,7 +330,7 @@ class _BatchReader:
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(given, str):
-            path = self._input(("variants",), given)
+            path = referred_input(self.document, ("variants",), given, self.keys.roots)
             return None if path is None else read_variants(path)
         taken = {*self._taken(), *self.model.variables}
         return rows_of_document(self.document, given, taken)
@@ -345,27 +346,6 @@ class _BatchReader:
 
     def _options(self, model: OptionsModel) -> BakeOptions:
         at: Location = ("options",)
-        source = option_keys(SourceOptions, model, "batch", at, self)
-        bake = option_keys(BakeOptions, model, "batch", at, self)
+        source = option_keys(SourceOptions, model, "batch", at, self.keys)
+        bake = option_keys(BakeOptions, model, "batch", at, self.keys)
         return BakeOptions(source=SourceOptions(**source), **bake)
-
-    def parsed(
-        self, at: Location, text: Any, parse: Callable[[Any], Made]
-    ) -> Made | None:
-        """Return a value; None, and a fault, where it is none."""
-        if text is None:
-            return None
-        try:
-            return parse(text)
-        except ValueError as error:
-            self.document.add(getattr(error, "code", "BAT002"), at, str(error))
-            return None
-
-    def read_file(self, at: Location, name: str) -> Path:
-        """Return a file to read, which must be there."""
-        path = self._input(at, name)
-        return Path(name) if path is None else path
-
-    def _input(self, at: Location, name: str) -> Path | None:
-        """Return a file to read; None, and a fault, where it is refused or missing."""
-        return referred_input(self.document, at, name, self.roots)

@@ -58,7 +58,7 @@ def _frame(text: str) -> Any:
 
 
 def _time_code(text: str) -> Any:
-    from animtool.scene.options import parse_frame
+    from animtool.scene.option_text import parse_frame
 
     return parse_frame(text)
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from animtool.cli.console import finite
-from animtool.cli.summary import channel_lines, channels_json
+from animtool.cli.convert_summary import channel_lines, channels_json
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts

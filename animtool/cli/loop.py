@@ -99,7 +99,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
         f"{percent(best.share)} of what moves"
     )
     if report is not None:
-        from animtool.cli.summary import convert_text
+        from animtool.cli.convert_summary import convert_text
 
         for line in convert_text(report):
             console.say(line)

@@ -90,7 +90,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
             progress=progress,
         )
     console.faults(report.notices)
-    from animtool.cli.summary import convert_json, convert_text
+    from animtool.cli.convert_summary import convert_json, convert_text
 
     if params["report_format"] == "json":
         console.result_json(convert_json(report))

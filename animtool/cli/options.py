@@ -190,9 +190,9 @@ common_options = stacked(
 
 def _of_scene(name: str) -> Callable[[str], Any]:
     def parse(text: str) -> Any:
-        from animtool.scene import options
+        from animtool.scene import option_text
 
-        return getattr(options, f"parse_{name}")(text)
+        return getattr(option_text, f"parse_{name}")(text)
 
     return parse
 

@@ -64,3 +64,8 @@ def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator
     if len(table_rows) > MAX_ROWS:
         rest = counted(len(table_rows) - MAX_ROWS, "item")
         yield f"  {rest} more, which are better; --format json has all"
+
+
+def scores_json(scores: Sequence[PassScores]) -> dict[str, object]:
+    """Return how well passes did as plain values, if they say it."""
+    return {"scores": [one.as_dict() for one in scores]} if scores else {}

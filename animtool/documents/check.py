@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import KINDS, nearest
@@ -20,13 +20,15 @@ from animtool.documents.placeholders import (
     stand_in,
 )
 from animtool.documents.versions import STEPS, new_key, newest, version_of
-from animtool.errors import counted, excerpt
+from animtool.errors import Fault, counted, excerpt
 from animtool.similar import similar
 
 # Faulty values that something stands in for, before the rest is not looked at.
 MAX_MENDED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
+Record = TypeVar("Record")
+Located = list[tuple[Location, Fault]]  # faults, each with its place in a value
 
 
 class FileModel(BaseModel):
@@ -76,6 +78,32 @@ def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str
         for (place, _), faults in merged.items()
         if place not in inner
     ]
+
+
+def unknown_options(
+    given: Mapping[str, Any], names: Collection[str], owner: str
+) -> Located:
+    """Return a fault of each option that its owner has none of."""
+    return [
+        ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
+        for key in given
+        if key not in names
+        for hint in [nearest(key, names)]
+    ]
+
+
+def record_of_options(
+    kind: type[Record], given: Mapping[str, Any], owner: str
+) -> tuple[Record | None, Located]:
+    """Return a record of the options of what has them; None of wrong values."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    faults = unknown_options(given, names, owner)
+    known = {key: value for key, value in given.items() if key in names}
+    try:
+        return TypeAdapter(kind).validate_python(known), faults
+    except ValidationError as error:
+        wrong = wrong_values(known, error)
+    return None, faults + [(at, Fault("SCN002", message)) for at, message in wrong]
 
 
 @dataclass(slots=True)

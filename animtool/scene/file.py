@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields, replace
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
 from animtool.config import project_roots
-from animtool.documents.check import FileModel, check_version, validated, wrong_values
+from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.names import nearest
-from animtool.documents.references import referred, referred_input
 from animtool.documents.variables import resolve_variables
-from animtool.errors import AnimtoolError, OptionError
-from animtool.passes import Pass, find_pass
 from animtool.plugins import load_object
 from animtool.rates import parse_rate
 from animtool.scene.entries import (
     OutputKind,
-    Place,
-    SceneOutput,
-    ScenePass,
     SceneProp,
     SceneSource,
     SceneSystem,
     kind_of,
     place_of_entry,
 )
-from animtool.scene.options import BakeOptions
-from animtool.scene.output_fields import Value, option_keys
-from animtool.scene.retime import Preroll
+from animtool.scene.output_entries import OutputReader
+from animtool.scene.output_fields import KeyReader, option_keys
+from animtool.scene.pass_entries import read_passes
 from animtool.scene.scene import Scene
 from animtool.scene.schema import (
-    OutputModel,
     PropModel,
     SceneModel,
     SourceModel,
@@ -45,14 +35,9 @@ from animtool.scene.schema import (
     model_for,
 )
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
-from animtool.scene.systems.links import check_links, check_names
+from animtool.scene.systems.links import check_links
 from animtool.scene.tracks import TrackNames
-from animtool.shot import FrameRange, Shot
-from animtool.systems.fields import SystemColliderModel
 from animtool.systems.kinds import SYSTEM_KINDS
-
-# It reads whole scenes, where they are characters.
-COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
 
 
 def load_scene(
@@ -133,26 +118,23 @@ class _SceneReader:
     ) -> None:
         self.document, self.model = document, model
         roots = project_roots(document.path)
-        self.roots, self.output_roots = (*roots, *named), (*roots, *written)
+        self.keys = KeyReader(document, (*roots, *named), "SCN003")
+        self.output_roots = (*roots, *written)
 
     def scene(self) -> Scene:
-        model, shot = self.model, self.model.shot
-        rig = None if model.rig is None else self.read_file(("rig",), model.rig)
-        passes = [
-            pass_
-            for i, entry in enumerate(model.passes)
-            for name, given in entry.items()
-            if (pass_ := self._pass(("passes", i, name), name, given or {})) is not None
-        ]
+        model = self.model
+        rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
+        passes = tuple(read_passes(self.keys, model.passes, self.output_roots))
+        outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,
             self._sources(rig),
-            tuple(passes),
-            self._outputs(),
+            passes,
+            outputs.outputs(),
             rig,
             self._renamed_props(),
-            None if shot is None or shot.start is None else Fraction(shot.start),
-            self._preroll(),
+            outputs.start,
+            outputs.preroll(),
             systems=self._systems(),
         )
 
@@ -168,7 +150,7 @@ class _SceneReader:
             self._check_simulated()
         read = (self._system(i, entry) for i, entry in enumerate(model.systems))
         systems = tuple(system for system in read if system is not None)
-        check_links(self.document, systems, self._names())
+        check_links(self.document, systems, model.system_names)
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
@@ -179,10 +161,12 @@ class _SceneReader:
         given = getattr(entry, kind)
         # Loaded by name: systems open scenes themselves.
         read: Any = load_object("animtool.scene.systems.derived:read_spec")
-        setup = read(self.document, at, given, self.roots)
+        setup = read(self.document, at, given, self.keys.roots)
         if setup is None:
             return None
-        return SceneSystem(given.name, kind, setup, self._place(at, given))
+        return SceneSystem(
+            given.name, kind, setup, place_of_entry(self.document, at, given)
+        )
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
         """Return the kind that an entry names."""
@@ -235,7 +219,7 @@ class _SceneReader:
         return tuple(props)
 
     def _prop(self, at: Location, model: PropModel) -> SceneProp:
-        file = self.read_file((*at, "from"), model.file)
+        file = self.keys.read_file((*at, "from"), model.file)
         if not is_usd(file):
             message = f"{model.file!r} is no USD file"
             self.document.add("SCN048", (*at, "from"), message)
@@ -245,7 +229,7 @@ class _SceneReader:
             self.document.add("SCN048", (*at, "path"), message)
         shown: Path | None = None
         if isinstance(model.reference, str):
-            shown = self.read_file((*at, "reference"), model.reference)
+            shown = self.keys.read_file((*at, "reference"), model.reference)
         elif model.reference:
             shown = file
         return SceneProp(
@@ -256,109 +240,8 @@ class _SceneReader:
             shown,
             frame=None if model.frame is None else Fraction(repr(model.frame)),
             retimed=model.retimed,
-            place=self._place(at),
+            place=place_of_entry(self.document, at),
         )
-
-    def _preroll(self) -> Preroll | None:
-        shot = self.model.shot
-        if shot is None or not shot.preroll:
-            return None
-        own_shot = self._shot()
-        assert own_shot is not None
-        return Preroll(
-            None if shot.start is None else Fraction(shot.start),
-            own_shot.start - shot.preroll,
-            self._rate(("fps",), self.model.fps),
-        )
-
-    def _shot(self) -> Shot | None:
-        """Return the shot's frames; its rate is that of the output."""
-        shot = self.model.shot
-        if shot is None:
-            return None
-        return Shot(shot.cut[0], shot.cut[1], shot.handles, shot.handles)
-
-    def _outputs(self) -> tuple[SceneOutput, ...]:
-        given = self.model.output
-        fps = self._rate(("fps",), self.model.fps)
-        frames = self._frames()
-        if isinstance(given, OutputModel):
-            return (self._output(("output",), given, fps, frames),)
-        for i, entry in enumerate(given):
-            at = ("output", i)
-            if entry.file is None:
-                hint = "each of several outputs names its file"
-                self.document.add("DOC021", at, "key 'file' is missing", hint)
-        outputs = tuple(
-            self._output(("output", i), entry, fps, frames)
-            for i, entry in enumerate(given)
-        )
-        for i, output in enumerate(outputs):
-            if output.bake.chunk is not None:
-                message = "chunks are for a scene of one output"
-                self.document.add("SCN039", ("output", i, "chunk"), message)
-        return outputs
-
-    def _output(
-        self,
-        at: Location,
-        model: OutputModel,
-        fps: Fraction | None,
-        frames: FrameRange | None,
-    ) -> SceneOutput:
-        path = None if model.file is None else self._file((*at, "file"), model.file)
-        if path is not None and kind_of(path) is not OutputKind.USD:
-            self._check_kind(at, model, kind_of(path))
-        keys = option_keys(BakeOptions, model, "scene", at, self)
-        if "take" in keys and keys.get("form") != "library":
-            message = "take is for a take of a library"
-            self.document.add("SCN039", (*at, "take"), message, "write as: library")
-        shot = self.model.shot
-        if "start" not in keys and shot is not None and shot.start is not None:
-            keys["start"] = Fraction(shot.start)
-        bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
-        systems = None if model.systems is None else tuple(model.systems)
-        if systems is not None:
-            check_names(self.document, (*at, "systems"), systems, self._names())
-        if not systems and systems is not None and self.model.source is None:
-            message = "nothing would be written: it takes no system"
-            hint = "leave systems out to write all"
-            self.document.add("SCN081", (*at, "systems"), message, hint)
-        return SceneOutput(path, bake, self._place(at), systems)
-
-    def _names(self) -> list[str]:
-        """Return the names of all systems, of those that are faulty too."""
-        entries = self.model.systems
-        given = [getattr(e, key) for e in entries for key in e.model_fields_set]
-        return [entry.name for entry in given]
-
-    def _check_kind(self, at: Location, model: OutputModel, kind: OutputKind) -> None:
-        """Refuse what only other kinds of files have."""
-        allowed = {"file", "start"}
-        if kind is OutputKind.CLIP:
-            allowed |= {"reduce", "reduce_at"}
-        for name in sorted(model.model_fields_set - allowed):
-            message = f"{name} is not for a {kind} file"
-            hint = f"it has {', '.join(sorted(allowed))}"
-            self.document.add("SCN039", (*at, name), message, hint)
-
-    def _frames(self) -> FrameRange | None:
-        """Return the frames to write: a range, or the cut with its handles."""
-        shot, found = self.model.shot, self._shot()
-        at: Location = ("range",) if shot is None else ("shot", "cut")
-        ends = self.model.range if shot is None else shot.cut
-        if shot is not None and self.model.range is not None:
-            message = "the cut of the shot says which frames to write"
-            self.document.add("SCN041", ("range",), message, "leave range or shot out")
-        if ends is None:
-            return None
-        first, last = ends
-        if first > last:
-            message = f"the {at[-1]} from {first} to {last} is reversed"
-            self.document.add("SCN003", at, message, f"write [{last}, {first}]")
-        if found is not None:
-            return FrameRange(found.start, found.end)
-        return FrameRange(first, last)
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
         given = self.model.source
@@ -388,107 +271,16 @@ class _SceneReader:
     def _source(
         self, at: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
-        path = self.read_file((*at, "file"), model.file)
-        keys = option_keys(SourceOptions, model, "scene", at, self)
+        path = self.keys.read_file((*at, "file"), model.file)
+        keys = option_keys(SourceOptions, model, "scene", at, self.keys)
         tracks = None
         if model.tracks is not None:
             tracks = TrackNames(**{name: tuple(of) for name, of in model.tracks})
         return SceneSource(
             path,
             SourceOptions(rig=rig, **keys),
-            self._place(at),
+            place_of_entry(self.document, at),
             tracks,
             model.timecode,
-            self._rate((*at, "timecode_fps"), model.timecode_fps),
+            self.keys.parsed((*at, "timecode_fps"), model.timecode_fps, parse_rate),
         )
-
-    def _place(self, at: Location, model: FileModel | None = None) -> Place:
-        """Return a place, with those of the keys that its model was given."""
-        return place_of_entry(self.document, at, model)
-
-    def _file(self, at: Location, name: str) -> Path:
-        """Return a file to write."""
-        roots = self.output_roots
-        path = referred(self.document, at, name, roots, written=True)
-        return Path(name) if path is None else path
-
-    def read_file(self, at: Location, name: str) -> Path:
-        """Return a file to read, which must be there."""
-        path = referred_input(self.document, at, name, self.roots)
-        return Path(name) if path is None else path
-
-    def _rate(self, at: Location, rate: float | str | None) -> Fraction | None:
-        return None if rate is None else self.parsed(at, rate, parse_rate)
-
-    def parsed(
-        self, at: Location, value: Any, parse: Callable[[Any], Value]
-    ) -> Value | None:
-        """Return a value; None, and a fault, where it is none."""
-        try:
-            return parse(value)
-        except ValueError as error:
-            self.document.add(getattr(error, "code", "SCN003"), at, str(error))
-            return None
-
-    def _pass(
-        self, at: Location, name: str, values: dict[str, Any]
-    ) -> ScenePass | None:
-        try:
-            pass_ = find_pass(name)
-        except AnimtoolError as error:
-            fault = error.faults[0]
-            self.document.add(fault.code, at, fault.message, fault.hint)
-            return None
-        names = [field.name for field in fields(pass_.options)]
-        unknown = [key for key in values if key not in names]
-        for key in unknown:
-            message = f"unknown option {key!r} of {name}"
-            self.document.add("SCN001", (*at, key), message, nearest(key, names))
-        known = {key: value for key, value in values.items() if key in names}
-        try:
-            options = TypeAdapter(pass_.options).validate_python(known)
-        except ValidationError as error:
-            for place, message in wrong_values(known, error):
-                self.document.add("SCN002", (*at, *place), message)
-            return None
-        options, files = self._with_colliders(at, options)
-        self._check(at, pass_, options)
-        if unknown:
-            return None
-        return ScenePass(pass_, options, self._place(at), files)
-
-    def _with_colliders(
-        self, at: Location, options: Any
-    ) -> tuple[Any, tuple[Path, ...]]:
-        """Return options with what they run into, and the files that this goes with."""
-        entries = {
-            field.name: value
-            for field in fields(options)
-            if isinstance(value := getattr(options, field.name), list)
-            and any(isinstance(one, SystemColliderModel) for one in value)
-        }
-        if not entries:
-            return options, ()
-        kind: Any = load_object(COLLIDER_READER)
-        reader = kind(self.document, self.roots)
-        read = {
-            name: tuple(reader.colliders((*at, name), models))
-            for name, models in entries.items()
-        }
-        return replace(options, **read), tuple(reader.files)
-
-    def _check(self, at: Location, pass_: Pass, options: Any) -> None:
-        """Note what is wrong with options whatever the take is."""
-        for option, check in pass_.checks(options).items():
-            try:
-                check()
-            except OptionError as error:
-                for fault in error.faults:
-                    place = (*at, option)
-                    self.document.add(fault.code, place, fault.message, fault.hint)
-        for field in fields(pass_.options):
-            value = getattr(options, field.name)
-            if isinstance(value, Path):
-                self.read_file((*at, field.name), str(value))
-        for name in getattr(options, "writes", ()):
-            self._file(at, str(name))

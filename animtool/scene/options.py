@@ -1,23 +1,17 @@
-"""What a bake can be told, and reading it from text."""
+"""What a bake can be told."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.errors import Fault, OptionError
 from animtool.options import Key, option
-from animtool.rates import (
-    LARGEST_FRAME,
-    FractionLike,
-    OptionalFraction,
-    exact_number,
-    rate_option,
-)
+from animtool.rates import FractionLike, OptionalFraction, rate_option
+from animtool.scene.option_text import parse_frame
 from animtool.scene.sources import SourceOptions
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis
@@ -402,101 +396,3 @@ def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
         if getattr(options, field.name) == getattr(usual, field.name)
     }
     return replace(options, **taken)
-
-
-_RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
-
-
-def parse_frame_range(text: str) -> FrameRange:
-    """Return the range of ``1-240``, ``1-240x2`` or ``12``.
-
-    Raises:
-        ValueError: It is none.
-
-    >>> parse_frame_range("1-240x2")
-    FrameRange(first=1, last=240, step=2)
-    """
-    match = _RANGE.fullmatch(text.strip())
-    if match is None:
-        raise ValueError(f"{text!r} is not a range such as 1-240 or 1-240x2")
-    first = int(match[1])
-    last, step = int(match[2] or first), int(match[3] or 1)
-    if last < first or step < 1:
-        raise ValueError(f"{text!r} has no frame")
-    return FrameRange(first, last, step)
-
-
-def parse_offsets(text: str) -> tuple[Fraction, ...]:
-    """Return the offsets of ``-.25,0,.25``, ascending.
-
-    Raises:
-        ValueError: One is no number within a frame, or stands twice.
-
-    >>> parse_offsets("-.25,0,.25")
-    (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
-    """
-    offsets: list[Fraction] = []
-    for part in text.split(","):
-        try:
-            offset = exact_number(part)
-        except (ValueError, ArithmeticError) as error:
-            message = f"{excerpt(text)} is not a list of offsets such as -.25,0,.25"
-            raise ValueError(message) from error
-        if not -1 < offset < 1:
-            raise ValueError(f"offset {part.strip()} is not within a frame")
-        offsets.append(offset)
-    if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
-        raise ValueError(f"offsets {text!r} meet those of the next frame")
-    return tuple(sorted(offsets))
-
-
-def parse_frame(text: FractionLike) -> Fraction:
-    """Return a time code such as ``1001`` or ``1000.5``.
-
-    Raises:
-        ValueError: It is none, or beyond a thousand million.
-
-    >>> parse_frame("1000.5")
-    Fraction(2001, 2)
-    """
-    try:
-        frame = exact_number(text)
-    except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"{excerpt(str(text))} is not a frame such as 1001") from error
-    if abs(frame) > LARGEST_FRAME:
-        raise ValueError(f"frame {text!r} is beyond {LARGEST_FRAME}")
-    return frame
-
-
-def parse_rest(text: str) -> int | None:
-    """Return the frame of ``frame:N``, None for ``offsets``.
-
-    Raises:
-        ValueError: It is neither.
-
-    >>> parse_rest("frame:12")
-    12
-    """
-    if text == "offsets":
-        return None
-    match = re.fullmatch(r"frame:(-?\d{1,9})", text)
-    if match is None:
-        raise ValueError(f"{text!r} is neither offsets nor frame:N")
-    return int(match[1])
-
-
-def parse_source_rest(text: str) -> int | str | None:
-    """Return ``rig``, or what `parse_rest` does.
-
-    Raises:
-        ValueError: It is none of these.
-
-    >>> parse_source_rest("rig")
-    'rig'
-    """
-    if text == "rig":
-        return text
-    try:
-        return parse_rest(text)
-    except ValueError:
-        raise ValueError(f"{text!r} is neither offsets, frame:N nor rig") from None

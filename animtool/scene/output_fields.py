@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from annotated_types import Ge, Len
 from pydantic import Field, create_model
 
 from animtool.documents.check import FileModel
-from animtool.documents.document import Location
+from animtool.documents.document import Document, Location
 from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
+from animtool.documents.references import referred_input
 from animtool.options import Key, Kind, keys_of, options_of
 from animtool.rates import parse_rate
-from animtool.scene.options import parse_offsets
+from animtool.scene.option_text import parse_offsets
 from animtool.shot import FrameRange
 from animtool.units import LengthUnit, UpAxis, parse_length
 
@@ -42,18 +44,30 @@ _TYPES: dict[Kind, Any] = {
 _DEFAULTS: dict[Kind, Any] = {"switch": False, "offsets": [], "lengths": {}}
 
 
-class KeyReader(Protocol):
+@dataclass(frozen=True, slots=True)
+class KeyReader:
     """Reads values of a file and records its faults."""
+
+    document: Document
+    roots: tuple[Path, ...]  # folders that files may be in
+    code: str  # of a value that is none
 
     def parsed(
         self, at: Location, value: Any, parse: Callable[[Any], Value]
     ) -> Value | None:
-        """Return a value; None, and a fault, where `parse` raises `ValueError`."""
-        ...
+        """Return a value, None of None; and a fault where it is none."""
+        if value is None:
+            return None
+        try:
+            return parse(value)
+        except ValueError as error:
+            self.document.add(getattr(error, "code", self.code), at, str(error))
+            return None
 
     def read_file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        ...
+        path = referred_input(self.document, at, name, self.roots)
+        return Path(name) if path is None else path
 
 
 def with_keys(

@@ -266,6 +266,13 @@ class SceneModel(FileModel):
         default=[],
     )
 
+    @property
+    def system_names(self) -> list[str]:
+        """Names of all systems, of those that are faulty too."""
+        return [
+            getattr(e, key).name for e in self.systems for key in e.model_fields_set
+        ]
+
 
 def whole_model() -> type[SceneModel]:
     """Return the model of a scene, with systems of every kind."""

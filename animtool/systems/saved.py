@@ -16,7 +16,7 @@ from animtool.documents.arrays import Archives
 from animtool.errors import Fault, FormatError, OptionError, listed
 from animtool.output import replacing
 from animtool.placing import output_error
-from animtool.systems.simulation import Reached
+from animtool.systems.run import Reached
 
 FORMAT = "animtool-system/1"
 # Whole numbers up to here are the same as floats.

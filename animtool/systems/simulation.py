@@ -1,8 +1,7 @@
-"""A simulation as steps from state to state, and what takes it through time."""
+"""A simulation as a scene has it: pure steps from state to state."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import (
@@ -15,15 +14,12 @@ from typing import (
     runtime_checkable,
 )
 
-import numpy as np
-
-from animtool.errors import Fault, OptionError, ToleranceError
-from animtool.frames import Frame, TransformsFrame
-from animtool.sim.colliders import Colliders, MovingBodies, Poses
-from animtool.sim.colliders.bodies import Pusher, Wrenches
+from animtool.errors import Fault, ToleranceError
+from animtool.frames import Frame
+from animtool.sim.colliders import Colliders, Poses
+from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Stats
-from animtool.systems.surfaces import Bodies, RigidSystem, Surface
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Setting
@@ -33,7 +29,6 @@ State = TypeVar("State")
 # Told how far work is; None where nobody looks.
 Progress: TypeAlias = Callable[[float], None] | None
 State_contra = TypeVar("State_contra", contravariant=True)
-Watcher = TypeVar("Watcher", Surface, Bodies)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +179,6 @@ class Tried(Protocol):
         """Return the ways, about the one that it was built in."""
 
 
-# A time that is as near to the end of a step is that end [steps].
-ON_STEP = 1e-9
-
-
 # Metadata of fields of a state, so that it can be saved and resumed.
 
 
@@ -204,282 +195,9 @@ def later(*records: type[Any]) -> dict[str, Any]:
     return {"later": records}
 
 
-@dataclass(frozen=True, slots=True)
-class Reached(Generic[State]):
-    """A state, and the steps that led to it."""
-
-    steps: int
-    state: State
-
-
 class StoppedError(ToleranceError):
     """A method that could not go on, and what it took; None from another process."""
 
     def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)
         self.stats = stats
-
-
-class EntryRun:
-    """An entry of a scene under way: what it shows of a run.
-
-    Attributes:
-        name: Of the entry.
-        run: What takes it, and what it is joined to, through time.
-        simulation: What it shows of it; of an entry alone, the simulation itself.
-    """
-
-    def __init__(self, name: str, run: SimulationRun, view: SystemView[Any]) -> None:
-        self.name, self.run = name, run
-        self.simulation: Any = view
-        self._empty: bool | None = None  # None before the first look
-
-    def at(self, t: float) -> Frame:
-        """Return what there is at a time [s], not before the last one asked for.
-
-        Raises:
-            OptionError: Time runs backwards (SIM002).
-            ToleranceError: It blew up (SIM102), or the method could not go on.
-        """
-        frame: Frame = self.simulation.frame(*self.run.reach(t))
-        self._empty = self._empty is not False and not len(frame.points)
-        return frame
-
-    @property
-    def rigid(self) -> bool:
-        """Whether it is of rigid bodies."""
-        return isinstance(self.simulation, RigidSystem)
-
-    def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
-        """Return its bodies as others run into them, and push them if two-way."""
-        assert isinstance(self.simulation, RigidSystem)
-        return self.run.watching(
-            Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
-        )
-
-    def surface(self) -> Surface:
-        """Return its surface, which others run into."""
-        return self.run.watching(Surface(self.run, self.simulation))
-
-    @property
-    def diagnostics(self) -> Diagnostics:
-        """What the state that was looked at last is like."""
-        found: Diagnostics = self.simulation.diagnostics(*self.run.seen)
-        return found
-
-    @property
-    def notices(self) -> list[Fault]:
-        """Warnings so far."""
-        found = self.diagnostics
-        return [*found.notices, *(found.if_empty if self._empty else ())]
-
-    def report(self) -> dict[str, object]:
-        """Return what became of it, as plain values."""
-        values = dict(self.diagnostics.values)
-        if not values:
-            return {}
-        steps = {} if "steps" in values else {"steps": self.run.taken}
-        return {"name": self.name, **steps, **values}
-
-
-class SimulationRun(EntryRun):
-    """Takes a simulation through time in steps of one length, and looks at any time.
-
-    Steps begin at the beginning and do not heed the times that are asked for: a look
-    between two steps takes a part of a step that is not kept. So the frame rate of an
-    output changes nothing of the motion. To resume, begin with a state of an earlier
-    run. One whose numbers do not stay finite is stopped.
-
-    Attributes:
-        seen: The state that was looked at last, and its time [s].
-        begin: Time of the first step [s].
-        step_length: Of every step [s].
-        state: At the end of the last whole step.
-        taken: Steps and parts of steps so far.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        simulation: Simulation[Any],
-        begin: float,
-        step_length: float,
-        state: Reached[Any] | None = None,
-    ) -> None:
-        super().__init__(name, self, simulation)
-        self.begin, self.step_length = begin, step_length
-        self.state = Reached(0, simulation.initial()) if state is None else state
-        self.taken = 0
-        # States that who looks at the surface may still ask for, from the latest.
-        self._kept: list[Reached[Any]] | None = None
-        self._watchers: list[Surface | Bodies] = []
-        self._met: Sequence[MovingBodies] = ()
-        # Who pushes it: when, who, and with what.
-        self._pushers: list[Pusher] = []
-        self._pushes: list[tuple[float, int, Wrenches]] = []
-        # By steps, states that bodies were pushed in, as the next step begins.
-        self._begun: dict[int, Reached[Any]] = {}
-        self.seen: tuple[Any, float] = self.state.state, self.time(self.state.steps)
-        self._asked: float | None = None  # the last time that was asked for [s]
-        many = simulation if isinstance(simulation, ManySteps) else None
-        self._steps = None if many is None else many.steps
-
-    def reach(self, t: float) -> tuple[Any, float]:
-        """Return the state at a time [s], not before the last one, and when it is."""
-        if t == self._asked:
-            return self.seen
-        whole = self.advance(t)
-        if whole < self.state.steps:
-            message = f"time {t:g} s is before that of the simulation"
-            raise OptionError(Fault("SIM002", message, hint="begin again"))
-        now = self.time(whole)
-        state = self._part(self.state, t)
-        self.seen, self._asked = (state.state, max(t, now)), t
-        return self.seen
-
-    def advance(self, t: float) -> int:
-        """Take all whole steps that end at a time [s] or before; return how many."""
-        whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
-        alone = self._kept is None and not self._met and not self._pushers
-        if self._steps is not None and alone and self.state.steps < whole:
-            steps, count = self.state.steps, whole - self.state.steps
-            step = self.step_length
-            made = self._steps(self.state.state, self.time(steps), step, count)
-            self.state, self.taken = Reached(whole, made.state), self.taken + count
-        while self.state.steps < whole:
-            self._go_on()
-        return whole
-
-    def _go_on(self) -> None:
-        """Take a whole step."""
-        begin, until = self.receive(), self.time(self.state.steps + 1)
-        self.state, wrenches = self._stepped(begin, until)
-        if self._kept is None:
-            self._begun.clear()
-        if self._kept is not None:
-            self._kept.append(self.state)
-        for bodies, pushes in zip(self._met, wrenches, strict=False):
-            bodies.push(until, pushes)
-        for bodies in self._met:
-            bodies.forget(until)
-
-    def _part(self, state: Reached[Any], t: float) -> Reached[Any]:
-        """Return a state, or where a part of a step from it leads until a time [s]."""
-        if t <= self.time(state.steps) + ON_STEP * self.step_length:
-            return state
-        return self._stepped(self._pushed(state), t)[0]
-
-    def _pushed(self, state: Reached[Any]) -> Reached[Any]:
-        """Return a state as the next step begins with it."""
-        current = state.steps == self.state.steps
-        return self.receive() if current else self._begun.get(state.steps, state)
-
-    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
-        """Take what bodies are pushed by at a time [s], by the pusher of a number."""
-        if wrenches.now.any() and t > self.begin + ON_STEP * self.step_length:
-            self._pushes.append((t, who, wrenches))
-
-    def receive(self) -> Reached[Any]:
-        """Return the last state as bodies were pushed by all that was until then.
-
-        Who pushes them is taken as far before, so that nothing depends on the times
-        that are asked for.
-        """
-        steps = self.state.steps
-        if not self._pushers:
-            return self.state
-        if steps in self._begun:
-            return self._begun[steps]
-        assert isinstance(self.simulation, RigidSystem)
-        now = self.time(steps)
-        for pusher in self._pushers:
-            pusher.advance(now)
-        until = now + ON_STEP * self.step_length
-        due = sorted(
-            (push for push in self._pushes if push[0] <= until), key=lambda one: one[:2]
-        )
-        self._pushes = [push for push in self._pushes if push[0] > until]
-        self._begun[steps] = self.state
-        if due:
-            pushed = self.simulation.pushed(
-                self.state.state,
-                Wrenches.sum([push[2].after(now - push[0]) for push in due]),
-            )
-            self._begun[steps] = Reached(steps, pushed)
-        return self._begun[steps]
-
-    def meet(self, bodies: Sequence[MovingBodies]) -> None:
-        """Push bodies of other systems."""
-        self._met = bodies
-        for own in bodies:
-            own.pushed_by(self)
-
-    def pushed_by(self, pusher: Pusher) -> int:
-        """Note who pushes its bodies; return the number of the pusher."""
-        self._pushers.append(pusher)
-        return len(self._pushers) - 1
-
-    def watching(self, watcher: Watcher) -> Watcher:
-        """Keep states from now on, for one who looks back to them."""
-        if self._kept is None:
-            self._kept = [self.state]
-        self._watchers.append(watcher)
-        return watcher
-
-    def time(self, steps: int) -> float:
-        """Return when a number of steps ends [s]."""
-        return self.begin + steps * self.step_length
-
-    def look(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return the state at a time since the last that was forgotten, and when [s].
-
-        That is at the beginning for all times before. Where a step of who looks begins,
-        bodies have been pushed by all that was until then.
-        """
-        assert self._kept is not None
-        whole = self.advance(t)
-        # What was resumed has nothing from before.
-        earlier = (one for one in reversed(self._kept) if one.steps <= whole)
-        state = next(earlier, self._kept[0])
-        now, found = self.time(state.steps), self._part(state, t)
-        if begins and found is state:
-            found = self._pushed(state)
-        return found.state, max(t, now)
-
-    def forget(self) -> None:
-        """Let go of the states that nobody asks for any more."""
-        assert self._kept is not None
-        t = min(one.since for one in self._watchers)
-        if t == -math.inf:
-            return
-        whole = math.floor((t - self.begin) / self.step_length + ON_STEP)
-        first = [k for k, one in enumerate(self._kept) if one.steps <= whole]
-        del self._kept[: first[-1] if first else 0]
-        least = self._kept[0].steps
-        self._begun = {k: one for k, one in self._begun.items() if k >= least}
-
-    def _stepped(
-        self, state: Reached[Any], until: float
-    ) -> tuple[Reached[Any], Sequence[Wrenches]]:
-        """Return the state at the end of a step, or of a part of one [s].
-
-        With what it pushed the bodies of others by.
-        """
-        now = self.time(state.steps)
-        after = self.simulation.step(state.state, now, until - now)
-        after = after if isinstance(after, Stepped) else Stepped(after)
-        self.taken += 1
-        if getattr(self.simulation, "checked", False):
-            return Reached(state.steps + 1, after.state), after.wrenches
-        frame = self.simulation.frame(after.state, until)
-        # Velocities of a field may have no value where no frame is.
-        arrays = [frame.points]
-        if isinstance(frame, TransformsFrame):
-            arrays += [frame.rotations, frame.scales]
-        if not all(np.isfinite(array).all() for array in arrays):
-            finite = np.isfinite(np.concatenate(arrays, axis=1))
-            (bad,) = np.nonzero(~finite.all(axis=1))
-            message = f"{self.name} blew up at {until:g} s: point {int(bad[0])} is"
-            hint = "take shorter steps"
-            raise ToleranceError(Fault("SIM102", f"{message} not finite", hint=hint))
-        return Reached(state.steps + 1, after.state), after.wrenches

@@ -18,12 +18,13 @@ import numpy as np
 from pxr import Sdf, Tf, Vt
 
 from animtool._types import FloatArray
-from animtool.output import replacing
+from animtool.output import once_named, replacing
 from animtool.placing import output_error
 from animtool.usd.layers import (
     StageMetadata,
     author_metadata,
     export_layer,
+    new_layer,
     save_layer,
     usd_reason,
 )
@@ -241,6 +242,7 @@ class Chunks:
         self._open: dict[int, tuple[ExitStack, Sequence[Writer[Block]]]] = {}
         self.starts: list[float] = []
         self.last = -np.inf
+        self._manifest: Any = None  # before they are joined
 
     def __enter__(self) -> Self:
         return self
@@ -285,15 +287,38 @@ class Chunks:
     def _close(self, number: int) -> None:
         self._open.pop(number)[0].close()
 
-    def join(self, layer: Any, path: str) -> None:
-        """Let a prim of a layer, and what is below it, have the values of the files."""
-        author_clips(layer, path, self.files, self.starts, self.last)
+    def join(
+        self,
+        layer: Any,
+        path: str,
+        metadata: StageMetadata,
+        declare: Callable[[Any], None],
+        *,
+        defaults: bool,
+    ) -> None:
+        """Let a prim of a layer, and what is below it, have the values of the files.
 
-    def save_manifest(self, layer: Any) -> list[Path]:
-        """Write what states which attributes the files have; return all files."""
+        declare: states in a manifest which attributes the files have; defaults: whether
+        those of the first file are the layer's.
+        """
+        author_clips(layer, path, self.files, self.starts, self.last)
+        if defaults:
+            layer.subLayerPaths.append(self.files.defaults)
+        self._manifest = new_layer(self.files.manifest)
+        declare(self._manifest)
+        author_metadata(self._manifest, metadata)
+
+    def finish(self) -> list[Path]:
+        """Write the manifest; return all files.
+
+        Others, that an earlier, longer bake left, go once these have their names: a
+        layer always has its own.
+        """
         with replacing(self.files.manifest) as temporary:
-            export_layer(layer, temporary, self.files.manifest)
-        return [*self.paths, self.files.manifest]
+            export_layer(self._manifest, temporary, self.files.manifest)
+        files = [*self.paths, self.files.manifest]
+        once_named(lambda: self.files.remove_others(files))
+        return files
 
 
 def author_span(layer: Any, metadata: StageMetadata) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Sdf
 
 from animtool._types import Float32Array, FloatArray
-from animtool.output import once_named, replacing
+from animtool.output import replacing
 from animtool.rig.surfaces import Strands, Surface
 from animtool.shot import Shot
 from animtool.skin.deform import Deformed
@@ -174,23 +174,19 @@ class ChunkedCache:
 
     layer: Any
     reports: list[CachedMesh]
-    _manifest: Any
     _chunks: Chunks
 
     def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
         """Write the manifest, then the layer; return all files, the layer last."""
-        clips = self._chunks.files
-        files = self._chunks.save_manifest(self._manifest)
-        save(self.layer, clips.output)
-        once_named(lambda: clips.remove_others(files))
-        return [*files, clips.output]
+        files, output = self._chunks.finish(), self._chunks.files.output
+        save(self.layer, output)
+        return [*files, output]
 
 
 def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
     """Write the points of a cache in files of some samples each.
 
-    Nothing is there under its name before all is written, the layer last. Only then do
-    chunks go that an earlier, longer bake left: a layer always has its own.
+    Nothing is there under its name before all is written, the layer last.
     """
     assert job.output is not None
     layer = new_layer(job.output)
@@ -206,19 +202,23 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
     with Chunks(files, size, len(chunked), chunk) as chunks:
         write_frames(blocks, chunks, chunked)
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
-    manifest = new_layer(files.manifest)
     with Sdf.ChangeBlock():
         for mesh in chunked:
             mesh.author(layer.GetPrimAtPath(mesh.report.path), whole=job.target is None)
-            mesh.declare(prim(manifest, mesh.report.path, over=True))
         author_metadata(layer, metadata)
-        author_metadata(manifest, metadata)
-        chunks.join(layer, job.paths.root)
+
+    def declare(manifest: Any) -> None:
+        for report in reports:
+            spec = prim(manifest, report.path, over=True)
+            for name in report.sampled:
+                empty_attribute(spec, name)
+
+    moves = any(report.samples for report in reports)
+    defaults = job.target is None and moves
+    chunks.join(layer, job.paths.root, metadata, declare, defaults=defaults)
     if job.target is not None:
         job.target.check(layer, points=False)
-    if job.target is None and any(report.samples for report in reports):
-        layer.subLayerPaths.append(files.defaults)
-    return ChunkedCache(layer, reports, manifest, chunks)
+    return ChunkedCache(layer, reports, chunks)
 
 
 @contextmanager
@@ -273,8 +273,3 @@ class _ChunkedMesh:
                 attribute(spec, name, kind, Sdf.ValueBlock())
         if self._still is not None:
             self.report.sampled, self.report.samples, self.report.bytes = [], 0, 0
-
-    def declare(self, spec: Any) -> None:
-        """Declare, in the manifest, what the files hold of what moves."""
-        for name in self.report.sampled:
-            empty_attribute(spec, name)

@@ -24,15 +24,16 @@ from animtool.usd.rig_prims import (
     array_of,
     array_value,
     decompose,
+    find_prim,
     find_skeletons,
     integers,
+    nearest_prim,
     numbers,
     open_stage,
     placing_times,
     up_axis,
 )
 from animtool.usd.stderr import without_usd_warnings
-from animtool.usd.transform_reader import find_prim, nearest_prim
 
 # Half floats are as far from a unit quaternion as this.
 UNIT_TOLERANCE = 5e-3

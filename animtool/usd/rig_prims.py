@@ -7,18 +7,19 @@ import math
 import re
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.quantities import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
-from animtool.similar import distinct
+from animtool.similar import distinct, similar
 from animtool.units import UpAxis
 from animtool.usd.dependencies import open_composed
 from animtool.usd.faults import (
@@ -29,10 +30,10 @@ from animtool.usd.faults import (
     rest_transforms,
     units_and_axis,
 )
-from animtool.usd.layers import (
-    check_prim_path,
-    find_layer,
-)
+from animtool.usd.layers import check_prim_path, find_layer
+
+# Whose names are compared with one that there is not.
+MAX_COMPARED = 20_000
 
 
 def array_value(attr: Any, time: Any = None) -> Any:
@@ -112,6 +113,20 @@ def _check_metadata(stage: Any, where: Spot) -> None:
         if not abs(code) <= LARGEST_METADATA:
             where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     where.refuse(units_and_axis(stage))
+
+
+def find_prim(stage: Any, name: str) -> Any:
+    """Return the prim at an absolute path; None where there is none."""
+    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
+    return (stage.GetPrimAtPath(name) or None) if valid else None
+
+
+def nearest_prim(stage: Any, name: str) -> str | None:
+    """Return a hint that names the prim whose path is most like one."""
+    all_of_them = islice(stage.Traverse(), MAX_COMPARED)
+    names = [str(prim.GetPath()) for prim in all_of_them]
+    near = similar(name, names)
+    return f"did you mean {near}?" if near else None
 
 
 def upwards(prim: Any) -> Iterator[Any]:

@@ -338,12 +338,14 @@ def chunk_simulated(
 
     with Chunks(files, size, len(prims), chunk) as chunks:
         write_frames(_blocks(job, prims, rows, layer), chunks, reports)
-    chunks.join(layer, job.model)
-    layer.subLayerPaths.append(files.defaults)
-    manifest = new_layer(files.manifest)
-    _declare(manifest, reports, layer)
-    author_metadata(manifest, job.metadata)
-    return chunks.save_manifest(manifest), reports
+    chunks.join(
+        layer,
+        job.model,
+        job.metadata,
+        lambda manifest: _declare(manifest, reports, layer),
+        defaults=True,
+    )
+    return chunks.finish(), reports
 
 
 def _blocks(

@@ -1,32 +1,36 @@
-"""Where a prim of a stage is over time, and its values: props, cameras, goals."""
+"""Where a prim of a stage is over time, and its values: props and cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from animtool._types import BoolArray, FloatArray
 from animtool.clock import time_fraction
-from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
-from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 from animtool.transforms import Attribute, PropRequest, Reference, Track, Transforms
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.faults import Spot
 from animtool.usd.layers import usd_errors
-from animtool.usd.rig_prims import decompose, open_stage, up_axis, upwards
+from animtool.usd.prim_transforms import world_matrices
+from animtool.usd.rig_prims import (
+    decompose,
+    find_prim,
+    nearest_prim,
+    open_stage,
+    up_axis,
+    upwards,
+)
 
-# Whose names are compared with one that there is not.
-MAX_COMPARED = 20_000
 # What float64 rounds along a hierarchy is a smaller share of a transform than this.
 ROUNDED = 1e-11
 # A time this near to a key [time code] is that of the key.
@@ -328,7 +332,7 @@ class _Sampler:
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
         with usd_errors(Path(self.where)):
-            matrices = _world_matrices(self.prim, codes).swapaxes(1, 2)
+            matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
         self._check(matrices)
         matrices[:, :3, 3] *= self.unit
         if self.turn is not None:
@@ -373,87 +377,3 @@ def _split(
     apart = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
     shares = apart / np.where(size > 0, size, 1.0)
     return places, turns, scales, float(shares.max(initial=0.0))
-
-
-def open_prim(
-    path: Path, prim: str, rig: Rig, space: str | None = None
-) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a prim's transforms over time, in the world of a rig.
-
-    Units and up axis of the stage are converted to the rig's; second 0 is time code
-    0. Scales of the prim are left out.
-
-    space: path of a prim in whose frame the rig stands, its numbers being the rig's
-    own; None is the world.
-
-    Returns A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
-    ``(F, 4)``; it raises `FormatError` where a transform is not finite.
-    """
-    with usd_errors(path):
-        stage = open_stage(path)
-        found = _prim(stage, path, prim)
-        above = None if space is None else _prim(stage, path, space, "space")
-    unit = UsdGeom.GetStageMetersPerUnit(stage)
-    turn = up_from_up(rig.up, up_axis(stage))
-    if above is not None:
-        unit, turn = rig.meters_per_unit, None
-
-    def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Named here, the stage lives as long as the function, and its prims with it.
-        codes = seconds * stage.GetTimeCodesPerSecond()
-        with usd_errors(path):
-            matrices = _world_matrices(found, codes, above)
-        if not np.isfinite(matrices).all():
-            message = "its transform is not finite"
-            Spot(str(path), prim).fail("USD171", message)
-        positions, rotations, _ = decompose(matrices)
-        positions = positions * unit
-        if turn is not None:
-            positions = so3.rotate(turn, positions)
-            rotations = so3.multiply(turn, rotations)
-        return positions, so3.align_signs(rotations)
-
-    return transforms
-
-
-def _world_matrices(prim: Any, codes: FloatArray, above: Any = None) -> FloatArray:
-    """Return a prim's transforms, relative to another if given ``(F, 4, 4)``."""
-    cache = UsdGeom.XformCache()
-    matrices = []
-    for code in codes.tolist():
-        cache.SetTime(Usd.TimeCode(code))
-        world = cache.GetLocalToWorldTransform(prim)
-        if above is not None:
-            world = world * cache.GetLocalToWorldTransform(above).GetInverse()
-        matrices.append(world)
-    return np.array(matrices, np.float64).reshape(-1, 4, 4)
-
-
-def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim, or say that there is none, ``where`` it was named."""
-    prim = find_prim(stage, name)
-    if prim:
-        return prim
-    raise FormatError(
-        Fault(
-            "USD034",
-            f"holds no prim {excerpt(name)}",
-            str(path),
-            hint=nearest_prim(stage, name),
-            where=where,
-        )
-    )
-
-
-def find_prim(stage: Any, name: str) -> Any:
-    """Return the prim at an absolute path; None where there is none."""
-    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
-    return (stage.GetPrimAtPath(name) or None) if valid else None
-
-
-def nearest_prim(stage: Any, name: str) -> str | None:
-    """Return a hint that names the prim whose path is most like one."""
-    all_of_them = islice(stage.Traverse(), MAX_COMPARED)
-    names = [str(prim.GetPath()) for prim in all_of_them]
-    near = similar(name, names)
-    return f"did you mean {near}?" if near else None

@@ -198,10 +198,9 @@ def timed_in_turn(
 
 
 def parse_rows(path: Path, width: int) -> Array:
-    """Parse rows as `animtool.formats.bvh.rows` does, blocks kept in one list."""
+    """Parse rows as `animtool.formats.bvh.lines` does, blocks kept in one list."""
     from animtool import _kernels
-    from animtool.formats.bvh.lines import CHUNK_BYTES
-    from animtool.formats.bvh.rows import BLOCK_VALUES
+    from animtool.formats.bvh.lines import BLOCK_VALUES, CHUNK_BYTES
 
     limit, blocks, text, starved = BLOCK_VALUES // width, [], b"", True
     with path.open("rb", buffering=0) as file:
@@ -255,7 +254,7 @@ class _Samples:
 
     def blocks(self) -> Iterator[Any]:
         """Yield blocks as large as those of a BVH file with so many joints."""
-        from animtool.formats.bvh.rows import BLOCK_VALUES
+        from animtool.formats.bvh.lines import BLOCK_VALUES
         from animtool.usd.jobs import WrittenBlock
 
         size = BLOCK_VALUES // (3 * len(self.names) + 3)

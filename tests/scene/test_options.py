@@ -10,14 +10,13 @@ import pytest
 
 from animtool.errors import OptionError
 from animtool.rates import FractionLike
-from animtool.scene.options import (
-    BakeOptions,
-    merged,
+from animtool.scene.option_text import (
     parse_frame,
     parse_frame_range,
     parse_offsets,
     parse_rest,
 )
+from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import check_options
 from animtool.shot import FrameRange, Shot
 from animtool.units import LengthUnit, UpAxis

@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
-from animtool.systems.simulation import SimulationRun
+from animtool.systems.run import SimulationRun
 from support.simulated import Simulator
 
 FLOOR = {"shape": {"plane": {}}}

@@ -69,7 +69,7 @@ def test_what_never_moves_is_a_default(tmp_path: Path) -> None:
 def test_motion_that_starts_late_is_sampled_from_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from animtool.formats.bvh import rows as rows_module
+    from animtool.formats.bvh import lines as lines_module
 
     rows = np.ones((9, 9))
     rows[6:, 8] = 5.0
@@ -77,7 +77,7 @@ def test_motion_that_starts_late_is_sampled_from_the_start(
     path.write_text(small_bvh(rows))
     bake(path, tmp_path / "a.usda")
     assert samples(open_stage(tmp_path / "a.usda")) == list(range(1, 10))
-    monkeypatch.setattr(rows_module, "BLOCK_VALUES", 18)
+    monkeypatch.setattr(lines_module, "BLOCK_VALUES", 18)
     bake(path, tmp_path / "b.usda")
     assert (tmp_path / "a.usda").read_bytes() == (tmp_path / "b.usda").read_bytes()
 

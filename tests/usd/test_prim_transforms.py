@@ -14,7 +14,7 @@ from animtool.errors import FormatError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
-from animtool.usd.transform_reader import open_prim
+from animtool.usd.prim_transforms import open_prim
 
 RIG = Rig("hero", (Joint("hips", -1),))
 

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 
 from animtool.errors import Fault, Severity, counted, excerpt, listed
-from animtool.formats.bvh.lines import HeaderLines
+from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
 from animtool.quantities import CONTROL
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
@@ -16,8 +16,6 @@ _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 # Slower than stop motion on sixes, or faster than any capture system: rather a
 # rate written for a time, or milliseconds for seconds.
 PLAUSIBLE_RATES = (4, 1000)
-
-FLOAT32_MAX = 3.4028234663852886e38
 
 _AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 

@@ -1,18 +1,39 @@
-"""The lines of a BVH header, read from a file that may hold anything."""
+"""The lines of a BVH file: its header's, and rows of finite numbers, block by block.
+
+The file may hold anything.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
-from animtool.errors import Fault, FormatError
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.files import FileState, InputFile, changed_error, open_input, unreadable
 
 CHUNK_BYTES = 1 << 19
 # A header line names one joint or its channels; a longer one is not a BVH's.
 LONGEST_LINE_BYTES = 1 << 16
 # A joint has five or six of them.
 MAX_LINES = 1_000_000
+# A quarter of a megabyte of float64 a block: it stays in the processor's cache from
+# the parser to the writer.
+BLOCK_VALUES = 1 << 15
+# No number is printed with more characters than this, blanks included.
+LONGEST_NUMBER_BYTES = 1024
+# A channel may lose this many samples, or this share of them, before filling them
+# in would be inventing motion.
+MAX_FILLED_SAMPLES = 10
+MAX_FILLED_SHARE = 0.1
+MAX_NAMED = 20
+FLOAT32_MAX = 3.4028234663852886e38
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 
@@ -93,3 +114,223 @@ class HeaderLines:
         """Raise a `FormatError` at the current line, or at the file."""
         lines = (max(1, self.number),) if line else ()
         raise FormatError(Fault(code, message, str(self._path), lines, hint))
+
+
+@dataclass(slots=True)
+class RowSource:
+    """Where the rows come from."""
+
+    path: Path  # the file
+    state: FileState  # what it was when its header was read
+    start: int  # byte at which they start
+    line: int  # lines before the rows
+    channels: list[str]  # what each column is called, ``joint.Xposition``
+    declared: int  # frames that the header promises
+    declared_line: int  # where it does
+    # Called with the share of the file read, if given.
+    progress: Callable[[float], None] | None = None
+
+
+class RowReader:
+    """Blocks of rows ``(F, C)``, every value finite and within float32.
+
+    Attributes:
+        notices: What was repaired or does not fit, complete after the last block.
+    """
+
+    def __init__(self, source: RowSource) -> None:
+        self.source = source
+        self.notices: list[Fault] = []
+        self._path = str(source.path)
+        self._width = len(source.channels)
+        self._count = 0
+        self._extra_line: int | None = None
+        self._last: FloatArray | None = None
+        self._missing: dict[int, list[int]] = {}
+        self._beyond: dict[int, list[int]] = {}
+
+    def blocks(self) -> Iterator[FloatArray]:
+        """Yield the rows of the file."""
+        held: list[FloatArray] = []
+        for rows, lines in self._parsed():
+            self._note_count(lines)
+            block = rows
+            if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
+                self._note_unusable(rows, lines)
+                block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
+            if held or np.isnan(block).any():
+                held.append(block)
+                # A gap that is still open at the end waits for what follows it.
+                if np.isnan(block[-1]).any():
+                    continue
+                block = np.concatenate(held)
+                held.clear()
+                self._fill(block)
+            self._last = block[-1].copy()
+            yield block
+        self._check()
+        if held:
+            block = np.concatenate(held)
+            self._fill(block)
+            yield block
+        self._report()
+
+    def _parsed(self) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Yield rows and their line numbers."""
+        source = self.source
+        with open_input(source.path, None) as file:
+            if file.state != source.state:
+                raise changed_error(source.path)
+            try:
+                file.seek(source.start)
+                yield from self._parse(file)
+            except OSError as error:
+                raise unreadable(source.path, error) from error
+            file.check()
+
+    def _parse(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:
+        size = max(1, file.state.size)
+        limit = max(1, BLOCK_VALUES // self._width)
+        longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
+        text, line, final, starved = b"", self.source.line + 1, False, True
+        while True:
+            if starved:
+                chunk = file.read(CHUNK_BYTES)
+                final = not chunk
+                text += chunk
+                if self.source.progress:
+                    self.source.progress(file.tell() / size)
+            rows, row_lines, consumed, lines, fault, found, token = (
+                _kernels.parse_bvh_rows(text, self._width, limit, final)
+            )
+            if len(rows):
+                yield rows, row_lines + line
+            line += lines
+            text = text[consumed:]
+            if fault:
+                last = final and len(text.splitlines()) <= 1
+                raise FormatError(self._row_fault(fault, line, found, token, last))
+            if final and not text:
+                return
+            if len(text) > longest and not consumed:
+                message = "the line is too long to be a row of numbers"
+                raise FormatError(Fault("BVH013", message, self._path, (line,)))
+            starved = len(rows) < limit
+
+    def _row_fault(
+        self, fault: int, line: int, found: int, token: bytes, last: bool
+    ) -> Fault:
+        path = self._path
+        if fault == 2:
+            word = token.decode("utf-8", "replace")
+            name = (
+                self.source.channels[found] if found < self._width else "a further word"
+            )
+            hint = "write decimals with a point" if "," in word else None
+            message = f"{excerpt(word)} is not a number ({excerpt(name)})"
+            return Fault("BVH011", message, path, (line,), hint)
+        hint = "each frame is one line; are these rows wrapped?"
+        if found > self._width:
+            hint = "does the HIERARCHY name every channel?"
+        elif last:
+            hint = "the last line of the file: is it truncated?"
+        message = (
+            f"the row has {counted(found, 'number')}; the channels need {self._width}"
+        )
+        return Fault("BVH010", message, path, (line,), hint)
+
+    def _note_count(self, lines: IntArray) -> None:
+        before, self._count = self._count, self._count + len(lines)
+        if self._extra_line is None and self._count > self.source.declared:
+            self._extra_line = int(lines[self.source.declared - before])
+
+    def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(rows) > FLOAT32_MAX
+        for found, where in ((self._missing, np.isnan(rows)), (self._beyond, beyond)):
+            self._collect(found, where, lines)
+
+    @staticmethod
+    def _collect(
+        found: dict[int, list[int]], where: BoolArray, lines: IntArray
+    ) -> None:
+        for column in np.flatnonzero(where.any(axis=0)):
+            found.setdefault(int(column), []).extend(lines[where[:, column]].tolist())
+
+    def _fill(self, block: FloatArray) -> None:
+        """Fill NaN by interpolation between finite neighbours, nearest at the ends."""
+        for column in np.flatnonzero(np.isnan(block).any(axis=0)):
+            values = block[:, column]
+            if self._last is not None:
+                values = np.concatenate([self._last[column : column + 1], values])
+            finite = np.flatnonzero(np.isfinite(values))
+            known = values[finite]
+            if self.source.channels[column].endswith("rotation"):
+                # From 179 to -179 degrees is a step of 2, not of 358.
+                known = np.unwrap(known, period=360.0)
+            filled = np.interp(np.arange(len(values)), finite, known)
+            filled[finite] = values[finite]
+            block[:, column] = filled[-len(block) :]
+
+    def _check(self) -> None:
+        """Refuse a file without rows, or a channel that lost too much."""
+        path = self._path
+        if not self._count:
+            line = self.source.line
+            message = "the MOTION block has no rows of numbers"
+            raise FormatError(Fault("BVH014", message, path, (line,)))
+        faults = []
+        for column, lines in sorted(self._missing.items()):
+            lost = len(lines)
+            too_many = (
+                lost > MAX_FILLED_SAMPLES and lost > MAX_FILLED_SHARE * self._count
+            )
+            if too_many or lost == self._count:
+                name = self.source.channels[column]
+                message = f"{name}: {lost} of {self._count} values are not finite"
+                hint = "too many to fill in"
+                faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
+        if faults:
+            raise FormatError(faults[:MAX_NAMED])
+
+    def _report(self) -> None:
+        declared, found, path = self.source.declared, self._count, self._path
+        if declared != found:
+            line = self._extra_line or self.source.declared_line
+            message = f"Frames says {declared}, and there are {found} rows"
+            hint = "all rows are read"
+            if declared > found:
+                hint += "; is the file cut off?"
+            self.notices.append(
+                Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
+            )
+        self._name_all(
+            "BVH102", self._missing, "not finite", "interpolated between neighbours"
+        )
+        self._name_all(
+            "BVH104", self._beyond, "beyond float32", "the largest float32 is written"
+        )
+
+    def _name_all(
+        self, code: str, found: dict[int, list[int]], what: str, hint: str
+    ) -> None:
+        for column, lines in sorted(found.items())[:MAX_NAMED]:
+            places = listed(lines, 10)
+            name = self.source.channels[column]
+            values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
+            message = f"{name}: {values} {what}, on line {places}"
+            self.notices.append(
+                Fault(
+                    code,
+                    message,
+                    self._path,
+                    tuple(lines[:10]),
+                    hint,
+                    Severity.WARNING,
+                )
+            )
+        if len(found) > MAX_NAMED:
+            message = f"{len(found) - MAX_NAMED} more channels have values {what}"
+            self.notices.append(
+                Fault(code, message, self._path, (), hint, Severity.WARNING)
+            )

@@ -14,8 +14,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
 from animtool.files import open_input, unreadable
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
-from animtool.formats.bvh.lines import HeaderLines
-from animtool.formats.bvh.rows import RowReader, RowSource
+from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
 from animtool.rates import FractionLike, rate_option

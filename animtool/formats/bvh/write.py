@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.formats.take_text import TakeText, number_rows, write_text
 from animtool.maths.euler import axes_of
 from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
@@ -29,15 +29,6 @@ UNUSED_LENGTH_TOLERANCE = 1e-6
 
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 _DEFAULT_ROTATIONS = ("Zrotation", "Xrotation", "Yrotation")
-ROWS_AT_ONCE = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class BvhText:
-    """The parts of a BVH file."""
-
-    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
-    notices: list[Fault]  # what the format cannot hold
 
 
 def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
@@ -55,16 +46,10 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
         OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_parts
-
-    path = Path(path)
-    check_outputs([path], [], overwrite=overwrite)
-    text = bvh_text(take)
-    write_parts(path, text.parts)
-    return text.notices
+    return write_text(take, path, bvh_text, overwrite=overwrite)
 
 
-def bvh_text(take: Take) -> BvhText:
+def bvh_text(take: Take) -> TakeText:
     """Return a take as BVH, in the unit of its rig, which has joints (else RIG044).
 
     Joints keep the channels and names that they were read with where these can hold the
@@ -105,15 +90,11 @@ def bvh_text(take: Take) -> BvhText:
                 columns.append(angles[:, turns.index(name)])
                 places.append(ANGLE_PLACES)
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
-
-    def parts() -> Iterator[bytes]:
-        head = "\n".join(_header(take, offsets, children, layouts))
-        yield head.encode()
-        for start in range(0, len(rows), ROWS_AT_ONCE):
-            block = np.ascontiguousarray(rows[start : start + ROWS_AT_ONCE])
-            yield _kernels.format_bvh_rows(block, np.array(places, np.int64))
-
-    return BvhText(parts(), _scale_notices(take) + _unit_notices(take.rig))
+    return TakeText(
+        _header(take, offsets, children, layouts),
+        number_rows(rows, places),
+        _scale_notices(take) + _unit_notices(take.rig),
+    )
 
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
@@ -201,7 +182,6 @@ def _header(
     yield "MOTION"
     yield f"Frames: {take.clock.count}"
     yield f"Frame Time: {frame_time(take.clock.rate)}"
-    yield ""
 
 
 def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from animtool._types import FloatArray
 from animtool.clock import count_rate
 from animtool.errors import Fault, OptionError, Severity, naming
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
+from animtool.formats.take_text import TakeText, write_text
 from animtool.maths.euler import from_quaternion
 from animtool.maths.so3 import align_signs
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
@@ -22,14 +22,6 @@ from animtool.take import Take
 # As the app prints them.
 PLACES = 10
 _JOINTS = dict(zip(PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class LiveLinkText:
-    """The parts of a recording."""
-
-    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
-    notices: list[Fault]  # what the format cannot hold
 
 
 def write_livelink(
@@ -50,16 +42,10 @@ def write_livelink(
             its rate (LLF009), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_parts
-
-    path = Path(path)
-    check_outputs([path], [], overwrite=overwrite)
-    text = livelink_text(take)
-    write_parts(path, text.parts)
-    return text.notices
+    return write_text(take, path, livelink_text, overwrite=overwrite)
 
 
-def livelink_text(take: Take) -> LiveLinkText:
+def livelink_text(take: Take) -> TakeText:
     """Return a take as a recording: ARKit's 52 weights, rotations of head and eyes.
 
     The first frame is 00:00:00:00 of a clock of the take's rate, drop-frame at 29.97
@@ -96,7 +82,8 @@ def livelink_text(take: Take) -> LiveLinkText:
         if lost:
             message = f"{len(lost)} shapes have no column of a CSV: "
             notices.append(naming("LLF111", message, lost, severity=Severity.WARNING))
-    return LiveLinkText(_parts(weights, _angles(take), rate), notices)
+    head = ",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES))
+    return TakeText([head], _rows(weights, _angles(take), rate), notices)
 
 
 def _angles(take: Take) -> FloatArray:
@@ -113,8 +100,7 @@ def _angles(take: Take) -> FloatArray:
     return made
 
 
-def _parts(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
-    yield (",".join((TIMECODE, COUNT, *APP_SHAPES, *ANGLES)) + "\n").encode()
+def _rows(weights: FloatArray, angles: FloatArray, rate: Fraction) -> Iterator[bytes]:
     count = len(APP_SHAPES) + len(ANGLES)
     row = f"%s,{count}," + ",".join([f"%.{PLACES}f"] * count) + "\n"
     # No minus in front of a zero.

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed, naming
 from animtool.formats.mot.coordinates import (
@@ -18,6 +15,7 @@ from animtool.formats.mot.coordinates import (
     rows_of_coordinates,
     rows_to_coordinates,
 )
+from animtool.formats.take_text import TakeText, number_rows, write_text
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,
@@ -29,17 +27,8 @@ from animtool.take import Take
 
 # A nanometre, and 2e-11 radians.
 DECIMALS = 9
-ROWS_AT_ONCE = 4096
 # What joints may lose [m, rad]: a micrometre, or one on a bone of a metre.
 LOST = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class MotText:
-    """The parts of a motion file."""
-
-    parts: Iterator[bytes]  # bytes to write one after another; made as they are taken
-    notices: list[Fault]  # what the format cannot hold
 
 
 def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
@@ -58,16 +47,10 @@ def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
             (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, write_parts
-
-    path = Path(path)
-    check_outputs([path], [], overwrite=overwrite)
-    text = mot_text(take)
-    write_parts(path, text.parts)
-    return text.notices
+    return write_text(take, path, mot_text, overwrite=overwrite)
 
 
-def mot_text(take: Take) -> MotText:
+def mot_text(take: Take) -> TakeText:
     """Return a take as joint coordinates over time, in degrees and metres.
 
     A pin or prismatic joint has a column of its name. A ball has ``hip_x``, ``hip_y``
@@ -100,7 +83,11 @@ def mot_text(take: Take) -> MotText:
     rate = float(take.clock.rate)
     begin = float((take.clock.start - 1) / take.clock.fps)
     times = begin + np.arange(take.clock.count) / rate
-    return MotText(_parts(rig, columns, times, values), notices)
+    rows = np.column_stack([times, values])
+    places = [DECIMALS] * rows.shape[1]
+    return TakeText(
+        _head(rig, columns, len(rows)), number_rows(rows, places, tabs=True), notices
+    )
 
 
 def _translations(columns: list[Coordinate], joint: int) -> list[int]:
@@ -111,27 +98,19 @@ def _translations(columns: list[Coordinate], joint: int) -> list[int]:
     ]
 
 
-def _parts(
-    rig: Rig, columns: list[Coordinate], times: FloatArray, values: FloatArray
-) -> Iterator[bytes]:
+def _head(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
     names = [
         "_".join(name.replace(",", " ").split()) for name in column_names(rig, columns)
     ]
-    head = [
+    return [
         "Coordinates",
         "version=1",
-        f"nRows={len(times)}",
+        f"nRows={frames}",
         f"nColumns={len(names) + 1}",
         "inDegrees=yes",
         "endheader",
         "\t".join(["time", *names]),
     ]
-    yield ("\n".join(head) + "\n").encode()
-    places = np.full(len(names) + 1, DECIMALS, np.int64)
-    for begin in range(0, len(times), ROWS_AT_ONCE):
-        part = slice(begin, begin + ROWS_AT_ONCE)
-        rows = np.ascontiguousarray(np.column_stack([times[part], values[part]]))
-        yield _kernels.format_bvh_rows(rows, places).replace(b" ", b"\t")
 
 
 def _lost(

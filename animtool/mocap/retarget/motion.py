@@ -14,19 +14,9 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.mocap.retarget.feet import place_feet
-from animtool.mocap.retarget.hands import (
-    ArmTracks,
-    Floor,
-    arm_of,
-    place_hands,
-)
-from animtool.mocap.retarget.legs import (
-    LegTracks,
-    leg_of,
-    put_ankle,
-    up_index,
-)
+from animtool.mocap.retarget.feet import Foot, Placed, place_feet
+from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
+from animtool.mocap.retarget.legs import LegTracks, leg_of, put_ankle, up_index
 from animtool.mocap.retarget.legs_in_limits import within_limits
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.poses import (
@@ -103,21 +93,52 @@ class Retargeting:
             props: Tracks of the take that they may hold.
         """
         self.transfer, self._moves = transfer, False
-        legs = [
+        self._spool = Spool()
+        self._stopped: list[dict[int, BoolArray]] = []
+        legs = "".join(
             side
             for side in "lr"
             if transfer.target.leg(side) and transfer.source.leg(side)
-        ]
-        arms = [
+        )
+        arms = "".join(
             side
             for side in "lr"
             if hands and arm_of(transfer.target, side) and arm_of(transfer.source, side)
+        )
+        tracks, reaches = self._tracks(motions, legs, arms)
+        feet = [
+            one.foot(transfer, side, fps)
+            for one, side in zip(tracks, legs, strict=True)
         ]
-        self._spool = Spool()
-        reaches: list[list[ArmTracks]] = []
+        placed = None
+        if legs and lock and (same or not transfer.alike):
+            placed = self._place_feet(legs, tracks, feet, fps)
+        floor = _floor(transfer, feet, placed=placed is not None)
+        held = place_hands(
+            transfer,
+            arms,
+            reaches,
+            self._hips,
+            floor,
+            fps,
+            props.ways(transfer) if props is not None and arms else (),
+        )
+        # How far props that hands hold are lifted (3,) [m].
+        self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
+        contacts = tuple(foot.contacts for foot in feet)
+        self.standing = Standing(legs, contacts, placed, held)
+        self._meter = FitMeter(transfer, found, self.standing)
+        self._held: dict[int, int] = {}
+        self._frames = 0
+
+    def _tracks(
+        self, motions: Iterable[Motion], legs: str, arms: str
+    ) -> tuple[list[LegTracks], list[ArmTracks]]:
+        """Go through a take; return what is needed of the legs and arms of sides."""
+        transfer = self.transfer
         tracks: list[list[LegTracks]] = []
+        reaches: list[list[ArmTracks]] = []
         hips = []
-        self._stopped: list[dict[int, BoolArray]] = []
         for motion in in_blocks(motions, BLOCK):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
@@ -132,41 +153,29 @@ class Retargeting:
             )
             self._stopped.append(turns.held)
         self._hips = np.concatenate(hips)
-        whole = [joined([each[k] for each in tracks]) for k in range(len(legs))]
-        feet = [
-            one.foot(transfer, side, fps) for one, side in zip(whole, legs, strict=True)
-        ]
-        placed = None
-        if legs and lock and (same or not transfer.alike):
-            up = up_index(transfer.target.rig)
-            # The ground of the source, scaled, is that of the target.
-            off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]
-            self._hips[:, up] += float(np.mean(off))
-            placed = place_feet(self._hips, feet, fps, up)
-            self._hips, self._swivels = within_limits(
-                transfer.target, "".join(legs), whole, placed, fps
-            )
-        contacts = tuple(foot.contacts for foot in feet)
-        floor = None
-        if feet:
-            ground = float(np.mean([foot.contacts.ground for foot in feet]))
-            high = float(np.mean([foot.height for foot in feet]))
-            floor = Floor(ground, transfer.scale * ground if placed is None else high)
-        held = place_hands(
-            transfer,
-            "".join(arms),
+        return (
+            [joined([each[k] for each in tracks]) for k in range(len(legs))],
             [joined([each[k] for each in reaches]) for k in range(len(arms))],
-            self._hips,
-            floor,
-            fps,
-            props.ways(transfer) if props is not None and arms else (),
         )
-        # How far props that hands hold are lifted (3,) [m].
-        self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))
-        self.standing = Standing("".join(legs), contacts, placed, held)
-        self._meter = FitMeter(transfer, found, self.standing)
-        self._held: dict[int, int] = {}
-        self._frames = 0
+
+    def _place_feet(
+        self,
+        legs: str,
+        tracks: Sequence[LegTracks],
+        feet: Sequence[Foot],
+        fps: float,
+    ) -> Placed:
+        """Return feet that stay where they stand; hips and legs reach them."""
+        transfer = self.transfer
+        up = up_index(transfer.target.rig)
+        # The ground of the source, scaled, is that of the target.
+        off = [foot.height - transfer.scale * foot.contacts.ground for foot in feet]
+        self._hips[:, up] += float(np.mean(off))
+        placed = place_feet(self._hips, feet, fps, up)
+        self._hips, self._swivels = within_limits(
+            transfer.target, legs, tracks, placed, fps
+        )
+        return placed
 
     def _posed(self, motion: Motion) -> _Posed:
         """Return frames of the target whose joints follow those of the source."""
@@ -305,6 +314,15 @@ class Retargeting:
         if not changed:
             return turns
         return local_turns(self.transfer, world, turns, changed)
+
+
+def _floor(transfer: Transfer, feet: Sequence[Foot], *, placed: bool) -> Floor | None:
+    """Return how high ankles stand where feet are placed, or not; None without feet."""
+    if not feet:
+        return None
+    ground = float(np.mean([foot.contacts.ground for foot in feet]))
+    high = float(np.mean([foot.height for foot in feet]))
+    return Floor(ground, high if placed else transfer.scale * ground)
 
 
 Tracks = TypeVar("Tracks", LegTracks, ArmTracks)

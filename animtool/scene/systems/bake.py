@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.clock import MAX_FRAMES
 from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
-from animtool.output import once_named, size_of
+from animtool.output import size_of
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import BakePlan, Draft, TakeReport
 from animtool.scene.scene import Scene
@@ -79,14 +79,12 @@ class SystemPrims:
         folder = self.scene.path.resolve().parent
         if plan.options.chunk is not None:
             assert plan.output is not None
-            names, size = system_files(plan.output), plan.options.chunk
-            files, written = chunk_simulated(job, rows, draft.layer, names, size)
+            clips, size = system_files(plan.output), plan.options.chunk
+            files, written = chunk_simulated(job, rows, draft.layer, clips, size)
             self._end(draft, run, draft.layer)
             run.note(written)
             refuse_warnings(run.notices, strict=plan.options.strict)
             run.save_states(folder)
-            # A layer always has its own.
-            once_named(lambda: names.remove_others(files))
         else:
 
             def save(layer: Any, path: Path | None) -> int:

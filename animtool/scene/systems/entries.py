@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import TypeAdapter, ValidationError
 
 from animtool.documents.arrays import load_array
-from animtool.documents.check import FileModel, wrong_values
+from animtool.documents.check import (
+    FileModel,
+    Located,
+    record_of_options,
+    unknown_options,
+)
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.documents.references import (
@@ -75,6 +79,11 @@ class EntryReader:
         """Note a fault at a place."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
+
+    def note_all(self, at: Location, faults: Located) -> None:
+        """Note faults, each at its place below another."""
+        for place, fault in faults:
+            self.note((*at, *place), fault)
 
     def note_ranges(self, at: Location, model: FileModel) -> None:
         """Note the numbers of an entry that are out of their ranges."""
@@ -283,30 +292,14 @@ class EntryReader:
         self, at: Location, kind: type[Kind], given: dict[str, Any], name: str
     ) -> Kind | None:
         """Return a record of options, all of which are checked."""
-        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-        unknown = self._unknown(at, given, names, name)
-        known = {key: value for key, value in given.items() if key in names}
-        try:
-            made = TypeAdapter(kind).validate_python(known)
-        except ValidationError as error:
-            for place, message in wrong_values(known, error):
-                self.note((*at, *place), Fault("SCN002", message))
-            return None
-        return None if unknown else made
-
-    def _unknown(
-        self, at: Location, given: dict[str, Any], names: Sequence[str], name: str
-    ) -> list[str]:
-        """Return the options that there are none of, each noted."""
-        unknown = [key for key in given if key not in names]
-        for key in unknown:
-            message = f"unknown option {key!r} of {name}"
-            self.note((*at, key), Fault("SCN001", message, hint=nearest(key, names)))
-        return unknown
+        made, faults = record_of_options(kind, given, name)
+        self.note_all(at, faults)
+        return None if faults else made
 
     def _mesh(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh whose arrays a file has."""
-        unknown = self._unknown(at, given, ["points", "triangles"], "mesh")
+        unknown = unknown_options(given, ["points", "triangles"], "mesh")
+        self.note_all(at, unknown)
         points, triangles = (
             self._named_array(at, given, key, f"a mesh has {key}, such as stairs.npz")
             for key in ("points", "triangles")

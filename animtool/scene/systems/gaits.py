@@ -15,7 +15,8 @@ from animtool.reorient import reorient, turned_rig
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
-from animtool.systems.crowds.gaits import Gaits, gaits_of
+from animtool.systems.crowds.cycles import gaits_of
+from animtool.systems.crowds.gaits import Gaits
 from animtool.take import Take
 from animtool.units import UpAxis, up_from_up
 

@@ -24,8 +24,9 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
+from animtool.systems.run import ON_STEP, EntryRun, Reached
 from animtool.systems.saved import Clocked, write_states
-from animtool.systems.simulation import ON_STEP, EntryRun, Reached, SeenAhead
+from animtool.systems.simulation import SeenAhead
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name

@@ -16,15 +16,9 @@ from animtool.scene.systems.links import in_order, member_of
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
+from animtool.systems.run import EntryRun, SimulationRun
 from animtool.systems.saved import Clocked, open_states
-from animtool.systems.simulation import (
-    EntryRun,
-    Joined,
-    Resumed,
-    SimContext,
-    Simulation,
-    SimulationRun,
-)
+from animtool.systems.simulation import Joined, Resumed, SimContext, Simulation
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from animtool.scene.systems.character_motion import (
 )
 from animtool.sim.colliders import Collider, Colliders, Sheet
 from animtool.systems.fields import CharacterModel, MovingMeshModel, SystemSurfaceModel
-from animtool.systems.simulation import EntryRun
+from animtool.systems.run import EntryRun
 from animtool.systems.surfaces import Bodies
 from animtool.units import UpAxis
 

@@ -36,7 +36,8 @@ from animtool.sim.trials.trial import (
     stepwise,
 )
 from animtool.systems.fields import SystemSpec
-from animtool.systems.simulation import SimulationRun, StoppedError, Tried, Ways
+from animtool.systems.run import SimulationRun
+from animtool.systems.simulation import StoppedError, Tried, Ways
 
 # What the exact method has over the step of the file, where that is not enough.
 MUCH_FINER = 1 / 8

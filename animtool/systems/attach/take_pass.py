@@ -24,8 +24,8 @@ from animtool.systems.attach.simulation import (
     saved_state,
 )
 from animtool.systems.attach.stepping import State
+from animtool.systems.run import Reached
 from animtool.systems.saved import open_states, write_states
-from animtool.systems.simulation import Reached
 from animtool.systems.springs.motion import through_notices
 from animtool.take import TakeStream
 

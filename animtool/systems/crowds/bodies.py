@@ -1,4 +1,4 @@
-"""Bodies of agents: gaits by speed and turning, feet that stay where they stand.
+"""Bodies of agents in steps: what gaits they are in, feet that stay where they stand.
 
 All is in the frame of the ground; a body has x to its left and z ahead.
 """
@@ -12,21 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.maths import so3
-from animtool.mocap.retarget.legs import put_ankle
-from animtool.rig.kinematics import forward
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.gaits import (
-    PHASES,
-    SIDES,
-    UP,
-    Gait,
     Gaits,
-    about_side,
     eased,
-    standing_ankle,
 )
-from animtool.systems.crowds.ground import about_up, turned, wrapped
+from animtool.systems.crowds.ground import turned, wrapped
 
 # Slower than this part of the slowest gait agents stand, but for a foot off its place.
 STANDS = 0.1
@@ -37,8 +28,6 @@ OFF, OFF_TURN = 0.15, 0.45
 CADENCE = 0.42
 # Least and most cadence over that of the blend.
 SLOWEST, FASTEST = 0.7, 1.6
-# How long bodies take to begin and to end a reaction [s].
-RAMP = 0.2
 # How long what they play takes to follow how fast they go [s].
 PACING = 0.2
 # How long agents take to go from walking to standing [s].
@@ -48,10 +37,8 @@ APART = 0.6
 # Feet pass each other with a gap of so much of a leg, where they are nearer than so
 # much along z.
 PASSING, LONG = 0.09, 0.35
-# Feet follow ground that is steeper no farther [rad].
-TILT = 0.45
-# A leg that is straighter than this part of its length is not reached for.
-STRAIGHT = 0.998
+# A foot that lands within this last part of its cycle does not lift any more.
+LAST = 0.95
 # How far a landing is looked ahead [rad] where a body turns.
 MOST_TURN = 1.0
 
@@ -74,16 +61,6 @@ class BodyState:
     clocks: FloatArray  # of what they do as they stand (N,) [s]
     paces: FloatArray  # how fast they go [m/s] and turn [rad/s], smoothed (N, 2)
     reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
-
-
-@dataclass(frozen=True, slots=True)
-class Poses:
-    """N bodies, each in the frame of its own."""
-
-    turns: FloatArray  # local rotations of joints (N, J, 4)
-    roots: FloatArray  # of the first joint (N, 3) [m]
-    lowered: FloatArray  # hips, so that legs reach (N,) [m]
-    missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
 
 
 @dataclass(frozen=True)
@@ -120,7 +97,7 @@ class Bodies:
         return np.union1d(np.flatnonzero(np.any(moved, axis=0)), legs)
 
     @cached_property
-    def _tables(self) -> tuple[list[FloatArray], FloatArray]:
+    def tables(self) -> tuple[list[FloatArray], FloatArray]:
         """Return the turns of `moves` of who walks, by gait, and of who stands."""
         gaits = self.gaits
         return [one.turns[:, self.moves] for one in gaits.moving], gaits.idle.turns[
@@ -368,165 +345,6 @@ class Bodies:
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
 
-    def poses(self, state: BodyState, going: Going) -> Poses:
-        """Return the poses of bodies."""
-        walker = self.gaits.walker
-        blend = self.blend(state.paces)
-        played, roots = self._played(state, blend)
-        turns = np.repeat(walker.rig.rest_rotations[None], len(played), axis=0)
-        turns[:, self.moves] = played
-        feet, normals = self.feet(state, going, blend)
-        goals, soles = self._ankles(state, blend, feet, normals)
-        rig = walker.rig
-        # Hips are over the middle of both feet's ground.
-        roots[:, 1] += feet[:, :, 1].mean(axis=1)
-        translations = np.repeat(rig.rest_translations[None], len(turns), axis=0)
-        translations[:, 0] = roots
-        world = forward(rig, translations, turns)
-        joints = world.positions
-        spins = {
-            joint: so3.from_matrix(world.linear[:, joint])
-            for thigh, shin, _, _ in walker.legs
-            for joint in (thigh, shin, int(rig.parents[thigh]))
-            if joint >= 0
-        }
-        lowered = np.zeros(len(turns))
-        for k, (thigh, shin, foot, _) in enumerate(walker.legs):
-            bones = joints[:, [thigh, shin, foot]]
-            length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
-            way = joints[:, thigh] - goals[:, k]
-            across = (way[:, [0, 2]] ** 2).sum(axis=1)
-            high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
-            lowered = np.maximum(lowered, way[:, 1] - high)
-        roots[:, 1] -= lowered
-        joints = joints - lowered[:, None, None] * UP
-        missed = np.zeros((len(turns), 2))
-        for k, (thigh, shin, foot, _) in enumerate(walker.legs):
-            above = int(rig.parents[thigh])
-            upper, lower = put_ankle(
-                walker.person,
-                SIDES[k],
-                joints[:, [thigh, shin, foot]],
-                goals[:, k],
-                (spins[thigh], spins[shin]),
-            )
-            sole = so3.multiply(
-                soles[:, k], np.broadcast_to(walker.level[k], upper.shape)
-            )
-            over = (
-                spins[above]
-                if above >= 0
-                else np.broadcast_to(so3.IDENTITY, upper.shape)
-            )
-            for joint, parent, own in (
-                (thigh, over, upper),
-                (shin, upper, lower),
-                (foot, lower, sole),
-            ):
-                turns[:, joint] = so3.multiply(so3.conjugate(parent), own)
-            knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
-            ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
-            missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
-        return Poses(turns, roots, lowered, missed)
-
-    def _ankles(
-        self, state: BodyState, blend: Blend, feet: FloatArray, normals: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
-        gaits, moving = self.gaits, self.gaits.moving
-        goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
-        for k in range(2):
-            begin = (state.phases - 0.5 * k) % 1.0
-            stood = np.clip(begin / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
-            tables = [one.pitches[k] for one in moving]
-            pitch = sum(
-                weight * np.interp(stood, np.arange(PHASES), table)
-                for weight, table in zip(blend.weights.T, tables, strict=True)
-            )
-            pitched = about_side(np.asarray(pitch) * (1 - state.still))
-            lifts = standing_ankle(gaits.walker, k, pitched)
-            up = state.swings[:, k] >= 0
-            if up.any():
-                at = np.clip(state.swings[up, k], 0.0, 1.0) * (PHASES - 1)
-                weights = blend.weights[up]
-                swung = _mixed([_rows(one.swings[k], at) for one in moving], weights)
-                raised = sum(
-                    weight[:, None] * _rows(one.lifts[k], at)
-                    for weight, one in zip(weights.T, moving, strict=True)
-                )
-                lifts[up] = np.asarray(raised)
-                # Before and behind its place it goes as far as its step is long.
-                ends = [
-                    sum(
-                        weight * one.lifts[k, end, 2]
-                        for weight, one in zip(weights.T, moving, strict=True)
-                    )
-                    for end in (0, -1)
-                ]
-                share = at / (PHASES - 1)
-                even = ends[0] + share * (ends[1] - ends[0])
-                long = np.minimum(blend.stride[up], 1.0)
-                lifts[up, 2] = even + long * (lifts[up, 2] - even)
-                # Who just stood lifts a flat foot.
-                still = state.still[up, None]
-                flat = np.broadcast_to(so3.IDENTITY, swung.shape)
-                pitched[up] = _mixed([swung, flat], np.hstack([1 - still, still]))
-                low = standing_ankle(gaits.walker, k, flat)
-                high = (
-                    np.maximum(lifts[up, 1:2] - low[:, 1:2], 0.0)
-                    * eased(np.minimum(4 * state.swings[up, k], 1.0))[:, None]
-                )
-                lifts[up] += still * (low + high * UP - lifts[up])
-            tilt = _tilts(normals[:, k])
-            yaw = about_up(feet[:, k, 3])
-            goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, lifts))
-            soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, pitched))
-        return goals, soles
-
-    def _played(self, state: BodyState, blend: Blend) -> tuple[FloatArray, FloatArray]:
-        """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
-        at = state.phases * PHASES
-        moving, idle = self.gaits.moving, self.gaits.idle
-        tables, standing = self._tables
-        walked = _mixed([_rows(one, at, again=True) for one in tables], blend.weights)
-        hips = np.asarray(
-            sum(
-                weight[:, None] * _rows(one.hips, at, again=True)
-                for weight, one in zip(blend.weights.T, moving, strict=True)
-            )
-        )
-        rows = idle_rows(idle, state.clocks)
-        still = state.still[:, None]
-        stood = _rows(standing, rows)
-        turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
-        hips = hips + still * (_rows(idle.hips, rows) - hips)
-        if self.gaits.reactions and (state.reacts >= 0).any():
-            reaction = self.gaits.reactions[0]
-            since = np.maximum(state.reacts, 0.0)
-            share = np.minimum(since, reaction.period - since) / RAMP
-            weight = eased(np.clip(share, 0.0, 1.0)) * (state.reacts >= 0)
-            rows = since / reaction.period * (len(reaction.turns) - 1)
-            played = _rows(reaction.turns[:, self.moves], rows)
-            both = np.stack([1 - weight, weight], axis=1)
-            turns = _mixed([turns, played], both)
-            # How high the hips are then; where, is where the agent is.
-            high = _rows(reaction.hips, rows)[:, 1] - hips[:, 1]
-            hips[:, 1] += weight * high
-        return turns, hips
-
-
-# A foot that lands within this last part of its cycle does not lift any more.
-LAST = 0.95
-
-
-def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
-    """Return where in what agents do as they stand they are: there and back again."""
-    last = len(idle.turns) - 1
-    if not last:
-        return np.zeros(len(clocks))
-    share = (clocks / idle.period) % 2.0
-    return np.asarray(np.minimum(share, 2 - share) * last)
-
 
 def _ahead(going: Going) -> FloatArray:
     """Return how fast agents go where they look ``(N,)`` [m/s]."""
@@ -551,35 +369,3 @@ def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
     nearest = np.argmin(((points[:, None] - known) ** 2).sum(axis=2), axis=1)
     bands = np.where(total > 1e-9, bands, np.eye(len(known))[nearest])
     return np.asarray(bands / bands.sum(axis=1, keepdims=True))
-
-
-def _rows(table: FloatArray, at: FloatArray, *, again: bool = False) -> FloatArray:
-    """Return rows of a table ``(P, …)``; `again`: its first is behind its last."""
-    count = len(table)
-    low = np.clip(at.astype(np.int64), 0, count - 1)
-    high = (low + 1) % count if again else np.minimum(low + 1, count - 1)
-    share = (at - low).reshape(-1, *[1] * (table.ndim - 1))
-    first, last = table[low], table[high]
-    if table.shape[-1] == 4:
-        flipped = (first * last).sum(axis=-1, keepdims=True) < 0
-        last = np.where(flipped, -last, last)
-    return np.asarray(first + share * (last - first))
-
-
-def _mixed(turns: list[FloatArray], weights: FloatArray) -> FloatArray:
-    """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
-    first = turns[0]
-    wide = (-1, *[1] * (first.ndim - 1))
-    made = first * weights[:, 0].reshape(wide)
-    for k, one in enumerate(turns[1:], start=1):
-        flipped = (first * one).sum(axis=-1, keepdims=True) < 0
-        made = made + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
-
-
-def _tilts(normals: FloatArray) -> FloatArray:
-    """Return turns from upright to normals ``(N, 3)``, no farther than `TILT`."""
-    axis = np.cross(UP, normals)
-    size = np.linalg.norm(axis, axis=1)
-    angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)
-    return so3.exp(axis * (angle / np.where(size > 1e-12, size, 1.0))[:, None])

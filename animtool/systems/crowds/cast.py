@@ -18,6 +18,7 @@ from animtool.systems.crowds.agents import Agents, Going
 from animtool.systems.crowds.bodies import Bodies, BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import Frame, about_up
+from animtool.systems.crowds.poses import poses_of
 
 # Samples a second of what those do who stand: it is slow.
 STANDING_RATE = 24.0
@@ -109,7 +110,7 @@ class Casting:
         bodies = replace(
             group.bodies, scales=group.bodies.scales[np.searchsorted(group.own, row)]
         )
-        made = bodies.poses(part(state, row), part(going, row))
+        made = poses_of(bodies, part(state, row), part(going, row))
         places = np.repeat(rig.rest_translations[None], 1, axis=0)
         places[:, 0] = made.roots
         world = forward(rig, places, made.turns)
@@ -150,7 +151,8 @@ class Casting:
         turns, roots = [], []
         points = np.column_stack([going.points[:, 0], heights, going.points[:, 1]])
         for group in self.groups:
-            made = group.bodies.poses(part(state, group.own), part(going, group.own))
+            some = part(state, group.own), part(going, group.own)
+            made = poses_of(group.bodies, *some)
             for i, (places, own) in fallen.items():
                 for row in np.flatnonzero(group.own == i).tolist():
                     turn = so3.multiply(frame.rotation, about_up(going.headings[i]))
@@ -199,7 +201,7 @@ def _cast(bodies: Bodies, *, falls: bool) -> Cast:
     here = Going(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level = replace(bodies, scales=np.ones(count), ground=_level)
     first = level.first(here, np.zeros(count))
-    made = level.poses(replace(first, clocks=clocks), here)
+    made = poses_of(level, replace(first, clocks=clocks), here)
     moves = bodies.moves
     if falls:
         moves = np.union1d(moves, Capsules.of(gaits.walker.rig).joints)

@@ -84,14 +84,31 @@ class Crowd:
             raise refused(
                 message, "give it colliders in place of the surface", "systems"
             )
-        frame = self._frame
         self._agents, self._notices = agents_of(
-            spec, context.parts["populations"], context.begin, frame
+            spec, context.parts["populations"], context.begin, self._frame
         )
+        self._steering, self._obstacles = self._ways(context)
+        self._settling = self._agents.each(
+            [one.acceleration for one in spec.populations]
+        )
+        self._start = self._outside()
+        self._notices += self._unreachable()
+        shows = [parts.get("shows") for parts in context.parts["populations"]]
+        cycles = {show: show() for show in shows if show is not None}
+        self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
+        order = list(cycles)
+        self._casting: Casting | None = None
+        self._falling: Falling | None = None
+        self._cast(context)
+        self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
+
+    def _ways(self, context: SimContext) -> tuple[Steering, Obstacles]:
+        """Return what leads agents to their goals, and what is in their way."""
+        spec, agents, frame = self._spec, self._agents, self._frame
         goals = self._on_ground([goal.at for goal in spec.goals])
         grid, edge = grids(
             spec,
-            self._agents,
+            agents,
             frame,
             self._ground,
             context.colliders,
@@ -104,46 +121,37 @@ class Crowd:
             else _line(frame, goal.queue.direction) * goal.queue.spacing
             for goal in spec.goals
         ]
-        self._steering = Steering(
-            self._agents, spec.goals, goals, np.array(lines).reshape(-1, 2), grid
+        steering = Steering(
+            agents, spec.goals, goals, np.array(lines).reshape(-1, 2), grid
         )
-        self._obstacles = Obstacles(
-            self._agents,
+        ends = [[d.begin for d in spec.doors], [d.end for d in spec.doors]]
+        obstacles = Obstacles(
+            agents,
             frame,
             self._ground,
             context.colliders,
             spec.doors,
             edge,
             spec.avoidance.obstacles,
-            np.stack(
-                [self._on_ground([d.begin for d in spec.doors]),
-                 self._on_ground([d.end for d in spec.doors])], axis=1,
-            ),
-        )  # fmt: skip
-        self._settling = self._agents.each(
-            [one.acceleration for one in spec.populations]
+            np.stack([self._on_ground(one) for one in ends], axis=1),
         )
-        self._start = self._outside()
-        self._notices += self._unreachable()
-        shows = [parts.get("shows") for parts in context.parts["populations"]]
-        cycles = {show: show() for show in shows if show is not None}
-        self._meshes: tuple[MeshFrame, ...] = tuple(c[0] for c in cycles.values())
-        order = list(cycles)
+        return steering, obstacles
+
+    def _cast(self, context: SimContext) -> None:
+        """Give agents bodies, if populations have gaits for them."""
         sources = [parts.get("gaits") for parts in context.parts["populations"]]
         gaits = [source for source in sources if source is not None]
-        self._casting: Casting | None = None
-        self._falling: Falling | None = None
-        if gaits:
-            from animtool.systems.crowds.cast import Casting
+        if not gaits:
+            return
+        from animtool.systems.crowds.cast import Casting
 
-            moving = [*context.colliders.bodies, *_moving(context.colliders)]
-            self._casting = Casting.of(
-                self._agents, gaits, self._ground, falls=bool(moving)
-            )
-            self._falling = self._fallers(context) if moving else None
-            for group in self._casting.groups:
-                self._notices += group.bodies.gaits.notices
-        self._shown = np.array([order.index(s) if s else 0 for s in shows], np.int64)
+        moving = [*context.colliders.bodies, *_moving(context.colliders)]
+        self._casting = Casting.of(
+            self._agents, gaits, self._ground, falls=bool(moving)
+        )
+        self._falling = self._fallers(context) if moving else None
+        for group in self._casting.groups:
+            self._notices += group.bodies.gaits.notices
 
     def _fallers(self, context: SimContext) -> Falling | None:
         """Return what moves those who fall; None where a rig has no bodies for it."""

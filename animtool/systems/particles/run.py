@@ -27,14 +27,8 @@ from animtool.systems.particles.moving import (
 )
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
-from animtool.systems.simulation import (
-    Diagnostics,
-    Reached,
-    SimulationRun,
-    Stepped,
-    growing,
-    later,
-)
+from animtool.systems.run import Reached, SimulationRun
+from animtool.systems.simulation import Diagnostics, Stepped, growing, later
 
 _NONE = np.zeros((2, 0, 3))
 

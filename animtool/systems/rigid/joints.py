@@ -12,7 +12,8 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
-from animtool.systems.rigid.bodies import NO_PAIRS, Bodies, refuse
+from animtool.systems.rigid.bodies import NO_PAIRS, Bodies
+from animtool.systems.rigid.kind import refuse
 from animtool.systems.rigid.spec import RigidJointModel
 
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}

@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: from a frame on, a rig's colliders are bodies that fall.
+"""A rig as rigid bodies that fall: its colliders, joined as the rig joins them.
 
 Joints with colliders become bodies, joined as the rig joins them, with its limits; what
 is between two of them is stiff, and what is below the last of them moves on as the take
@@ -7,50 +7,32 @@ has it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import combinations
 from typing import Annotated, Any
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.frames import TransformsFrame
+from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.motion import Channel
-from animtool.options import Range, range_faults, ranges_of
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.rig.joints import (
-    LocalTransforms,
-    coordinate_slices,
-    coordinates_from_local,
-)
-from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.options import Range
+from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.sim.colliders import Capsule, Collider, Colliders, Poses
+from animtool.sim.colliders import Capsule, Collider, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.fields import SystemColliderModel
-from animtool.systems.particles.forces import find_force
-from animtool.systems.rigid.bodies import Bodies, Kind, kind_of
+from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import SWING, Joints, seen_by
-from animtool.systems.rigid.simulation import RigidSimulation, RigidState
-from animtool.systems.rigid.spec import BodyModel, RigidModel
-from animtool.systems.simulation import Reached, SimulationRun
-from animtool.take import Take
-from animtool.units import UpAxis
+from animtool.systems.rigid.kind import Kind, kind_of
+from animtool.systems.rigid.spec import BodyModel
 
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
 }  # fmt: skip
-# A limit that a joint is beyond by less is kept [rad].
-KEPT = math.radians(1.0)
-KEPT_SLIDE = 0.001  # likewise of a slide [m]
-_NOTE = Severity.NOTE
 LARGE = 1e9  # what no number is beyond
 
 
@@ -123,15 +105,32 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         message = f"none of the joints of {rig.name!r} has colliders: nothing can fall"
         hint = "give its rig file `colliders`: capsules on joints"
         raise OptionError(Fault("SIM062", message, hint=hint))
+    joints = np.unique(capsules.joints)
+    kinds = _kinds(rig, world, capsules, joints, options)
+    turns = so3.split_scale(world.linear[0])[0]
+    poses = [Poses.fixed(world.positions[0, j], turns[j]) for j in joints]
+    count = len(joints)
+    bodies = Bodies(
+        kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
+    )
+    frames, own = _frames(rig, world.positions[0], turns, joints)
+    return Ragdoll(rig, joints, _above(rig, joints), bodies, frames, own)
+
+
+def _kinds(
+    rig: Rig,
+    world: WorldTransforms,
+    capsules: Capsules,
+    joints: IntArray,
+    options: RagdollOptions,
+) -> list[Kind]:
+    """Return what the colliders of each joint weigh, as a body (SIM062)."""
     _, ends = capsules.turned(world)
     sizes = capsules.sizes(world)
-    joints = np.unique(capsules.joints)
-    place = {int(j): i for i, j in enumerate(joints)}
     kinds: list[Kind] = []
     for j in joints.tolist():
-        own = np.flatnonzero(capsules.joints == j)
         shapes = []
-        for c in own.tolist():
+        for c in np.flatnonzero(capsules.joints == j).tolist():
             if not sizes[c] > 0:
                 message = f"a collider of joint {rig.joints[j].name!r} has no size"
                 hint = "give its capsule a radius above 0"
@@ -151,19 +150,19 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
             }
         )
         kinds.append(kind_of(model, {"shapes": [{"shape": one} for one in shapes]}))
-    if options.mass is not None:
-        share = options.mass / sum(kind.mass for kind in kinds)
-        kinds = [
-            replace(kind, mass=kind.mass * share, moments=kind.moments * share)
-            for kind in kinds
-        ]
-    turns = so3.split_scale(world.linear[0])[0]
-    poses = [Poses.fixed(world.positions[0, j], turns[j]) for j in joints]
-    count = len(joints)
-    bodies = Bodies(
-        kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
-    )
-    above = np.full(count, -1)
+    if options.mass is None:
+        return kinds
+    share = options.mass / sum(kind.mass for kind in kinds)
+    return [
+        replace(kind, mass=kind.mass * share, moments=kind.moments * share)
+        for kind in kinds
+    ]
+
+
+def _above(rig: Rig, joints: IntArray) -> IntArray:
+    """Return the body that each hangs on, -1 for none ``(N,)``."""
+    place = {int(j): i for i, j in enumerate(joints)}
+    above = np.full(len(joints), -1)
     tops: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
         over = [place[k] for k in rig.upwards(j)[1:] if k in place]
@@ -171,19 +170,29 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         above[i] = over[0] if over else tops.setdefault(_movable(rig, j), i)
         if above[i] == i:
             above[i] = -1
-    frames, own_turns = np.zeros((count, 7)), np.zeros((count, 4))
+    return above
+
+
+def _frames(
+    rig: Rig, positions: FloatArray, turns: FloatArray, joints: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return frames of joints at rest ``(N, 7)``, and their own axes there ``(N, 4)``.
+
+    Where all joints are: ``(J, 3)`` [m] and ``(J, 4)``.
+    """
+    frames, own = np.zeros((len(joints), 7)), np.zeros((len(joints), 4))
     for i, j in enumerate(joints.tolist()):
         joint = rig.joints[j]
-        own_turns[i] = _axes(joint)
+        own[i] = _axes(joint)
         at, turn = np.zeros(3), so3.IDENTITY
         if joint.parent >= 0:
-            at, turn = world.positions[0, joint.parent], turns[joint.parent]
+            at, turn = positions[joint.parent], turns[joint.parent]
         rest = so3.multiply(turn, np.array(joint.rotation))
-        frames[i, :3] = world.positions[0, j]
+        frames[i, :3] = positions[j]
         if joint.type is JointType.PRISMATIC:
             frames[i, :3] = at + so3.rotate(turn, np.array(joint.translation))
-        frames[i, 3:] = so3.multiply(rest, own_turns[i])
-    return Ragdoll(rig, joints, above, bodies, frames, own_turns)
+        frames[i, 3:] = so3.multiply(rest, own[i])
+    return frames, own
 
 
 def _movable(rig: Rig, joint: int) -> int:
@@ -303,118 +312,6 @@ class Targets:
         return made
 
 
-def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
-    """Return a take whose rig falls from a frame on.
-
-    Args:
-        take: With a rig that has colliders.
-        options: What falls, and when.
-        context: Told the share that is done.
-
-    Raises:
-        OptionError: An option makes no sense, or the rig does not fit (SIM062); a
-            collider makes none (SIM020).
-        ToleranceError: The simulation blew up (SIM102).
-    """
-    _check(options)
-    clock, rig = take.clock, take.rig
-    codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
-    times = (codes - codes[0]) / float(clock.fps)
-    first = _index(options.start, codes, "start", 0)
-    last = _index(options.end, codes, "end", clock.count - 1)
-    if first == clock.count - 1 and options.end is None:
-        return take
-    if last <= first:
-        message = f"end is frame {codes[last]:g}, not behind start, {codes[first]:g}"
-        raise OptionError(Fault("SIM062", message, where="end"))
-    translations, rotations, scales = take.motion.dense()
-    world = forward(rig, translations, rotations, scales)
-    pose = WorldTransforms(
-        world.positions[first : first + 1], world.linear[first : first + 1]
-    )
-    bodies = bodies_of_rig(rig, pose, options)
-    coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
-    targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
-    around = [_later(one, float(times[first])) for one in options.colliders]
-    speeds = ragdoll_speeds(bodies, world, times, first)
-    run = _run(bodies, options, targets, speeds, Colliders(around))
-    origins, turns = [], []
-    for k in range(first, clock.count):
-        frame = run.at(float(times[k] - times[first]))
-        assert isinstance(frame, TransformsFrame)
-        origins.append(frame.points)
-        turns.append(frame.rotations)
-        if context.progress is not None:
-            context.progress((k + 1 - first) / (clock.count - first))
-    fallen = ragdoll_transforms(
-        bodies,
-        np.array(origins),
-        np.array(turns),
-        translations[first:],
-        rotations[first:],
-    )
-    weights = _weights(codes, first, last, options)[first:]
-    made = [translations.copy(), rotations.copy()]
-    made[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
-    made[1][first:] = so3.slerp(
-        rotations[first:],
-        so3.align_signs(fallen[1], rotations[first]),
-        np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
-    )
-    motion = replace(
-        take.motion,
-        translations=Channel.from_dense(made[0]),
-        rotations=Channel.from_dense(so3.align_signs(made[1])),
-    )
-    context.notices.extend(_notices(bodies, run, fallen, float(codes[first])))
-    return replace(take, motion=motion)
-
-
-def _later(collider: Collider, t: float) -> Collider:
-    """Return a collider as seen by a clock that begins at a time [s]."""
-    poses = collider.poses
-    if len(poses.moments) == 1:
-        return collider
-    return replace(collider, poses=replace(poses, times=poses.moments - t))
-
-
-def _run(
-    bodies: Ragdoll,
-    options: RagdollOptions,
-    targets: Targets,
-    start: FloatArray,
-    colliders: Colliders,
-) -> SimulationRun:
-    down = [0.0, -options.gravity, 0.0]
-    if bodies.rig.up is UpAxis.Z:
-        down = [0.0, 0.0, -options.gravity]
-    make: Any = find_force("gravity")
-    gravity = make(acceleration=tuple(down))
-    spec = RigidModel.model_validate(
-        {
-            "name": "ragdoll",
-            "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
-            "step": options.step,
-            "substeps": options.substeps,
-            "iterations": 32,
-            "sleep": {"speed": 0},
-        }
-    )
-    simulation = RigidSimulation(
-        spec,
-        0.0,
-        bodies.bodies,
-        joints_of_rig(bodies, options, targets),
-        colliders,
-        [gravity],
-    )
-    begun = simulation.initial()
-    motion = begun.motion.copy()
-    motion[:, 7:13] = start
-    state: Reached[RigidState] = Reached(0, replace(begun, motion=motion))
-    return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
-
-
 def ragdoll_speeds(
     bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
 ) -> FloatArray:
@@ -491,93 +388,3 @@ def _on_body(
         turn = so3.multiply(rotations[k], turn)
     back = so3.conjugate(turn)
     return np.concatenate([-so3.rotate(back, at), back])
-
-
-def _weights(
-    codes: FloatArray, first: int, last: int, options: RagdollOptions
-) -> FloatArray:
-    """Return how much of the fall each frame shows ``(F,)``, smooth at both ends."""
-
-    def ramp(frames: FloatArray) -> FloatArray:
-        whole = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
-        share = np.asarray(whole, np.float64)
-        return share * share * (3 - 2 * share)
-
-    rising = ramp(codes - codes[first])
-    if options.end is None:
-        return rising
-    return np.asarray(rising * (1 - ramp(codes - codes[last])))
-
-
-def _index(frame: float | None, codes: FloatArray, option: str, usual: int) -> int:
-    if frame is None:
-        return usual
-    found = np.flatnonzero(np.abs(codes - frame) < 1e-6)
-    if not len(found):
-        message = f"{option} is frame {frame:g}, and the take has {codes[0]:g} to "
-        raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
-    return int(found[0])
-
-
-def _notices(
-    bodies: Ragdoll,
-    run: SimulationRun,
-    fallen: tuple[FloatArray, FloatArray],
-    begin: float,
-) -> list[Fault]:
-    """Return what became of it, and the limit that was broken most.
-
-    ``fallen``: local transforms of all joints; ``begin``: a frame.
-    """
-    rig = bodies.rig
-    mass = float(bodies.bodies.masses.sum())
-    message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
-    message += f"fell from frame {begin:g} on"
-    worst, name, text = 0.0, "", ""
-    own = coordinates_from_local(rig, LocalTransforms(*fallen))
-    hung = bodies.joints[bodies.above >= 0].tolist()
-    for j, place in enumerate(coordinate_slices(rig)):
-        limits, values = rig.joints[j].limits, own[:, place]
-        if j not in hung or limits is None:
-            continue
-        if isinstance(limits, RangeLimit):
-            values = values[:, 0]
-        beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
-        slides = rig.joints[j].type is JointType.PRISMATIC
-        share = beyond / (KEPT_SLIDE if slides else KEPT)
-        if share > worst:
-            worst, name = share, rig.joints[j].name
-            size = (
-                f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
-            )
-            text = f"joint {name!r} goes {size} beyond its limits"
-    if text:
-        message += f"; {text}, the most of all"
-    said = [Fault("SIM128", message, severity=_NOTE)]
-    if worst > 1:
-        hint = "give shorter steps, or a pose within the limits at `start`"
-        said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
-    return said + [one for one in run.notices if one.code != "SIM126"]
-
-
-def _check(options: RagdollOptions, name: str = "") -> None:
-    faults = [one for one in range_faults(options) if name in ("", one.where)]
-    if faults:
-        raise OptionError(faults)
-
-
-def _checks(options: RagdollOptions) -> OptionChecks:
-    return {name: partial(_check, options, name) for name in ranges_of(RagdollOptions)}
-
-
-PASS = Pass(
-    "ragdoll",
-    "Let the rig fall from a frame on, as bodies of its colliders",
-    RagdollOptions,
-    Scope.CLIP,
-    ragdoll,
-    _checks,
-    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
-    changes=frozenset({TakePart.JOINTS}),
-    tells=True,
-)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -15,12 +14,12 @@ from animtool.errors import Fault, Severity, ToleranceError, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics
-from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
+from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
-from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.forces import BodyForces
 from animtool.systems.rigid.joints import Joints, joints_of, together
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -28,15 +27,14 @@ from animtool.systems.rigid.physics import (
     stage_joints,
     still_colliders,
 )
-from animtool.systems.rigid.spec import PushModel, RigidModel
+from animtool.systems.rigid.spec import RigidModel
+from animtool.systems.rigid.surroundings import Surroundings
 from animtool.systems.simulation import Diagnostics, SimContext, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
 DEEP = 0.02
 # What is that deep, over its size, is held from several sides.
 HELD = 0.25
-# A force that changes by more of itself in a step wakes who sleeps.
-CHANGES = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,32 +68,6 @@ class RigidState:
     residual: float = 0.0
 
 
-def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a surface at both ends of a step; none before again."""
-    sheet.motion.forget(t)
-    return sheet.motion.points(t), sheet.motion.points(end)
-
-
-def going(sheet: Sheet, t: float, end: float) -> Collider:
-    """Return a surface through a step: as it begins, and as nearly as it goes as one.
-
-    The rotation is that of Kabsch (1976): points that change shape differ from it.
-    """
-    begin, after = _ends(sheet, t, end)
-    collider = sheet.collider(begin, sheet.motion.triangles(t))
-    if begin is after or (begin == after).all():
-        return collider
-    middle, goal = begin.mean(axis=0), after.mean(axis=0)
-    u, _, v = np.linalg.svd((after - goal).T @ (begin - middle))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
-    poses = Poses(
-        (t, end),
-        np.stack([np.zeros(3), goal - turn @ middle]),
-        np.stack([so3.IDENTITY, so3.from_matrix(turn)]),
-    )
-    return replace(collider, poses=poses)
-
-
 class RigidSimulation:
     """Bodies and joints in steps, among colliders and forces."""
 
@@ -111,9 +83,9 @@ class RigidSimulation:
         """Begin at a time [s]."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._colliders, self._forces = colliders, forces
-        # Points of surfaces in the last step, and these as colliders.
-        self._known: tuple[list[FloatArray], Colliders] | None = None
+        self._colliders = colliders
+        self._surroundings = Surroundings(colliders)
+        self._forces = BodyForces(bodies, forces, begin)
         self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
         self._settings = (
             spec.methods.index(spec.method),
@@ -123,11 +95,6 @@ class RigidSimulation:
             spec.sleep.speed,
             spec.sleep.time,
         )
-        self._pushes = [
-            (number, push)
-            for number, i in enumerate(bodies.dynamic.tolist())
-            for push in bodies.kinds[bodies.of[i]].model.pushes
-        ]
 
     @staticmethod
     def of(spec: RigidModel, context: SimContext) -> RigidSimulation:
@@ -176,7 +143,7 @@ class RigidSimulation:
             ToleranceError: Forces are not finite (SIM102).
         """
         with np.errstate(all="ignore"):
-            forces = self.forces(t, dt, state.motion)
+            forces = self._forces.over(t, dt, state.motion)
         if not np.isfinite(forces).all():
             message = f"a force on rigid bodies is not finite at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
@@ -192,7 +159,7 @@ class RigidSimulation:
             state.contacts,
             state.held,
             forces,
-            self._surroundings(t, t + dt),
+            self._surroundings.arrays(t, t + dt),
             self.joints.frames(t, t + dt),
             dt,
             *self._settings,
@@ -216,69 +183,6 @@ class RigidSimulation:
             residual,
         )
 
-    def _surroundings(self, t: float, end: float) -> tuple[Any, ...]:
-        """Return what bodies run into through a step; surfaces as they then are."""
-        sheets = self._colliders.sheets
-        if not sheets:
-            return self._colliders.arrays(t, end)
-        places = [point for one in sheets for point in _ends(one, t, end)]
-        known = self._known
-        if known is None or any(
-            old is not new for old, new in zip(known[0], places, strict=True)
-        ):
-            moving = [going(one, t, end) for one in sheets]
-            around = Colliders([*self._colliders, *moving], (), self._colliders.bodies)
-            known = self._known = places, around
-        return known[1].arrays(t, end)
-
-    def forces(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return forces [N] and torques [N m] through a step ``(N, 6)``.
-
-        They are the mean of those at its beginning and at its end, where bodies come
-        that nothing touches, so that errors fall with the square of the step.
-        """
-        now = self._forces_at(t, (t, t + dt), motion)
-        masses, spins = self.bodies.masses[:, None], self.bodies.spins(motion)
-        then = motion.copy()
-        then[:, 7:10] += now[:, :3] * (dt / masses)
-        then[:, :3] += (motion[:, 7:10] + then[:, 7:10]) * (dt / 2)
-        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
-        return (now + self._forces_at(t + dt, (t, t + dt), then)) / 2
-
-    def _forces_at(
-        self, t: float, span: tuple[float, float], motion: FloatArray
-    ) -> FloatArray:
-        """Return forces and torques at a time ``(N, 6)``, pushes as in a span of it."""
-        made = np.zeros((len(motion), 6))
-        x, v = motion[:, :3], motion[:, 7:10]
-        for force in self._forces:
-            made[:, :3] += force.force(t, x, v, self._particles)
-        for number, push in self._pushes:
-            made[number] += self._pushed(number, push, span, motion)
-        return made
-
-    def _pushed(
-        self,
-        number: int,
-        push: PushModel,
-        span: tuple[float, float],
-        motion: FloatArray,
-    ) -> FloatArray:
-        """Return force and torque of a push ``(6,)``, less where it lasts less."""
-        t, end = span
-        start = self._begin if push.start is None else push.start
-        last = np.inf if push.end is None else push.end
-        share = max(min(end, last) - max(t, start), 0.0) / (end - t)
-        if not share:
-            return np.zeros(6)
-        bodies, turn = self.bodies, motion[number, 3:7]
-        frame = so3.multiply(turn, so3.conjugate(bodies.axes[number]))
-        force, torque = np.array(push.force), np.array(push.torque)
-        if push.local:
-            force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
-        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[number])
-        return np.concatenate([force, torque + np.cross(arm, force)]) * share
-
     def _woken(
         self, motion: FloatArray, forces: FloatArray, t: float, dt: float
     ) -> FloatArray:
@@ -286,29 +190,12 @@ class RigidSimulation:
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
-        later = self.forces(t + dt, dt, motion)
-        size = np.linalg.norm(forces, axis=1)
-        change = np.linalg.norm(later - forces, axis=1)
-        woken = sleeping & (change > CHANGES * size)
+        woken = sleeping & self._forces.change(forces, t, dt, motion)
         if not woken.any():
             return motion
         motion = motion.copy()
         motion[woken, 13] = 0.0
         return motion
-
-    @cached_property
-    def _particles(self) -> ParticleState:
-        bodies = self.bodies
-        count = len(bodies.dynamic)
-        return ParticleState(
-            np.arange(count),
-            bodies.masses,
-            np.zeros(count),
-            bodies.reaches,
-            np.full(count, self._begin),
-            np.full(count, np.inf),
-            bodies.start[:, :3],
-        )
 
     def frame(self, state: RigidState, t: float) -> TransformsFrame:
         """Return where bodies are."""
@@ -431,7 +318,7 @@ class RigidSimulation:
         """What other engines go on from, if it is to be written."""
         if not self._spec.physics:
             return None
-        return described(self.bodies, self.joints, self._colliders, self._forces)
+        return described(self.bodies, self.joints, self._colliders, self._forces.forces)
 
     def energy(self, state: RigidState) -> Energy:
         """Return the energy of a state, potential where forces have one."""
@@ -441,11 +328,7 @@ class RigidSimulation:
         ease = np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
         kinetic += 0.5 * float((own**2 * ease).sum())
-        potential = 0.0
-        for force in self._forces:
-            found = force.potential(motion[:, :3], self._particles)
-            potential += 0.0 if found is None else float(found.sum())
-        return Energy(kinetic, potential)
+        return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return energy, contacts and how deep bodies have been in each other."""

@@ -18,8 +18,8 @@ from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Setting, stepwise
 from animtool.systems.fields import Member
+from animtool.systems.run import ON_STEP
 from animtool.systems.simulation import (
-    ON_STEP,
     Diagnostics,
     Progress,
     SimContext,

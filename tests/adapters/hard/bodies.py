@@ -10,7 +10,7 @@ from adapters.nbody import nbody
 from animtool._types import FloatArray
 from animtool.errors import OptionError, ToleranceError
 from animtool.systems.nbody.nbody import Nbody
-from animtool.systems.simulation import SimulationRun
+from animtool.systems.run import SimulationRun
 
 __all__ = ["BODIES"]
 

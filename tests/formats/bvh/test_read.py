@@ -19,8 +19,8 @@ from support.bvh import (
 )
 
 from animtool.errors import FormatError, Severity
+from animtool.formats.bvh import lines as lines_module
 from animtool.formats.bvh import read_bvh
-from animtool.formats.bvh import rows as rows_module
 from animtool.formats.bvh.write import bvh_text
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType
@@ -68,8 +68,8 @@ def test_positions_against_the_reference(write) -> None:  # type: ignore[no-unty
 def test_blocks_change_nothing(write, monkeypatch, per_block: int) -> None:  # type: ignore[no-untyped-def]
     path = write(small_bvh(random_rows(60)))
     whole = read(path)[1].motion
-    monkeypatch.setattr(rows_module, "BLOCK_VALUES", COLUMNS * per_block)
-    monkeypatch.setattr(rows_module, "CHUNK_BYTES", 64)
+    monkeypatch.setattr(lines_module, "BLOCK_VALUES", COLUMNS * per_block)
+    monkeypatch.setattr(lines_module, "CHUNK_BYTES", 64)
     blocks = list(read_bvh(path).blocks)
     assert max(block.frames for block in blocks) <= per_block
     split = read(path)[1].motion
@@ -136,7 +136,7 @@ def test_gaps_across_blocks(write, monkeypatch, per_block: int) -> None:  # type
         text[first + frame] = " ".join(words)
     path = write("\n".join(text))
     whole = read(path)[1].motion.rotations.values
-    monkeypatch.setattr(rows_module, "BLOCK_VALUES", COLUMNS * per_block)
+    monkeypatch.setattr(lines_module, "BLOCK_VALUES", COLUMNS * per_block)
     assert_array_equal(read(path)[1].motion.rotations.values, whole)
 
 
@@ -468,7 +468,7 @@ def test_signs_continue_from_block_to_block(
     rows[:, 3:] += np.linspace(0, 900, 40)[:, None] * [1, -1, 0.5, -0.7, 1, 0.3]
     path = write(small_bvh(rows))
     whole = read_bvh(path).collect().motion.rotations.dense()
-    monkeypatch.setattr(rows_module, "BLOCK_VALUES", rows_a_block * COLUMNS)
+    monkeypatch.setattr(lines_module, "BLOCK_VALUES", rows_a_block * COLUMNS)
     blocks = [block.rotations.dense() for block in read_bvh(path).blocks]
     assert len(blocks) == 40 // rows_a_block
     found = np.concatenate(blocks)

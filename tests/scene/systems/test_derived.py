@@ -27,7 +27,7 @@ from animtool.systems.kinds import SYSTEM_KINDS, system_kind
 from animtool.systems.particles import Disc, Point
 from animtool.systems.particles.forces.air import Wind
 from animtool.systems.particles.forces.pulls import Gravity
-from animtool.systems.simulation import SimulationRun
+from animtool.systems.run import SimulationRun
 
 FLOOR = {"shape": {"plane": None}, "at": [0, 0.25, 0]}
 TIMES = np.array([0.0, 0.3, 0.77, 1.0])

@@ -14,8 +14,8 @@ from support.simulated import Simulator
 
 from animtool.errors import FormatError
 from animtool.scene.systems.simulation import clocked, open_systems
+from animtool.systems.run import SimulationRun
 from animtool.systems.saved import write_states
-from animtool.systems.simulation import SimulationRun
 
 SCENE = """\
 scene: animtool/1

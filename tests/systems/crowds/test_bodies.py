@@ -18,8 +18,10 @@ from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.bodies import Bodies, BodyState
 from animtool.systems.crowds.cast import part
-from animtool.systems.crowds.gaits import Gaits, gaits_of
+from animtool.systems.crowds.cycles import gaits_of
+from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.poses import poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 TAKES = SAMPLES / "retarget" / "takes"
@@ -70,7 +72,7 @@ def path(step: float, count: int) -> list[Going]:
 
 def joints(bodies: Bodies, state: BodyState, going: Going) -> np.ndarray:
     """Return joints in the world ``(N, J, 3)`` [m]."""
-    rig, made = bodies.gaits.walker.rig, bodies.poses(state, going)
+    rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
     places = np.repeat(rig.rest_translations[None], len(made.turns), axis=0)
     places[:, 0] = made.roots
     local = forward(rig, places, made.turns).positions * bodies.scales[:, None, None]
@@ -192,8 +194,8 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
         state = bodies.next(state, before, after, 0.05)
         own = alone.next(own, part(before, row), part(after, row), 0.05)
     whole, single = (
-        bodies.poses(state, goings[-1]),
-        alone.poses(own, part(goings[-1], row)),
+        poses_of(bodies, state, goings[-1]),
+        poses_of(alone, own, part(goings[-1], row)),
     )
     np.testing.assert_array_equal(whole.turns[1], single.turns[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
@@ -203,11 +205,11 @@ def test_who_is_hit_plays_the_reaction_once() -> None:
     bodies = Bodies(library("walk", "stand", "stumble"), np.ones(2), level)
     here = Going(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
     state = bodies.first(here, np.zeros(2))
-    quiet = bodies.poses(state, here).turns
+    quiet = poses_of(bodies, state, here).turns
     state = bodies.next(state, here, here, 0.1, np.array([True, False]))
     for _ in range(4):
         state = bodies.next(state, here, here, 0.1)
-    hit = bodies.poses(state, here).turns
+    hit = poses_of(bodies, state, here).turns
     off = np.degrees(2 * np.arccos(np.clip(np.abs((hit * quiet).sum(axis=-1)), 0, 1)))
     assert off[0].max() > 15
     assert off[1].max() < 5

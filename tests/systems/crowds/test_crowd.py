@@ -13,7 +13,7 @@ from support.simulated import Simulator
 from animtool.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.simulation import SimulationRun
+from animtool.systems.run import SimulationRun
 
 FPS = 20
 RADIUS = 0.25

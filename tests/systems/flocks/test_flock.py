@@ -18,7 +18,7 @@ from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.simulation import Reached, SimulationRun
+from animtool.systems.run import Reached, SimulationRun
 
 FRAMES = (np.arange(24) / 24).tolist()
 BIRD = {"name": "bird", "count": 30, "seed": 3}

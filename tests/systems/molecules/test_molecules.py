@@ -23,7 +23,7 @@ from animtool.systems.molecules.molecules import (
     bath_factor,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
-from animtool.systems.simulation import Reached, SimulationRun
+from animtool.systems.run import Reached, SimulationRun
 
 ARGON = {"name": "argon", "count": 256}
 # Of solid argon at its melting point [nm].

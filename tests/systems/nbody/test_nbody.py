@@ -14,7 +14,7 @@ from animtool.errors import AnimtoolError, ToleranceError
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.nbody.galaxies import Profile, build_galaxy
 from animtool.systems.nbody.spec import GalaxyModel
-from animtool.systems.simulation import Reached, SimulationRun
+from animtool.systems.run import Reached, SimulationRun
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
 BULGE = {"count": 150, "mass": 0.3, "radius": 0.2}

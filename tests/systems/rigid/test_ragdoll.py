@@ -29,8 +29,9 @@ from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollOptions, ragdoll
+from animtool.systems.rigid.ragdoll import RagdollOptions
 from animtool.systems.rigid.simulation import RigidSimulation, RigidState
+from animtool.systems.rigid.take_pass import ragdoll
 from animtool.take import Take
 
 LENGTH = 0.5
@@ -328,7 +329,7 @@ def test_energy_never_rises_in_a_limp_one() -> None:
             return super().step(state, t, dt)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("animtool.systems.rigid.ragdoll.RigidSimulation", Watched)
+        patch.setattr("animtool.systems.rigid.take_pass.RigidSimulation", Watched)
         fallen(take, colliders=(GROUND,))
     assert len(energies) > 130
     size = energies[0] - min(energies)

@@ -1,0 +1,62 @@
+"""A take as a file of text: its head, and rows that are made as they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.take import Take
+
+ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class TakeText:
+    """The parts of a file."""
+
+    head: Iterable[str]  # lines above the rows
+    rows: Iterator[bytes]  # made as they are taken
+    notices: list[Fault]  # what the format cannot hold
+
+    @property
+    def parts(self) -> Iterator[bytes]:
+        """Bytes to write one after another; to be asked for once."""
+        yield "".join(f"{line}\n" for line in self.head).encode()
+        yield from self.rows
+
+
+def number_rows(
+    values: FloatArray, places: Sequence[int], *, tabs: bool = False
+) -> Iterator[bytes]:
+    """Yield rows of numbers ``(F, C)``, some at once, between blanks or tabs.
+
+    places: most digits behind the point of each column.
+    """
+    digits = np.array(places, np.int64)
+    for begin in range(0, len(values), ROWS_AT_ONCE):
+        block = np.ascontiguousarray(values[begin : begin + ROWS_AT_ONCE])
+        text = _kernels.format_bvh_rows(block, digits)
+        yield text.replace(b" ", b"\t") if tabs else text
+
+
+def write_text(
+    take: Take,
+    path: Path | str,
+    text: Callable[[Take], TakeText],
+    *,
+    overwrite: bool,
+) -> list[Fault]:
+    """Write a take as a file of text; return what the format cannot hold."""
+    from animtool.output import check_outputs, write_parts
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    made = text(take)
+    write_parts(path, made.parts)
+    return made.notices

@@ -1,0 +1,257 @@
+"""Poses of bodies: what their gaits play, with legs that reach where feet stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths import so3
+from animtool.mocap.retarget.legs import put_ankle
+from animtool.rig.kinematics import forward
+from animtool.systems.crowds.agents import Going
+from animtool.systems.crowds.bodies import Blend, Bodies, BodyState
+from animtool.systems.crowds.gaits import (
+    PHASES,
+    SIDES,
+    UP,
+    Gait,
+    Gaits,
+    Walker,
+    about_side,
+    eased,
+    rows,
+    standing_ankle,
+)
+from animtool.systems.crowds.ground import about_up
+
+# How long bodies take to begin and to end a reaction [s].
+RAMP = 0.2
+# Feet follow ground that is steeper no farther [rad].
+TILT = 0.45
+# A leg that is straighter than this part of its length is not reached for.
+STRAIGHT = 0.998
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """N bodies, each in the frame of its own."""
+
+    turns: FloatArray  # local rotations of joints (N, J, 4)
+    roots: FloatArray  # of the first joint (N, 3) [m]
+    lowered: FloatArray  # hips, so that legs reach (N,) [m]
+    missed: FloatArray  # how far ankles are from where they should be (N, 2) [m]
+
+
+def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
+    """Return the poses of bodies."""
+    rig = bodies.gaits.walker.rig
+    blend = bodies.blend(state.paces)
+    played, roots = _played(bodies, state, blend)
+    turns = np.repeat(rig.rest_rotations[None], len(played), axis=0)
+    turns[:, bodies.moves] = played
+    feet, normals = bodies.feet(state, going, blend)
+    goals, soles = _ankles(bodies, state, blend, feet, normals)
+    # Hips are over the middle of both feet's ground.
+    roots[:, 1] += feet[:, :, 1].mean(axis=1)
+    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles)
+    roots[:, 1] -= lowered
+    return Poses(turns, roots, lowered, missed)
+
+
+def _reach(
+    walker: Walker,
+    turns: FloatArray,
+    roots: FloatArray,
+    goals: FloatArray,
+    soles: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Turn legs so that ankles are at goals ``(N, 2, 3)``, and feet as soles, in place.
+
+    Returns how far hips are lowered for it ``(N,)``, and by how much ankles miss their
+    goals all the same ``(N, 2)`` [m].
+    """
+    rig = walker.rig
+    translations = np.repeat(rig.rest_translations[None], len(turns), axis=0)
+    translations[:, 0] = roots
+    world = forward(rig, translations, turns)
+    joints = world.positions
+    spins = {
+        joint: so3.from_matrix(world.linear[:, joint])
+        for thigh, shin, _, _ in walker.legs
+        for joint in (thigh, shin, int(rig.parents[thigh]))
+        if joint >= 0
+    }
+    lowered = _lowered(walker, joints, goals)
+    joints = joints - lowered[:, None, None] * UP
+    missed = np.zeros((len(turns), 2))
+    for k, (thigh, shin, foot, _) in enumerate(walker.legs):
+        above = int(rig.parents[thigh])
+        upper, lower = put_ankle(
+            walker.person,
+            SIDES[k],
+            joints[:, [thigh, shin, foot]],
+            goals[:, k],
+            (spins[thigh], spins[shin]),
+        )
+        sole = so3.multiply(soles[:, k], np.broadcast_to(walker.level[k], upper.shape))
+        over = (
+            spins[above] if above >= 0 else np.broadcast_to(so3.IDENTITY, upper.shape)
+        )
+        for joint, parent, own in (
+            (thigh, over, upper),
+            (shin, upper, lower),
+            (foot, lower, sole),
+        ):
+            turns[:, joint] = so3.multiply(so3.conjugate(parent), own)
+        knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
+        ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
+        missed[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
+    return lowered, missed
+
+
+def _lowered(walker: Walker, joints: FloatArray, goals: FloatArray) -> FloatArray:
+    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m]."""
+    lowered = np.zeros(len(joints))
+    for k, (thigh, shin, foot, _) in enumerate(walker.legs):
+        bones = joints[:, [thigh, shin, foot]]
+        length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
+        way = joints[:, thigh] - goals[:, k]
+        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
+        lowered = np.maximum(lowered, way[:, 1] - high)
+    return lowered
+
+
+def _ankles(
+    bodies: Bodies,
+    state: BodyState,
+    blend: Blend,
+    feet: FloatArray,
+    normals: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
+    gaits, moving = bodies.gaits, bodies.gaits.moving
+    goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
+    for k in range(2):
+        begin = (state.phases - 0.5 * k) % 1.0
+        stood = np.clip(begin / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
+        tables = [one.pitches[k] for one in moving]
+        pitch = sum(
+            weight * np.interp(stood, np.arange(PHASES), table)
+            for weight, table in zip(blend.weights.T, tables, strict=True)
+        )
+        pitched = about_side(np.asarray(pitch) * (1 - state.still))
+        lifts = standing_ankle(gaits.walker, k, pitched)
+        up = state.swings[:, k] >= 0
+        if up.any():
+            pitched[up], lifts[up] = _swung(gaits, state, blend, k, up)
+        tilt = _tilts(normals[:, k])
+        yaw = about_up(feet[:, k, 3])
+        goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, lifts))
+        soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, pitched))
+    return goals, soles
+
+
+def _swung(
+    gaits: Gaits, state: BodyState, blend: Blend, k: int, up: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return turns and ankles of feet that swing ``(K, 4)``, ``(K, 3)``, as on the way.
+
+    ``up``: of which bodies foot ``k`` does ``(N,)``.
+    """
+    moving, swings = gaits.moving, state.swings[up, k]
+    at = np.clip(swings, 0.0, 1.0) * (PHASES - 1)
+    weights = blend.weights[up]
+    swung = _mixed([rows(one.swings[k], at) for one in moving], weights)
+    lifts = np.asarray(
+        sum(
+            weight[:, None] * rows(one.lifts[k], at)
+            for weight, one in zip(weights.T, moving, strict=True)
+        )
+    )
+    # Before and behind its place it goes as far as its step is long.
+    ends = [
+        sum(
+            weight * one.lifts[k, end, 2]
+            for weight, one in zip(weights.T, moving, strict=True)
+        )
+        for end in (0, -1)
+    ]
+    share = at / (PHASES - 1)
+    even = ends[0] + share * (ends[1] - ends[0])
+    long = np.minimum(blend.stride[up], 1.0)
+    lifts[:, 2] = even + long * (lifts[:, 2] - even)
+    # Who just stood lifts a flat foot.
+    still = state.still[up, None]
+    flat = np.broadcast_to(so3.IDENTITY, swung.shape)
+    pitched = _mixed([swung, flat], np.hstack([1 - still, still]))
+    low = standing_ankle(gaits.walker, k, flat)
+    high = (
+        np.maximum(lifts[:, 1:2] - low[:, 1:2], 0.0)
+        * eased(np.minimum(4 * swings, 1.0))[:, None]
+    )
+    lifts += still * (low + high * UP - lifts)
+    return pitched, lifts
+
+
+def _played(
+    bodies: Bodies, state: BodyState, blend: Blend
+) -> tuple[FloatArray, FloatArray]:
+    """Return local rotations of `moves` ``(N, M, 4)``, and places of the root."""
+    gaits, at = bodies.gaits, state.phases * PHASES
+    tables, standing = bodies.tables
+    walked = _mixed([rows(one, at, again=True) for one in tables], blend.weights)
+    hips = np.asarray(
+        sum(
+            weight[:, None] * rows(one.hips, at, again=True)
+            for weight, one in zip(blend.weights.T, gaits.moving, strict=True)
+        )
+    )
+    at = idle_rows(gaits.idle, state.clocks)
+    still = state.still[:, None]
+    stood = rows(standing, at)
+    turns = _mixed([walked, stood], np.concatenate([1 - still, still], axis=1))
+    hips = hips + still * (rows(gaits.idle.hips, at) - hips)
+    if gaits.reactions and (state.reacts >= 0).any():
+        reaction = gaits.reactions[0]
+        since = np.maximum(state.reacts, 0.0)
+        share = np.minimum(since, reaction.period - since) / RAMP
+        weight = eased(np.clip(share, 0.0, 1.0)) * (state.reacts >= 0)
+        at = since / reaction.period * (len(reaction.turns) - 1)
+        played = rows(reaction.turns[:, bodies.moves], at)
+        both = np.stack([1 - weight, weight], axis=1)
+        turns = _mixed([turns, played], both)
+        # How high the hips are then; where, is where the agent is.
+        high = rows(reaction.hips, at)[:, 1] - hips[:, 1]
+        hips[:, 1] += weight * high
+    return turns, hips
+
+
+def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
+    """Return where in what agents do as they stand they are: there and back again."""
+    last = len(idle.turns) - 1
+    if not last:
+        return np.zeros(len(clocks))
+    share = (clocks / idle.period) % 2.0
+    return np.asarray(np.minimum(share, 2 - share) * last)
+
+
+def _mixed(turns: list[FloatArray], weights: FloatArray) -> FloatArray:
+    """Return turns ``(N, …, 4)`` mixed by weights ``(N, K)``, of length 1."""
+    first = turns[0]
+    wide = (-1, *[1] * (first.ndim - 1))
+    made = first * weights[:, 0].reshape(wide)
+    for k, one in enumerate(turns[1:], start=1):
+        flipped = (first * one).sum(axis=-1, keepdims=True) < 0
+        made = made + np.where(flipped, -one, one) * weights[:, k].reshape(wide)
+    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+
+
+def _tilts(normals: FloatArray) -> FloatArray:
+    """Return turns from upright to normals ``(N, 3)``, no farther than `TILT`."""
+    axis = np.cross(UP, normals)
+    size = np.linalg.norm(axis, axis=1)
+    angle = np.minimum(np.arctan2(size, normals[:, 1]), TILT)
+    return so3.exp(axis * (angle / np.where(size > 1e-12, size, 1.0))[:, None])

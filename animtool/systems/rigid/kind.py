@@ -1,0 +1,233 @@
+"""What copies of a body have in common: shapes, mass, inertia, and where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NoReturn
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, Severity
+from animtool.frames import MeshFrame
+from animtool.maths import so3
+from animtool.sim.colliders import Mesh, Shape
+from animtool.systems.rigid.cores import (
+    Core,
+    Solid,
+    convex,
+    core_of,
+    shown,
+    solid_of,
+    together,
+)
+from animtool.systems.rigid.spec import BodyModel
+
+# What moments of inertia may break the triangle inequality by, of their sum: rounding.
+ROUNDING = 1e-9
+# What is beside the diagonal and less than this share of the sum is rounding.
+ALIKE = 1e-12
+# Bodies of a system; more take gigabytes.
+MOST = 1_000_000
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What copies of one body have in common, in the frame of the body."""
+
+    model: BodyModel
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and quaternion
+    cores: Sequence[Core]
+    mass: float  # [kg]
+    centre: FloatArray  # of mass (3,) [m]
+    moments: FloatArray  # about its principal axes (3,) [kg m²]
+    axes: FloatArray  # body_from_principal, a quaternion (4,)
+    meshes: tuple[MeshFrame, ...]
+    notices: Sequence[Fault] = ()
+
+    @cached_property
+    def reach(self) -> float:
+        """How far it reaches from its centre of mass [m]."""
+        return max(
+            float(np.linalg.norm(core.points - self.centre, axis=1).max()) + core.radius
+            for core in self.cores
+        )
+
+    def core_at_centre(self, core: Core) -> Core:
+        """Return a core in the frame of its principal axes."""
+        back = so3.conjugate(self.axes)
+        return core.placed(-so3.rotate(back, self.centre), back)
+
+
+def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
+    """Return what a model says, its own faults raised (SIM061)."""
+    for key in ("velocity", "spin") if model.kinematic else ():
+        if key in model.model_fields_set:
+            message = f"{model.name!r} is kinematic: its moves say how fast it is"
+            refuse(message, f"no {key}", key)
+    if model.mass is not None and "density" in model.model_fields_set:
+        refuse(f"{model.name!r} has a mass and a density", "keep one", "density")
+    several = zip(model.shapes, parts.get("shapes", ()), strict=True)
+    shapes = [
+        (
+            part["shape"],
+            np.array(own.at, np.float64),
+            _turn(own.rotate, model.name, f"shapes[{k}].rotate"),
+        )
+        for k, (own, part) in enumerate(several)
+    ]
+    if model.shape is not None:
+        if shapes:
+            refuse(f"{model.name!r} has a shape and shapes", "keep one", "shapes")
+        shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
+    if not shapes:
+        refuse(f"{model.name!r} has no shape", "shape: {sphere: {radius: 0.1}}")
+    cores, solids, notices = [], [], []
+    for k, (shape, at, turn) in enumerate(shapes):
+        key = "shape" if model.shape is not None else f"shapes[{k}]"
+        if "height_field" in (model.shape or model.shapes[k].shape):
+            message = f"a shape of {model.name!r}: a height field has no inside"
+            refuse(message, "it is a collider, not a body", key)
+        try:
+            core = core_of(shape)
+        except ValueError as error:
+            refuse(f"a shape of {model.name!r}: {error}", "", key)
+        solid = solid_of(shape, core)
+        if isinstance(shape, Mesh) and not convex(shape, solid):
+            message = (
+                f"a mesh of {model.name!r} is not convex, or open: its hull is met"
+            )
+            hint = "make it of several convex shapes"
+            fault = Fault("SIM125", message, hint=hint, severity=Severity.WARNING)
+            notices.append(replace(fault, where=key))
+        cores.append(core.placed(at, turn))
+        solids.append(solid.placed(at, turn))
+    mass, centre, inertia = _weighed(model, solids)
+    moments, axes = principal(inertia)
+    shows = parts.get("shows")
+    meshes = tuple(shows()) if shows is not None else (_mesh(cores),)
+    return Kind(model, shapes, cores, mass, centre, moments, axes, meshes[:1], notices)
+
+
+def _weighed(
+    model: BodyModel, solids: Sequence[Solid]
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
+    own = [each.density or model.density for each in model.shapes] or [model.density]
+    whole = together(solids, own)
+    mass = whole.volume if model.mass is None else model.mass
+    inertia = whole.inertia * (mass / whole.volume)
+    centre = whole.centre
+    if model.centre is not None:
+        centre = np.array(model.centre, np.float64)
+        off = whole.centre - centre
+        inertia = inertia + mass * (off @ off * np.eye(3) - np.outer(off, off))
+    if model.inertia is not None:
+        moments = np.array(model.inertia, np.float64)
+        if 2 * moments.max() > moments.sum() * (1 + ROUNDING):
+            message = f"no body has the moments of {model.name!r}, {model.inertia}: "
+            refuse(f"{message}one is more than the sum of the others", "", "inertia")
+        if np.count_nonzero(moments) < 2:
+            message = f"{model.name!r} must have two moments of inertia above 0"
+            refuse(message, "a rod has one of 0", "inertia")
+        turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
+        inertia = turn @ np.diag(moments) @ turn.T
+    return mass, centre, inertia
+
+
+def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return moments ``(3,)`` and axes of inertia, a quaternion ``(4,)``.
+
+    Axes that are those of the frame but for rounding stay so.
+    """
+    size = float(np.trace(inertia))
+    if np.abs(inertia - np.diag(np.diag(inertia))).max() <= ALIKE * size:
+        return np.diag(inertia).copy(), so3.IDENTITY.copy()
+    moments, axes = np.linalg.eigh(inertia)
+    # The axis nearest to x comes first and so on, so that small changes change little.
+    order = [int(np.argmax(np.abs(axes[0])))]
+    rest = [k for k in range(3) if k not in order]
+    order += sorted(rest, key=lambda k: -abs(float(axes[1, k])))
+    axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
+    if np.linalg.det(axes) < 0:
+        axes[:, 2] = -axes[:, 2]
+    return moments[order], so3.from_matrix(axes)
+
+
+def _mesh(cores: Sequence[Core]) -> MeshFrame:
+    points, counts, corners, base = [], [], [], 0
+    for core in cores:
+        own, count, corner = shown(core)
+        points.append(own)
+        counts.append(count)
+        corners.append(corner + base)
+        base += len(own)
+    places = np.concatenate(points)
+    return MeshFrame(
+        places,
+        np.zeros_like(places),
+        np.concatenate(counts),
+        np.concatenate(corners),
+        closed=True,
+    )
+
+
+def check_moved(model: BodyModel) -> None:
+    """Refuse what does not go with how a body is moved."""
+    for key in ("moves", "turns", "prim"):
+        if getattr(model, key) and not model.kinematic:
+            message = f"{model.name!r} is moved by what happens to it, not by {key}"
+            refuse(message, "kinematic: true", key)
+    if model.pushes and model.kinematic:
+        refuse(f"{model.name!r} is kinematic: nothing pushes it", "", "pushes")
+    for k, push in enumerate(model.pushes):
+        start, end = push.start, push.end
+        if start is not None and end is not None and end <= start:
+            message = f"a push of {model.name!r} begins at {start:g} s, and ends at "
+            refuse(f"{message}{end:g} s", "", f"pushes[{k}].end")
+
+
+def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return where copies of a body are in its frame: ``(C, 3)`` and ``(C, 4)``."""
+    points, rotations = parts.get("points"), parts.get("rotations")
+    if model.grid is not None:
+        if points is not None:
+            refuse(f"{model.name!r} has a grid and points", "keep one", "points")
+        counts = np.array(model.grid.count)
+        if counts.prod() > MOST:
+            refuse(f"{model.name!r} has more than {MOST} copies", "", "grid")
+        x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
+        cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
+        cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)
+        points = cells * np.array(model.grid.spacing)
+    if points is None:
+        if rotations is not None:
+            refuse("rotations are of points, and there are none", "", "rotations")
+        return np.zeros((1, 3)), so3.IDENTITY[None]
+    count = len(points)
+    turns = np.tile(so3.IDENTITY, (count, 1))
+    if rotations is not None:
+        turns = np.asarray(rotations, np.float64)
+        if turns.shape == (count, 4):
+            turns = turns[:, [1, 2, 3, 0]]
+    for name, array, width in (("points", points, 3), ("rotations", turns, 4)):
+        if array.shape != (count, width) or not np.isfinite(array).all():
+            message = f"{name} of {model.name!r} are of shape {array.shape} or not "
+            refuse(f"{message}finite: they must be {(count, width)}", "", name)
+    if not turns.any(axis=1).all():
+        refuse(f"a rotation of {model.name!r} is all 0", "", "rotations")
+    return np.asarray(points, np.float64), so3.normalize(turns)
+
+
+def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
+    turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
+    if not turn.any():
+        refuse(f"a rotation of {name!r} is all 0", "", key)
+    return so3.normalize(turn)
+
+
+def refuse(message: str, hint: str = "", key: str = "") -> NoReturn:
+    """Raise what of rigid bodies makes no sense (SIM061)."""
+    raise OptionError(Fault("SIM061", message, hint=hint or None, where=key or None))

@@ -1,0 +1,248 @@
+"""The pass `ragdoll`: from a frame on, a rig's colliders are bodies that fall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.frames import TransformsFrame
+from animtool.maths import so3
+from animtool.motion import Channel
+from animtool.options import range_faults, ranges_of
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinate_slices,
+    coordinates_from_local,
+)
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import JointType
+from animtool.sim.colliders import Collider, Colliders
+from animtool.systems.particles.forces import find_force
+from animtool.systems.rigid.ragdoll import (
+    Ragdoll,
+    RagdollOptions,
+    Targets,
+    bodies_of_rig,
+    joints_of_rig,
+    ragdoll_speeds,
+    ragdoll_transforms,
+)
+from animtool.systems.rigid.simulation import RigidSimulation, RigidState
+from animtool.systems.rigid.spec import RigidModel
+from animtool.systems.run import Reached, SimulationRun
+from animtool.take import Take
+from animtool.units import UpAxis
+
+# A limit that a joint is beyond by less is kept [rad].
+KEPT = math.radians(1.0)
+KEPT_SLIDE = 0.001  # likewise of a slide [m]
+
+
+def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
+    """Return a take whose rig falls from a frame on.
+
+    Args:
+        take: With a rig that has colliders.
+        options: What falls, and when.
+        context: Told the share that is done.
+
+    Raises:
+        OptionError: An option makes no sense, or the rig does not fit (SIM062); a
+            collider makes none (SIM020).
+        ToleranceError: The simulation blew up (SIM102).
+    """
+    _check(options)
+    clock, rig = take.clock, take.rig
+    codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
+    times = (codes - codes[0]) / float(clock.fps)
+    first = _index(options.start, codes, "start", 0)
+    last = _index(options.end, codes, "end", clock.count - 1)
+    if first == clock.count - 1 and options.end is None:
+        return take
+    if last <= first:
+        message = f"end is frame {codes[last]:g}, not behind start, {codes[first]:g}"
+        raise OptionError(Fault("SIM062", message, where="end"))
+    translations, rotations, scales = take.motion.dense()
+    world = forward(rig, translations, rotations, scales)
+    pose = WorldTransforms(
+        world.positions[first : first + 1], world.linear[first : first + 1]
+    )
+    bodies = bodies_of_rig(rig, pose, options)
+    coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
+    targets = Targets(bodies, times - times[first], coordinates, coordinate_slices(rig))
+    around = [_later(one, float(times[first])) for one in options.colliders]
+    speeds = ragdoll_speeds(bodies, world, times, first)
+    run = _run(bodies, options, targets, speeds, Colliders(around))
+    origins, turns = [], []
+    for k in range(first, clock.count):
+        frame = run.at(float(times[k] - times[first]))
+        assert isinstance(frame, TransformsFrame)
+        origins.append(frame.points)
+        turns.append(frame.rotations)
+        if context.progress is not None:
+            context.progress((k + 1 - first) / (clock.count - first))
+    fallen = ragdoll_transforms(
+        bodies,
+        np.array(origins),
+        np.array(turns),
+        translations[first:],
+        rotations[first:],
+    )
+    weights = _weights(codes, first, last, options)[first:]
+    made = [translations.copy(), rotations.copy()]
+    made[0][first:] += weights[:, None, None] * (fallen[0] - translations[first:])
+    made[1][first:] = so3.slerp(
+        rotations[first:],
+        so3.align_signs(fallen[1], rotations[first]),
+        np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
+    )
+    motion = replace(
+        take.motion,
+        translations=Channel.from_dense(made[0]),
+        rotations=Channel.from_dense(so3.align_signs(made[1])),
+    )
+    context.notices.extend(_notices(bodies, run, fallen, float(codes[first])))
+    return replace(take, motion=motion)
+
+
+def _later(collider: Collider, t: float) -> Collider:
+    """Return a collider as seen by a clock that begins at a time [s]."""
+    poses = collider.poses
+    if len(poses.moments) == 1:
+        return collider
+    return replace(collider, poses=replace(poses, times=poses.moments - t))
+
+
+def _run(
+    bodies: Ragdoll,
+    options: RagdollOptions,
+    targets: Targets,
+    start: FloatArray,
+    colliders: Colliders,
+) -> SimulationRun:
+    down = [0.0, -options.gravity, 0.0]
+    if bodies.rig.up is UpAxis.Z:
+        down = [0.0, 0.0, -options.gravity]
+    make: Any = find_force("gravity")
+    gravity = make(acceleration=tuple(down))
+    spec = RigidModel.model_validate(
+        {
+            "name": "ragdoll",
+            "bodies": [{"name": "body", "shape": {"sphere": {"radius": 1}}}],
+            "step": options.step,
+            "substeps": options.substeps,
+            "iterations": 32,
+            "sleep": {"speed": 0},
+        }
+    )
+    simulation = RigidSimulation(
+        spec,
+        0.0,
+        bodies.bodies,
+        joints_of_rig(bodies, options, targets),
+        colliders,
+        [gravity],
+    )
+    begun = simulation.initial()
+    motion = begun.motion.copy()
+    motion[:, 7:13] = start
+    state: Reached[RigidState] = Reached(0, replace(begun, motion=motion))
+    return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
+
+
+def _weights(
+    codes: FloatArray, first: int, last: int, options: RagdollOptions
+) -> FloatArray:
+    """Return how much of the fall each frame shows ``(F,)``, smooth at both ends."""
+
+    def ramp(frames: FloatArray) -> FloatArray:
+        whole = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
+        share = np.asarray(whole, np.float64)
+        return share * share * (3 - 2 * share)
+
+    rising = ramp(codes - codes[first])
+    if options.end is None:
+        return rising
+    return np.asarray(rising * (1 - ramp(codes - codes[last])))
+
+
+def _index(frame: float | None, codes: FloatArray, option: str, usual: int) -> int:
+    if frame is None:
+        return usual
+    found = np.flatnonzero(np.abs(codes - frame) < 1e-6)
+    if not len(found):
+        message = f"{option} is frame {frame:g}, and the take has {codes[0]:g} to "
+        raise OptionError(Fault("SIM062", f"{message}{codes[-1]:g}", where=option))
+    return int(found[0])
+
+
+def _notices(
+    bodies: Ragdoll,
+    run: SimulationRun,
+    fallen: tuple[FloatArray, FloatArray],
+    begin: float,
+) -> list[Fault]:
+    """Return what became of it, and the limit that was broken most.
+
+    ``fallen``: local transforms of all joints; ``begin``: a frame.
+    """
+    rig = bodies.rig
+    mass = float(bodies.bodies.masses.sum())
+    message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
+    message += f"fell from frame {begin:g} on"
+    worst, name, text = 0.0, "", ""
+    own = coordinates_from_local(rig, LocalTransforms(*fallen))
+    hung = bodies.joints[bodies.above >= 0].tolist()
+    for j, place in enumerate(coordinate_slices(rig)):
+        limits, values = rig.joints[j].limits, own[:, place]
+        if j not in hung or limits is None:
+            continue
+        if isinstance(limits, RangeLimit):
+            values = values[:, 0]
+        beyond = float(np.abs(limits.excess(values)).max(initial=0.0))
+        slides = rig.joints[j].type is JointType.PRISMATIC
+        share = beyond / (KEPT_SLIDE if slides else KEPT)
+        if share > worst:
+            worst, name = share, rig.joints[j].name
+            size = (
+                f"{1000 * beyond:.2g} mm" if slides else f"{math.degrees(beyond):.2g}°"
+            )
+            text = f"joint {name!r} goes {size} beyond its limits"
+    if text:
+        message += f"; {text}, the most of all"
+    said = [Fault("SIM128", message, severity=Severity.NOTE)]
+    if worst > 1:
+        hint = "give shorter steps, or a pose within the limits at `start`"
+        said.append(Fault("SIM129", text, hint=hint, severity=Severity.WARNING))
+    return said + [one for one in run.notices if one.code != "SIM126"]
+
+
+def _check(options: RagdollOptions, name: str = "") -> None:
+    faults = [one for one in range_faults(options) if name in ("", one.where)]
+    if faults:
+        raise OptionError(faults)
+
+
+def _checks(options: RagdollOptions) -> OptionChecks:
+    return {name: partial(_check, options, name) for name in ranges_of(RagdollOptions)}
+
+
+PASS = Pass(
+    "ragdoll",
+    "Let the rig fall from a frame on, as bodies of its colliders",
+    RagdollOptions,
+    Scope.CLIP,
+    ragdoll,
+    _checks,
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
+    changes=frozenset({TakePart.JOINTS}),
+    tells=True,
+)
