@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,11 @@ ROOT = Path(__file__).parents[1]
 # As many processes as processors run tests: more threads would only wait.
 # It is read when numpy is imported, here and in the processes that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Else every process would compile anew what it imports: those of xdist, and all that
+# tests start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # How long an example takes is the machine's affair; others are taken in each run.
 # `--hypothesis-profile=full` takes ten times as many.

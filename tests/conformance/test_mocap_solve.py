@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
+from support.suite import one_of
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
@@ -79,7 +80,7 @@ def test_joints_of_the_true_skeleton(
     assert np.percentile(away, 99) <= 6.0
 
 
-@pytest.mark.parametrize("path", data_files("mocap", "cloud_*.truth.json"))
+@pytest.mark.parametrize("path", one_of(data_files("mocap", "cloud_*.truth.json"), 2))
 def test_joints_of_a_calibrated_one(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:

@@ -80,6 +80,17 @@ def every_other(values: Sequence[T], turn: int) -> Sequence[T]:
     return values if is_full() or len(values) < 2 else values[turn % 2 :: 2]
 
 
+def one_of(parameters: Sequence[T], turn: int) -> list[T]:
+    """Return all parameters in the full profile, else one of them.
+
+    Slow tests over the same files take another turn each, so that by default all files
+    are run by some test.
+    """
+    if is_full() or len(parameters) < 2:
+        return [*parameters]
+    return [parameters[turn % len(parameters)]]
+
+
 def seconds_of(item: pytest.Item) -> float:
     """Return the CPU seconds that a test is marked with, 0 where it is not slow."""
     mark = item.get_closest_marker("slow")

@@ -128,8 +128,9 @@ def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
     bodies = Bodies(
         library("walk", "run", "turn", "stand"), np.array([1.0, 1.1]), ground
     )
-    goings = path(0.02, 2)
-    states, places = walked(bodies, goings, 0.02)
+    step = 0.04
+    goings = path(step, 2)
+    states, places = walked(bodies, goings, step)
     legs = bodies.gaits.walker.legs
     swings = np.array([state.swings for state in states])
     for k, (_, _, _, toe) in enumerate(legs):
@@ -147,7 +148,7 @@ def test_feet_stay_where_they_stand_and_never_cross(ground: Any) -> None:
     # Each stepped, and stands still in the end of the stop.
     assert (np.diff((swings >= 0).astype(int), axis=0) > 0).sum(axis=0).min() > 6
     # No joint goes faster than twice as fast as in a run.
-    speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) / 0.02
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) / step
     assert speeds.max() < 10
 
 
