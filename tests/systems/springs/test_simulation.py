@@ -21,6 +21,7 @@ from animtool.scene.file import load_scene
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.shot import FrameRange
+from animtool.systems.kinds import SYSTEM_KINDS
 from animtool.systems.springs import Family, Pins, SpringSystem, rope, simulate_springs
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 12]\nsystems:\n"
@@ -751,10 +752,12 @@ def test_only_what_a_scene_has_is_loaded(walk: Path, tmp_path: Path) -> None:
     nothing, springs, particles = map(json.loads, lines)
     # Keys of the kinds, and those that they share, are part of the schema of scenes.
     keys = ["springs", "springs.records", "springs.spec"]
-    others = ["colours", "crowds", "crowds.spec", "fields", "flocks", "flocks.spec"]
-    others += ["fluid", "fluid.spec", "kinds", "molecules", "molecules.spec", "nbody"]
-    others += ["nbody.spec", "particles", "particles.spec", "rigid", "rigid.spec"]
-    assert nothing == [f"animtool.systems.{name}" for name in (*others, *keys)]
+    folders = {
+        kind.spec.partition(":")[0].split(".")[2] for kind in SYSTEM_KINDS.values()
+    }
+    specs = {name for folder in folders for name in (folder, f"{folder}.spec")}
+    schema = specs | {"colours", "fields", "kinds", *keys}
+    assert nothing == sorted(f"animtool.systems.{name}" for name in schema)
     assert "animtool.systems.springs.system" in springs
     assert "animtool.systems.particles.run" not in springs
     assert "animtool.systems.particles.run" in particles
