@@ -30,6 +30,7 @@ _INSTEAD = {
     "convert writes it as USD",
     "targets": ": animtool ik makes a clip of it",
     "markers": ": animtool mocap solve makes a take of a capture with it",
+    "scene": ": let its name end in .scene.yaml",
 }
 
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")

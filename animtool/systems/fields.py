@@ -303,7 +303,8 @@ class SystemSpec(FileModel):
         tried: Whether its simulation says itself in what `Ways` it can be simulated.
         made_of: Keys whose entries are counted as what it is made of.
         acted_on: Likewise, as what acts on it.
-        code: Of the faults that `problems` are.
+        code: Of the faults that `problems` are; SIM032 is options that do not go
+            together.
         quantities: What its key ``colour``, if it adds one, may be by.
     """
 
@@ -313,7 +314,7 @@ class SystemSpec(FileModel):
     tried: ClassVar[bool] = False
     made_of: ClassVar[Sequence[str]] = ()
     acted_on: ClassVar[Sequence[str]] = ("forces",)
-    code: ClassVar[str] = ""
+    code: ClassVar[str] = "SIM032"
     quantities: ClassVar[Sequence[str]] = ()
 
     name: PrimName = Field(examples=["chain"])

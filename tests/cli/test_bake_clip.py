@@ -197,7 +197,11 @@ def test_a_rig_that_is_missing(shot: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "instead"),
-    [("rig", "animtool validate"), ("targets", "animtool ik"), ("scene", "")],
+    [
+        ("rig", "animtool validate"),
+        ("targets", "animtool ik"),
+        ("scene", "end in .scene.yaml"),
+    ],
 )
 def test_a_file_of_another_kind(tmp_path: Path, kind: str, instead: str) -> None:
     path = tmp_path / "x.yaml"

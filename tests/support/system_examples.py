@@ -58,7 +58,7 @@ class Example:
     wild: dict[str, Any]
     initial: np.ndarray
     orders: dict[str, int]
-    more: tuple[str, ...] = ("auto", "xpbd")
+    more: tuple[str, ...] = ()
     smooth: dict[str, Any] = field(default_factory=dict)
     bounded: bool = False
 
@@ -86,6 +86,7 @@ AIR = {**BREEZE, "density": Length(1.2, -3)}
 FAMILY = {"stiffness": 60, "ratio": 0.1}
 LINES = {"structural": FAMILY, "bend": {"stiffness": 4, "ratio": 0.1}}
 ORDERS = {"symplectic_euler": 1, "implicit_euler": 1, "bdf2": 2}
+SOLVERS = ("auto", "xpbd")
 # Too stiff for the step, whatever is done.
 WILD = {"structural": {"stiffness": 1e9}}
 SMOOTH = {"colliders": [], "pins": [{"particles": [0]}]}
@@ -299,7 +300,6 @@ EXAMPLES = {
         bounded=True,
         initial=WALKERS[[0, 2, 3, 1, 4]],
         orders={},
-        more=(),
     ),
     "flocks": Example(
         {
@@ -444,7 +444,6 @@ EXAMPLES = {
         wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e9}}]},
         initial=DROPS,
         orders={},
-        more=(),
     ),
     "molecules": Example(
         {
@@ -649,6 +648,7 @@ EXAMPLES = {
         wild={"springs": WILD},
         initial=ROPE,
         orders=ORDERS,
+        more=SOLVERS,
         smooth=SMOOTH,
     ),
     "strands": Example(
@@ -662,6 +662,7 @@ EXAMPLES = {
         wild={"springs": WILD},
         initial=HAIR.reshape(-1, 3),
         orders=ORDERS,
+        more=SOLVERS,
         smooth=SMOOTH,
     ),
     "cloth": Example(
@@ -682,6 +683,7 @@ EXAMPLES = {
         wild={"springs": WILD},
         initial=SHEET,
         orders=ORDERS,
+        more=SOLVERS,
         smooth=SMOOTH,
     ),
     "volume": Example(
@@ -703,6 +705,7 @@ EXAMPLES = {
         wild={"springs": WILD},
         initial=JELLY,
         orders=ORDERS,
+        more=SOLVERS,
         smooth=SMOOTH,
     ),
 }

@@ -126,8 +126,14 @@ def test_all_of_an_example_shows(kind: str, simulator: Simulator) -> None:
         {"forces": [one for one in keys["forces"] if one is not force]}
         for force in keys.get("forces", [])
     ]
-    still = changed(keys, lambda key, value: [] if key == "moves" else value)
-    for changes in (*without, still):
+    moved: list[str] = []
+
+    def still(key: str, value: Any) -> Any:
+        moved.extend([key] if key == "moves" else [])
+        return [] if key == "moves" else value
+
+    stilled = changed(keys, still)
+    for changes in (*without, *([stilled] if moved else [])):
         other = np.concatenate(points(simulator, entry(kind, **changes)))
         assert not np.array_equal(other, whole), changes
 
