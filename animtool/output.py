@@ -6,10 +6,11 @@ import contextlib
 import os
 import re
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, OptionError, OutputError
 from animtool.files import check_inputs, recorded_inputs
@@ -17,6 +18,9 @@ from animtool.leftovers import new_temporary, take_back
 from animtool.placing import Target, Whole, output_error, place_files, target
 from animtool.signals import deferred_signals, ending, interrupt
 from animtool.supervisor import note_folder, note_said
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 # Of a name in a folder, on nearly every disk [byte].
 LONGEST_NAME = 255
@@ -220,6 +224,18 @@ def write_parts(output: Path, parts: Iterable[bytes]) -> None:
             with temporary.open("wb") as file:
                 for part in parts:
                     file.write(part)
+        except OSError as error:
+            raise output_error(output, error) from error
+
+
+def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write arrays by name to an npz file, whole or not at all (else OUT002)."""
+    import numpy as np
+
+    with replacing(output) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
         except OSError as error:
             raise output_error(output, error) from error
 

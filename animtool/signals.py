@@ -1,75 +1,15 @@
-"""Signals that ask the process to end, and work that goes on while results are used."""
+"""Signals that ask the process to end."""
 
 from __future__ import annotations
 
-import contextlib
-import contextvars
 import signal
 import sys
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import NoReturn, TypeVar
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class _End:
-    error: BaseException | None = None
-
-
-def prefetch(items: Iterator[T], depth: int = 3) -> Generator[T]:
-    """Yield the items of an iterator, up to ``depth`` of them made ahead in a thread.
-
-    It pays where the iterator spends its time in kernels, which release the GIL. An
-    error of the iterator is raised at its place. Closing the generator stops the
-    thread.
-
-    >>> list(prefetch(iter("abc")))
-    ['a', 'b', 'c']
-    """
-    import queue
-
-    ready: queue.Queue[T | _End] = queue.Queue(depth)
-    stopped = threading.Event()
-
-    def put(item: T | _End) -> None:
-        while not stopped.is_set():
-            with contextlib.suppress(queue.Full):
-                ready.put(item, timeout=0.1)
-                return
-
-    def work() -> None:
-        try:
-            for item in items:
-                put(item)
-                if stopped.is_set():
-                    return
-            put(_End())
-        except BaseException as error:
-            put(_End(error))
-
-    # What is noted of the work, such as the files that it reads, is noted here too.
-    context = contextvars.copy_context()
-    thread = threading.Thread(
-        target=context.run, args=(work,), name="animtool-prefetch", daemon=True
-    )
-    thread.start()
-    try:
-        while True:
-            item = ready.get()
-            if isinstance(item, _End):
-                if item.error is not None:
-                    raise item.error
-                return
-            yield item
-    finally:
-        stopped.set()
-        thread.join()
-
+from typing import NoReturn
 
 # A terminal that is closed asks as SIGTERM does.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")

@@ -13,7 +13,7 @@ from animtool.files import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import replacing
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
-from animtool.signals import prefetch
+from animtool.scene.progress import prefetch
 
 
 def names(inputs: Inputs, folder: Path) -> set[str]:

@@ -21,19 +21,17 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
-    common_options,
-    format_option,
     strict_option,
 )
 from animtool.cli.outputs import (
     all_named,
     check_plot,
     draw,
-    existing_options,
     goes_to_stdout,
     plot_option,
     refuse_alone,
     skipped,
+    writing_options,
 )
 
 if TYPE_CHECKING:
@@ -102,10 +100,7 @@ Examples:
     help="Say what each stage of a scene and each output took: seconds, memory, error.",
 )
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def bake(
     console: Console, /, sources: Sequence[Path], output: Path | None, **params: Any
 ) -> None:

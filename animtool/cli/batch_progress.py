@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,7 @@ from animtool.batch.item import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener
 from animtool.batch.work import Status
-from animtool.cli.console import Console
-from animtool.cli.scores_summary import scores_table
+from animtool.cli.console import Console, columns
 from animtool.errors import AnimtoolError, counted
 from animtool.quantities import escaped, json_printed, length_text
 
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from animtool.batch.item import Item
+
+MAX_ROWS = 20  # of takes in a table
 
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
@@ -237,3 +238,37 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
 def _write(report: ItemReport) -> None:
     sys.stdout.write(json_printed(report.as_dict(), ascii_only=True) + "\n")
     sys.stdout.flush()
+
+
+def scores_table(items: Sequence[ItemReport]) -> list[str]:
+    """Return a table for each pass that has scores.
+
+    Args:
+        items: The worst first, as the rows are.
+    """
+    places = dict.fromkeys(
+        (one.pass_name, one.where) for entry in items for one in entry.scores
+    )
+    return [line for place in places for line in _pass_table(items, place)]
+
+
+def _pass_table(items: Sequence[ItemReport], place: tuple[str, str]) -> Iterator[str]:
+    """Yield the lines of the pass of a name and place."""
+    table_rows = [
+        (entry, one)
+        for entry in items
+        for one in entry.scores
+        if (one.pass_name, one.where) == place
+    ]
+    names = [score.name for score in table_rows[0][1].scores]
+    rows = [("  item", *names, "above usual")]
+    for entry, one in table_rows[:MAX_ROWS]:
+        texts = {score.name: score.text for score in one.scores}
+        worse = ", ".join(score.name for score in one.worse)
+        label = f"  {entry.item.output}{values_text(entry.item.values)}"
+        rows.append((label, *(texts.get(name, "") for name in names), worse))
+    yield f"{place[0]} ({place[1]}), the worst first:"
+    yield from columns(rows, {0, len(names) + 1})
+    if len(table_rows) > MAX_ROWS:
+        rest = counted(len(table_rows) - MAX_ROWS, "item")
+        yield f"  {rest} more, which are better; --format json has all"

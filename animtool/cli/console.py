@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TextIO
@@ -78,6 +85,29 @@ class Console:
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
                 self._write(entry, str(shown).replace(escaped(fault.code), code, 1))
+
+    def summary(
+        self,
+        form: str,
+        as_json: Callable[[], object],
+        lines: Callable[[], Iterable[str]],
+        seconds: Mapping[str, float] | None = None,
+    ) -> None:
+        """Write the summary of a command, as JSON to stdout or as lines to stderr.
+
+        Args:
+            form: ``json``, or another for lines.
+            as_json: Returns it as plain values.
+            lines: Returns its lines.
+            seconds: By stage, for the verbose.
+        """
+        if form == "json":
+            self.result_json(as_json())
+            return
+        for line in lines():
+            self.say(line)
+        for stage, spent in (seconds or {}).items():
+            self.detail(f"{stage}: {spent:.3f} s")
 
     def error(self, message: str, *more: str) -> None:
         """Write an error that has no code to stderr, and further lines about it."""

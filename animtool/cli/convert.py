@@ -13,14 +13,12 @@ from animtool.cli.options import (
     INPUT,
     LENGTH,
     bake_option,
-    common_options,
-    format_option,
     source_option,
     source_options,
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.documents.names import is_named
 
@@ -65,10 +63,7 @@ Examples:
     help="Of a rig to USD: write NAME.physics.usda too, with joint types and limits.",
 )
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def convert(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Convert SOURCE to OUTPUT: BVH, USD, CSV, MOT or a clip to one of these.
 
@@ -117,11 +112,11 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
     console.faults(report.notices)
     from animtool.cli.convert_summary import convert_json, convert_text
 
-    if params["report_format"] == "json":
-        console.result_json(convert_json(report))
-        return
-    for line in convert_text(report):
-        console.say(line)
+    console.summary(
+        params["report_format"],
+        lambda: convert_json(report),
+        lambda: convert_text(report),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
-"""The summary of a conversion, in words and in JSON."""
+"""The summary of a conversion, and what passes score, in words and in JSON."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from animtool.cli.scores_summary import scores_json, scores_text
-from animtool.errors import counted
+from animtool.errors import counted, listed
 from animtool.quantities import length_text, plain
 
 if TYPE_CHECKING:
@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from animtool.clip.reduction.keys import Reduction
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport
+    from animtool.scores import PassScores
 
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9
+# Of names in a line.
+MAX_NAMED = 8
 
 
 def shot_text(report: BakeReport | ConvertReport) -> list[str]:
@@ -136,3 +139,21 @@ def _reduction_json(reduction: Reduction | None) -> dict[str, object]:
             "held": reduction.held,
         }
     }
+
+
+def scores_text(scores: Sequence[PassScores]) -> list[str]:
+    """Return the lines of the passes of a take."""
+    lines = []
+    for one in scores:
+        shown = ", ".join(f"{score.name} {score.text}" for score in one.scores)
+        lines.append(f"{one.pass_name}: {shown}")
+        lines += [
+            f"  {what}: {listed(list(names), MAX_NAMED)}"
+            for what, names in one.names.items()
+        ]
+    return lines
+
+
+def scores_json(scores: Sequence[PassScores]) -> dict[str, object]:
+    """Return how well passes did as plain values, if they say it."""
+    return {"scores": [one.as_dict() for one in scores]} if scores else {}

@@ -17,8 +17,6 @@ from animtool.cli.options import (
     OUTPUT,
     TOLERANCE,
     Parsed,
-    common_options,
-    format_option,
     names_of,
     read_values,
     record_option,
@@ -32,12 +30,12 @@ from animtool.cli.outputs import (
     all_named,
     check_plot,
     draw,
-    existing_options,
     goes_to_stdout,
     plot_option,
     refuse_alone,
     skipped,
     split_option,
+    writing_options,
     written_options_record,
 )
 from animtool.ik.options import MISSED, MISSED_DEGREES, TakeOptions
@@ -169,10 +167,7 @@ Examples:
 )
 @source_options
 @source_option("prim_path", "take")
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def ik(console: Console, /, **params: Any) -> None:
     """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
 
@@ -219,7 +214,6 @@ def ik(console: Console, /, **params: Any) -> None:
 def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     """Write the targets of a take, and say what they are."""
     _check_match(params)
-    as_json = params["report_format"] == "json"
     output = params["output"]
     if skipped(console, "ik", params, output, lambda: [output]):
         return
@@ -242,13 +236,12 @@ def _match(console: Console, params: dict[str, Any], source: Any) -> None:
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
     console.faults(report.notices)
-    if as_json:
-        console.result_json(match_json(report))
-        return
-    for line in match_text(report):
-        console.say(line)
-    for stage, seconds in report.seconds.items():
-        console.detail(f"{stage}: {seconds:.3f} s")
+    console.summary(
+        params["report_format"],
+        lambda: match_json(report),
+        lambda: match_text(report),
+        report.seconds,
+    )
 
 
 def _check_match(params: dict[str, Any]) -> None:

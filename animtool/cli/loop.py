@@ -10,8 +10,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_option,
@@ -19,7 +17,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.edit.loop_options import LoopOptions
 from animtool.errors import percent
 from animtool.quantities import length_text, plain
@@ -44,10 +42,7 @@ Examples:
 @source_options
 @source_option("prim_path", "take")
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def loop(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
     """Find the cycle of the take of SOURCE, and repeat it without a seam.
 

@@ -11,14 +11,12 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    common_options,
-    format_option,
     source_options,
     source_options_record,
     stacked,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options
+from animtool.cli.outputs import all_named, writing_options
 
 marker_options = stacked(
     source_options,
@@ -29,9 +27,7 @@ marker_options = stacked(
         "only one]",
     ),
     strict_option,
-    existing_options,
-    format_option,
-    common_options,
+    writing_options,
 )
 output_option = click.option(
     "-o",

@@ -10,8 +10,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_option,
@@ -19,7 +17,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.mocap.options import CleanOptions
 
 
@@ -57,10 +55,7 @@ Examples:
 @source_options
 @source_option("prim_path", "take")
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def clean(console: Console, /, source: Path, output: Path, **params: Any) -> None:
     """Remove spikes and noise from the take of SOURCE, a BVH, USD or clip file.
 
@@ -92,8 +87,8 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
     console.faults(report.notices)
     from animtool.cli.convert_summary import convert_json, convert_text
 
-    if params["report_format"] == "json":
-        console.result_json(convert_json(report))
-        return
-    for line in convert_text(report):
-        console.say(line)
+    console.summary(
+        params["report_format"],
+        lambda: convert_json(report),
+        lambda: convert_text(report),
+    )

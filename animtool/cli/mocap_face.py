@@ -11,8 +11,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_option,
@@ -20,7 +18,7 @@ from animtool.cli.options import (
     source_options_record,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.errors import counted, listed
 from animtool.mocap.options import FaceOptions
 from animtool.quantities import length_text
@@ -76,10 +74,7 @@ Examples:
 @record_option(FaceOptions)
 @source_options
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     """Turn landmarks of a face into weights of a rig's blend shapes.
 
@@ -109,13 +104,12 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
     with all_named(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
     console.faults(result.notices)
-    if params["report_format"] == "json":
-        console.result_json(face_json(result))
-        return
-    for line in face_text(result):
-        console.say(line)
-    for stage, seconds in result.seconds.items():
-        console.detail(f"{stage}: {seconds:.3f} s")
+    console.summary(
+        params["report_format"],
+        lambda: face_json(result),
+        lambda: face_text(result),
+        result.seconds,
+    )
 
 
 def _residual(result: FaceResult, value: float) -> str:

@@ -47,7 +47,6 @@ Examples:
 )
 @record_option(FillOptions)
 @marker_options
-@click.pass_obj
 def fill(
     console: Console,
     /,

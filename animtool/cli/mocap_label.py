@@ -28,7 +28,6 @@ Examples:
     help="A labelled trial of the same subject at rest: names and distances.",
 )
 @marker_options
-@click.pass_obj
 def label(
     console: Console, /, cloud: Path, output: Path, static: Path, **params: Any
 ) -> None:

@@ -12,18 +12,16 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_options,
     source_options_record,
 )
 from animtool.cli.outputs import (
-    existing_options,
     goes_to_stdout,
     skipped,
     take_output_option,
+    writing_options,
     written_options,
     written_options_record,
 )
@@ -88,10 +86,7 @@ Examples:
 @record_option(SolveOptions)
 @written_options
 @source_options
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def solve(
     console: Console, /, source: Path, output: Path | None, **params: Any
 ) -> None:
@@ -126,13 +121,13 @@ def solve(
     with console.progress(f"solve {source.name}", stdout=to_stdout) as progress:
         report = run_solve(job, progress=progress)
     console.faults(report.notices)
-    if params["report_format"] == "json":
-        console.result_json(solve_json(report))
-        return
-    for line in solve_text(report, MAX_NAMED if console.verbosity <= 0 else None):
-        console.say(line)
-    for stage, seconds in report.seconds.items():
-        console.detail(f"{stage}: {seconds:.3f} s")
+    most = MAX_NAMED if console.verbosity <= 0 else None
+    console.summary(
+        params["report_format"],
+        lambda: solve_json(report),
+        lambda: solve_text(report, most),
+        report.seconds,
+    )
 
 
 def solve_text(report: MocapSolveResult, most: int | None = MAX_NAMED) -> list[str]:

@@ -11,14 +11,12 @@ import click
 from animtool.cli.console import Console, columns, finite
 from animtool.cli.options import (
     INPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_options,
     strict_option,
 )
-from animtool.cli.outputs import all_named, existing_options, skipped
+from animtool.cli.outputs import all_named, skipped, writing_options
 from animtool.mocap.options import TriangulateOptions
 from animtool.units import LengthUnit, UpAxis
 
@@ -60,10 +58,7 @@ Examples:
 @record_option(TriangulateOptions)
 @source_options
 @strict_option
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def triangulate(
     console: Console,
     /,
@@ -108,11 +103,11 @@ def triangulate(
         lost = write_markers(found.markers, output, overwrite=params["overwrite"])
     found = replace(found, notices=(*found.notices, *lost))
     console.faults(found.notices)
-    if params["report_format"] == "json":
-        console.result_json(triangulation_json(found, observations, output))
-        return
-    for line in triangulation_text(found, output):
-        console.say(line)
+    console.summary(
+        params["report_format"],
+        lambda: triangulation_json(found, observations, output),
+        lambda: triangulation_text(found, output),
+    )
 
 
 def triangulation_text(found: Triangulation, output: Path) -> list[str]:

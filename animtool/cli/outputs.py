@@ -13,6 +13,8 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     LENGTH,
     OUTPUT,
+    common_options,
+    format_option,
     rig_layer_options,
     stacked,
     strict_option,
@@ -25,14 +27,16 @@ if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
 
 
-existing_options = stacked(
+# Of every command that writes files; the last ones, with the console.
+writing_options = stacked(
     click.option("--overwrite", is_flag=True, help="Replace outputs that exist."),
     click.option(
         "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
     ),
+    format_option,
+    common_options,
+    click.pass_obj,
 )
-
-
 take_output_option = click.option(
     "-o",
     "--output",

@@ -13,8 +13,6 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
-    common_options,
-    format_option,
     read_values,
     record_option,
     source_option,
@@ -22,10 +20,10 @@ from animtool.cli.options import (
     source_options_record,
 )
 from animtool.cli.outputs import (
-    existing_options,
     goes_to_stdout,
     skipped,
     take_output_option,
+    writing_options,
     written_options,
     written_options_record,
 )
@@ -71,10 +69,7 @@ Examples:
 @written_options
 @source_options
 @source_option("prim_path", "take")
-@existing_options
-@format_option
-@common_options
-@click.pass_obj
+@writing_options
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any
 ) -> None:
@@ -104,13 +99,13 @@ def retarget(
     with console.progress(f"retarget {source.name}", stdout=to_stdout) as progress:
         report = run_retarget(job, progress=progress)
     console.faults(report.notices)
-    if params["report_format"] == "json":
-        console.result_json(retarget_json(report))
-        return
-    for line in retarget_text(report, MAX_NAMED if console.verbosity <= 0 else None):
-        console.say(line)
-    for stage, seconds in report.seconds.items():
-        console.detail(f"{stage}: {seconds:.3f} s")
+    most = MAX_NAMED if console.verbosity <= 0 else None
+    console.summary(
+        params["report_format"],
+        lambda: retarget_json(report),
+        lambda: retarget_text(report, most),
+        report.seconds,
+    )
 
 
 def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:

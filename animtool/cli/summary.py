@@ -9,11 +9,12 @@ from animtool.cli.console import columns, finite
 from animtool.cli.convert_summary import (
     convert_json,
     convert_text,
+    scores_json,
+    scores_text,
     shot_json,
     shot_text,
 )
 from animtool.cli.plan_summary import mesh_json, mesh_text
-from animtool.cli.scores_summary import scores_json, scores_text
 from animtool.clock import FrameSpan, frame_label
 from animtool.errors import counted, listed
 from animtool.quantities import duration_text, length_text, plain, size_text

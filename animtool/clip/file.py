@@ -190,14 +190,7 @@ class _ClipReader:
             ends = [t for c in channels for t in (c.times[0], c.times[-1])] or [1.0]
             return Fraction(min(ends)), Fraction(max(ends))
         first, last = self.model.range
-        if first > last:
-            message = f"the range from {first:g} to {last:g} is reversed"
-            hint = f"write [{last:g}, {first:g}]"
-            self.document.add("CLIP006", ("range",), message, hint)
-        if max(abs(first), abs(last)) > MAX_FRAME:
-            message = f"a frame is beyond {MAX_FRAME:.0e}"
-            self.document.add("CLIP006", ("range",), message)
-        return Fraction(first), Fraction(last)
+        return checked_range(self.document, first, last)
 
     def _once(self, at: Location, target: str, seen: dict[str, int], i: int) -> None:
         """Refuse a target twice, or motion and its replacement on one joint."""
@@ -225,3 +218,17 @@ class _ClipReader:
             self.document.add(found.code, at, found.message, found.hint)
             return None
         return found
+
+
+def checked_range(
+    document: Document, first: float, last: float
+) -> tuple[Fraction, Fraction]:
+    """Return the ends of a document's range; what is wrong with it is noted."""
+    if first > last:
+        message = f"the range from {first:g} to {last:g} is reversed"
+        hint = f"write [{last:g}, {first:g}]"
+        document.add("CLIP006", ("range",), message, hint)
+    if max(abs(first), abs(last)) > MAX_FRAME:
+        message = f"a frame is beyond {MAX_FRAME:.0e}"
+        document.add("CLIP006", ("range",), message)
+    return Fraction(first), Fraction(last)

@@ -34,8 +34,7 @@ from animtool.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.output import check_outputs, replacing, together
-from animtool.placing import output_error
+from animtool.output import check_outputs, together, write_parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +160,7 @@ def migrate(
     check_outputs([plan.path for plan in needed], [], overwrite=True)
     with together():
         for plan in needed:
-            with replacing(plan.path) as temporary:
-                try:
-                    temporary.write_text(plan.after, "utf-8", newline="")
-                except OSError as error:
-                    raise output_error(plan.path, error) from error
+            write_parts(plan.path, [plan.after.encode()])
     return plans
 
 

@@ -172,8 +172,7 @@ def write_marker_arrays(
         OptionError: The file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    from animtool.output import check_outputs, replacing
-    from animtool.placing import output_error
+    from animtool.output import check_outputs, write_arrays
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
@@ -190,12 +189,7 @@ def write_marker_arrays(
         ("filled", markers.filled),
     )
     arrays.update({name: values for name, values in extra if values is not None})
-    with replacing(path) as temporary:
-        try:
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-        except OSError as error:
-            raise output_error(path, error) from error
+    write_arrays(path, arrays)
     return []
 
 

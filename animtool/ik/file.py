@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clip.channels import ClipUnits
+from animtool.clip.file import checked_range
 from animtool.clip.schema import CurveModel
 from animtool.config import project_roots
 from animtool.documents.arrays import Archives
@@ -119,14 +120,7 @@ class _Reader:
         if self.model.range is None or self.document.doubtful(("range",)):
             return None, None
         first, last = self.model.range
-        if first > last:
-            message = f"the range from {first:g} to {last:g} is reversed"
-            hint = f"write [{last:g}, {first:g}]"
-            self.document.add("CLIP006", ("range",), message, hint)
-        if max(abs(first), abs(last)) > MAX_FRAME:
-            message = f"a frame is beyond {MAX_FRAME:.0e}"
-            self.document.add("CLIP006", ("range",), message)
-        return Fraction(first), Fraction(last)
+        return checked_range(self.document, first, last)
 
     def _goal(self, at: Location, model: GoalModel) -> GoalTrack | None:
         joint, chain = self._effector((*at, "effector"), model.effector)

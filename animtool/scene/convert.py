@@ -13,7 +13,7 @@ from animtool.clock import Clock, FrameSpan
 from animtool.documents.names import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
-from animtool.output import check_outputs, together, write_parts
+from animtool.output import check_outputs, together, write_arrays, write_parts
 from animtool.passes import Pass, PassContext, apply_pass
 from animtool.plugins import load_object
 from animtool.rig.skeleton import JointType, Rig
@@ -283,7 +283,6 @@ def _to_clip(
     from animtool.clip.keyed_take import keyed_take
     from animtool.rig.surfaces import with_file
     from animtool.rig.write import rig_text
-    from animtool.scene.convert_rig import write_arrays
 
     stem = _stem(output)
     outputs = convert_outputs(output, keys.rig_file)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from animtool.documents.names import file_suffixes, is_named
 from animtool.errors import (
     AnimtoolError,
@@ -16,8 +14,13 @@ from animtool.errors import (
     refuse_warnings,
 )
 from animtool.files import recorded_inputs
-from animtool.output import check_outputs, replacing, sparing_inputs, together
-from animtool.placing import output_error
+from animtool.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_arrays,
+    write_parts,
+)
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import StoredArrays, with_file
 from animtool.rig.write import rig_text
@@ -103,11 +106,7 @@ class RigFile:
         output = self.outputs[-1]
         if self.arrays:
             write_arrays(self.outputs[0], self.arrays)
-        with replacing(output) as temporary:
-            try:
-                temporary.write_text(rig_text(self.rig), "utf-8")
-            except OSError as error:
-                raise output_error(output, error) from error
+        write_parts(output, [rig_text(self.rig).encode()])
 
 
 def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
@@ -138,16 +137,6 @@ def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[
     message = f"only the rig is written, not its motion of {frames} frames"
     hint = f"animtool bake {source.name} --rig-layer {output.name} -o MOTION.usda"
     return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
-
-
-def write_arrays(path: Path, arrays: StoredArrays) -> None:
-    """Write the arrays of a rig to an npz file, whole or not at all."""
-    with replacing(path) as temporary:
-        try:
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-        except OSError as error:
-            raise output_error(path, error) from error
 
 
 def _to_usd(

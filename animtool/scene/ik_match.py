@@ -15,10 +15,14 @@ from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
-from animtool.output import check_outputs, replacing, sparing_inputs, together
-from animtool.placing import output_error
+from animtool.output import (
+    check_outputs,
+    sparing_inputs,
+    together,
+    write_arrays,
+    write_parts,
+)
 from animtool.rig.surfaces import StoredArrays
-from animtool.scene.convert_rig import write_arrays
 from animtool.scene.ik import frame_index, naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.progress import Progress
@@ -102,7 +106,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
         outputs.insert(0, arrays_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.overwrite)
         write_arrays(outputs[0], _named(text.arrays))
-    _write(job.output, text.text)
+    write_parts(job.output, [text.text.encode()])
     seconds = {
         "read": read - began,
         "match": matched - read,
@@ -120,11 +124,3 @@ def _pose(take: Take, frame: int) -> Take:
 
 def _named(arrays: dict[str, FloatArray]) -> StoredArrays:
     return {name.partition("#")[2]: values for name, values in arrays.items()}
-
-
-def _write(path: Path, text: str) -> None:
-    with replacing(path) as temporary:
-        try:
-            temporary.write_text(text, "utf-8")
-        except OSError as error:
-            raise output_error(path, error) from error

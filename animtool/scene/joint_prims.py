@@ -17,9 +17,8 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks, moving_joints
 from animtool.scene.prims import BakePlan, Draft, TakeReport, take_report
-from animtool.scene.progress import timed
+from animtool.scene.progress import prefetch, timed
 from animtool.scene.sources import source_stem
-from animtool.signals import prefetch
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
 from animtool.usd.joint_writer import round_blocks

@@ -22,8 +22,7 @@ from animtool.mocap.solve.source import (
 )
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
-from animtool.output import check_outputs, replacing, sparing_inputs, together
-from animtool.placing import output_error
+from animtool.output import check_outputs, sparing_inputs, together, write_parts
 from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig
@@ -170,11 +169,7 @@ def _write_subject(job: MocapSolveJob, result: MocapSolveResult) -> list[Path]:
         name = seen_from(rig.resolve(), job.write_template.resolve().parent)
         title = f"markers of {job.source.name}, calibrated"
         text = template_text(found.template, title, str(name))
-        with replacing(job.write_template) as temporary:
-            try:
-                temporary.write_text(text, "utf-8", newline="\n")
-            except OSError as error:
-                raise output_error(job.write_template, error) from error
+        write_parts(job.write_template, [text.encode()])
         made.append(job.write_template)
     return made
 

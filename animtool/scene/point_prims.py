@@ -27,8 +27,8 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.scene.frames import TakePlan, TakeRun, TimedBlocks
 from animtool.scene.prims import BakePlan, Draft, MeshReport, Save, take_report
+from animtool.scene.progress import prefetch
 from animtool.scene.sources import is_usd
-from animtool.signals import prefetch
 from animtool.skin.character import (
     CharacterMesh,
     character_meshes,

@@ -1,11 +1,13 @@
-"""How much of some work is done, and what its stages cost."""
+"""Work that goes on in steps: made ahead, how much is done, what its stages cost."""
 
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable, Generator, Iterator, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -53,6 +55,61 @@ def timed(
         if item is None:
             return
         yield item
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    error: BaseException | None = None
+
+
+def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
+    """Yield the items of an iterator, up to ``depth`` of them made ahead in a thread.
+
+    It pays where the iterator spends its time in kernels, which release the GIL. An
+    error of the iterator is raised at its place. Closing the generator stops the
+    thread.
+
+    >>> list(prefetch(iter("abc")))
+    ['a', 'b', 'c']
+    """
+    import queue
+
+    ready: queue.Queue[Item | _End] = queue.Queue(depth)
+    stopped = threading.Event()
+
+    def put(item: Item | _End) -> None:
+        while not stopped.is_set():
+            with contextlib.suppress(queue.Full):
+                ready.put(item, timeout=0.1)
+                return
+
+    def work() -> None:
+        try:
+            for item in items:
+                put(item)
+                if stopped.is_set():
+                    return
+            put(_End())
+        except BaseException as error:
+            put(_End(error))
+
+    # What is noted of the work, such as the files that it reads, is noted here too.
+    context = contextvars.copy_context()
+    thread = threading.Thread(
+        target=context.run, args=(work,), name="animtool-prefetch", daemon=True
+    )
+    thread.start()
+    try:
+        while True:
+            item = ready.get()
+            if isinstance(item, _End):
+                if item.error is not None:
+                    raise item.error
+                return
+            yield item
+    finally:
+        stopped.set()
+        thread.join()
 
 
 def share_of(progress: Progress, i: int, count: int) -> Progress:

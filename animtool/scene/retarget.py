@@ -15,7 +15,7 @@ from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
-from animtool.output import check_outputs, replacing, sparing_inputs, together
+from animtool.output import check_outputs, sparing_inputs, together, write_parts
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
 from animtool.scene.ik import naming
@@ -134,8 +134,7 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             report.notices += [n for n in written.notices if n not in report.notices]
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
-            with replacing(job.write_map) as temporary:
-                temporary.write_text(text, "utf-8", newline="\n")
+            write_parts(job.write_map, [text.encode()])
     report.outputs = outputs
     return report
 

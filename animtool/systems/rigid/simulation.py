@@ -19,7 +19,6 @@ from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.forces import BodyForces
 from animtool.systems.rigid.joints import Joints, joints_of, together
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -28,7 +27,7 @@ from animtool.systems.rigid.physics import (
     still_colliders,
 )
 from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.rigid.surroundings import Surroundings
+from animtool.systems.rigid.surroundings import BodyForces, Surroundings
 from animtool.systems.simulation import Diagnostics, SimContext, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.

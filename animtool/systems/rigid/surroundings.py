@@ -1,15 +1,114 @@
-"""What rigid bodies run into through a step, surfaces as they then are."""
+"""What acts on rigid bodies in a step: forces, pushes, and what they run into."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses, Sheet
+from animtool.systems.particles.forces.base import Force
+from animtool.systems.particles.state import ParticleState
+from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.spec import PushModel
+
+# A force that changes by more of itself in a step wakes who sleeps.
+CHANGES = 1e-9
+
+
+class BodyForces:
+    """Forces on N bodies that are moved, from a time on."""
+
+    def __init__(self, bodies: Bodies, forces: Sequence[Force], begin: float) -> None:
+        self._bodies, self.forces, self._begin = bodies, forces, begin
+        self._pushes = [
+            (number, push)
+            for number, i in enumerate(bodies.dynamic.tolist())
+            for push in bodies.kinds[bodies.of[i]].model.pushes
+        ]
+
+    def over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return forces [N] and torques [N m] through a step ``(N, 6)``.
+
+        They are the mean of those at its beginning and at its end, where bodies come
+        that nothing touches, so that errors fall with the square of the step.
+        """
+        now = self._at(t, (t, t + dt), motion)
+        masses, spins = self._bodies.masses[:, None], self._bodies.spins(motion)
+        then = motion.copy()
+        then[:, 7:10] += now[:, :3] * (dt / masses)
+        then[:, :3] += (motion[:, 7:10] + then[:, 7:10]) * (dt / 2)
+        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
+        return (now + self._at(t + dt, (t, t + dt), then)) / 2
+
+    def change(
+        self, forces: FloatArray, t: float, dt: float, motion: FloatArray
+    ) -> BoolArray:
+        """Return whose forces are others in the next step ``(N,)``."""
+        later = self.over(t + dt, dt, motion)
+        size = np.linalg.norm(forces, axis=1)
+        return np.asarray(np.linalg.norm(later - forces, axis=1) > CHANGES * size)
+
+    def potential(self, motion: FloatArray) -> float:
+        """Return the potential energy of forces that have one [J]."""
+        potential = 0.0
+        for force in self.forces:
+            found = force.potential(motion[:, :3], self._particles)
+            potential += 0.0 if found is None else float(found.sum())
+        return potential
+
+    def _at(
+        self, t: float, span: tuple[float, float], motion: FloatArray
+    ) -> FloatArray:
+        """Return forces and torques at a time ``(N, 6)``, pushes as in a span of it."""
+        made = np.zeros((len(motion), 6))
+        x, v = motion[:, :3], motion[:, 7:10]
+        for force in self.forces:
+            made[:, :3] += force.force(t, x, v, self._particles)
+        for number, push in self._pushes:
+            made[number] += self._pushed(number, push, span, motion)
+        return made
+
+    def _pushed(
+        self,
+        number: int,
+        push: PushModel,
+        span: tuple[float, float],
+        motion: FloatArray,
+    ) -> FloatArray:
+        """Return force and torque of a push ``(6,)``, less where it lasts less."""
+        t, end = span
+        start = self._begin if push.start is None else push.start
+        last = np.inf if push.end is None else push.end
+        share = max(min(end, last) - max(t, start), 0.0) / (end - t)
+        if not share:
+            return np.zeros(6)
+        bodies, turn = self._bodies, motion[number, 3:7]
+        frame = so3.multiply(turn, so3.conjugate(bodies.axes[number]))
+        force, torque = np.array(push.force), np.array(push.torque)
+        if push.local:
+            force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
+        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[number])
+        return np.concatenate([force, torque + np.cross(arm, force)]) * share
+
+    @cached_property
+    def _particles(self) -> ParticleState:
+        bodies = self._bodies
+        count = len(bodies.dynamic)
+        return ParticleState(
+            np.arange(count),
+            bodies.masses,
+            np.zeros(count),
+            bodies.reaches,
+            np.full(count, self._begin),
+            np.full(count, np.inf),
+            bodies.start[:, :3],
+        )
 
 
 class Surroundings:

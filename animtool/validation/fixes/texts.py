@@ -19,10 +19,9 @@ from animtool.documents.edit import Add, EditError, Put, Remove, edited
 from animtool.documents.references import split_reference
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import read_input
-from animtool.output import ahead, name_problem, together, write_parts
+from animtool.output import ahead, name_problem, together, write_arrays, write_parts
 from animtool.placing import output_error
 from animtool.rig.parts import ArrayRef
-from animtool.scene.convert_rig import write_arrays
 from animtool.validation.fixes.draft import Mend, NotMendedError, Step, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document

@@ -23,7 +23,7 @@ from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
 from animtool.batch.work import Status
-from animtool.cli.scores_summary import scores_table
+from animtool.cli.batch_progress import scores_table
 from animtool.errors import AnimtoolError
 from animtool.files import FileState
 from animtool.scores import PassScores, Score, ScoreUnit
