@@ -22,6 +22,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# Nothing is cut off from power in a test: nobody waits for the disk. Tests of faults
+# watch the calls all the same.
+os.fsync = lambda _: None
+
 # How long an example takes is the machine's affair; others are taken in each run.
 # `--hypothesis-profile=full` takes ten times as many.
 settings.register_profile("fast", deadline=None, max_examples=FAST)

@@ -124,7 +124,7 @@ def test_an_array_of_slurm(guide: str, farm: Path, commands: dict[str, str]) -> 
 def test_a_cluster(guide: str, tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 3)
     (tmp_path / "JOB.batch.yaml").write_text(JOB)
-    with local_cluster() as address:
+    with local_cluster(workers=1) as address:
         (tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
         lines = block(guide, "dask=").splitlines()
         for line, said in zip(lines, ("3 done", "up to date"), strict=True):

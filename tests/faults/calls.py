@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,11 +20,13 @@ import pytest
 __all__ = [
     "ERRORS",
     "Calls",
+    "Children",
     "Files",
     "failing",
     "files_in",
     "in_child",
-    "killed",
+    "signalled",
+    "small_children",
     "watched",
 ]
 
@@ -95,12 +100,12 @@ def failing(at: int) -> Calls:
     return Calls(act)
 
 
-def killed(at: int) -> Calls:
-    """Return calls at one of which the process is killed outright."""
+def signalled(at: int, signum: int = signal.SIGKILL) -> Calls:
+    """Return calls at one of which the process gets a signal; it is killed outright."""
 
     def act(number: int) -> None:
         if number == at:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), signum)
 
     return Calls(act)
 
@@ -118,6 +123,49 @@ def in_child(work: Callable[[], object]) -> int:
         finally:
             os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+# Each line of its input is a function to call in a fork; a line of its output is how
+# that ended. A fork of the process of the tests, which is large, takes ten times as long.
+_FORKING = """
+import json, sys
+from importlib import import_module
+from faults.calls import in_child
+
+for line in sys.stdin:
+    module, name, arguments = json.loads(line)
+    call = getattr(import_module(module), name)
+    print(in_child(lambda: call(*arguments)), flush=True)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Children:
+    """Forks of a small process, one after another."""
+
+    process: subprocess.Popen[str]
+
+    def __call__(self, work: Callable[..., object], *arguments: object) -> int:
+        """Do some work in a process of its own; return its exit code, 0 for the end."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        named = [f"faults.{work.__module__.rpartition('.')[2]}", work.__name__]
+        self.process.stdin.write(f"{json.dumps([*named, arguments])}\n")
+        self.process.stdin.flush()
+        return int(self.process.stdout.readline())
+
+
+@contextmanager
+def small_children() -> Iterator[Children]:
+    """Yield what does the work of tests in this folder in forks of a small process."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", _FORKING],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+    ) as process:
+        yield Children(process)
 
 
 def files_in(folder: Path) -> Files:

@@ -7,6 +7,15 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+from faults.calls import Children, small_children
+
+
+@pytest.fixture(scope="module")
+def children() -> Iterator[Children]:
+    """Return what does work in processes of their own."""
+    with small_children() as found:
+        yield found
+
 
 @pytest.fixture
 def disk() -> Iterator[Path]:

@@ -21,7 +21,16 @@ from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.leftovers import remove_leftovers, take_back, temporary_prefix
 from animtool.output import ahead, check_outputs, replacing, together
 from animtool.placing import output_error
-from faults.calls import Calls, Files, failing, files_in, in_child, killed, watched
+from faults.calls import (
+    Calls,
+    Children,
+    Files,
+    failing,
+    files_in,
+    in_child,
+    signalled,
+    watched,
+)
 
 FAULTS = "fault | what happened | what was lost"
 posix = pytest.mark.skipif(os.name == "nt", reason="POSIX processes")
@@ -160,9 +169,16 @@ def test_a_call_fails(
         record_property(FAULTS, f"{row} | {said} | nothing")
 
 
-def ended(number: int) -> None:
-    """Let signals that ask for an end raise, as the command line does."""
-    signal.signal(number, lambda signum, _: sys.exit(128 + signum))
+def stop_at(name: str, folder: str, at: int, number: int) -> None:
+    """Write, and send this process a signal at a call.
+
+    Signals that ask for an end raise, as the command line does.
+    """
+    if number != signal.SIGKILL:
+        signal.signal(number, lambda signum, _: sys.exit(128 + signum))
+    writer = next(each for each in WRITERS if each.__name__ == name)
+    with watched(signalled(at, number)):
+        writer(Path(folder), "new")
 
 
 @posix
@@ -172,14 +188,15 @@ def test_the_process_is_killed(
     writer: Writer,
     before: str,
     disk: Path,
+    children: Children,
     record_property: Callable[[str, object], None],
 ) -> None:
     stage = Stage.of(writer, disk, before)
     found = []
     for i in range(1, len(stage.calls) + 1):
         folder = stage.copy(i)
-        code = in_child(lambda i=i, folder=folder: stage.run(folder, killed(i)))  # type: ignore[misc]
-        assert code == -signal.SIGKILL
+        given = (writer.__name__, str(folder), i, int(signal.SIGKILL))
+        assert children(stop_at, *given) == -signal.SIGKILL
         # What the next command that writes to the folder does first.
         take_back(folder)
         files = files_in(folder)
@@ -200,22 +217,15 @@ def test_the_process_is_killed(
 def test_the_process_is_asked_to_end(
     number: signal.Signals,
     disk: Path,
+    children: Children,
     record_property: Callable[[str, object], None],
 ) -> None:
     stage = Stage.of(three_files, disk, "old")
     whole = 0
     for i in range(1, len(stage.calls) + 1):
         folder = stage.copy(i)
-
-        def asked(at: int, i: int = i) -> None:
-            if at == i:
-                os.kill(os.getpid(), number)
-
-        def work(folder: Path = folder, asked: Callable[[int], None] = asked) -> None:
-            ended(number)
-            stage.run(folder, Calls(asked))
-
-        assert in_child(work) == 128 + number
+        given = (three_files.__name__, str(folder), i, int(number))
+        assert children(stop_at, *given) == 128 + number
         assert files_in(folder) in (stage.old, stage.new)
         assert hidden(folder) == []
         whole += files_in(folder) == stage.new

@@ -20,7 +20,7 @@ def test_starlings_flee_the_hawk_around_the_tower(printed: Printed) -> None:
     birds = UsdGeom.PointInstancer(stage.GetPrimAtPath("/murmuration/birds"))
     assert len(birds.GetPrototypesRel().GetTargets()) == 8
     shown, gaps = set(), []
-    for frame in range(1, 121):
+    for frame in range(1, 73):
         points = np.array(birds.GetPositionsAttr().Get(frame), np.float64)
         shown |= set(birds.GetProtoIndicesAttr().Get(frame))
         axis = points.copy()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.cli import animtool
+from support.printed import Printed
 
 from animtool import open_source
 from animtool.mocap.retarget import map_joints
@@ -84,18 +85,16 @@ def test_the_foot_under_a_kick_stays_on_each_rig(path: Path) -> None:
 
 
 def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
-    tmp_path: Path,
+    workplace: Path, printed: Printed
 ) -> None:
     """The scores come from the processes as the command alone has them."""
-    done, again = (
-        animtool(
-            *("batch", FOLDER / "onto.batch.yaml", "-j", "2", "--format", "json"),
-            *("-o", f"{tmp_path}/{{rig}}/{{stem}}.usdc"),
-        )
-        for _ in range(2)
-    )
-    assert done.code == 0, done.stderr
-    items = json.loads(done.stdout)["items"]
+    command = "animtool batch samples/retarget/onto.batch.yaml"
+    printed.copy(command, workplace)
+    again = animtool(*command.split()[1:], "--format", "json", cwd=workplace)
+    assert again.code == 0, again.stderr
+    # What is up to date has the scores of the run that made it.
+    assert json.loads(again.stdout)["skipped"] == len(TAKES) * len(RIGS)
+    items = json.loads(again.stdout)["items"]
     assert len(items) == len(TAKES) * len(RIGS)
     for item in items:
         (own,) = item["scores"]
@@ -106,13 +105,12 @@ def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
         ]
         item["worst"] = max(excess)
     worst = max(items, key=lambda item: float(item["worst"]))
-    table = done.stderr.partition("the worst first:\n")[2].splitlines()
+    told = printed.stderr(command)
+    table = told.partition("the worst first:\n")[2].splitlines()
     assert table[1].split()[0] == worst["output"]
-    # What is up to date has the scores of the run that made it.
-    assert json.loads(again.stdout)["skipped"] == len(items)
     assert again.stderr.partition("the worst first:\n")[2].splitlines() == table
     alone = animtool(
-        *("retarget", worst["input"], "--format", "json"),
+        *("retarget", workplace / worst["input"], "--format", "json"),
         *("--to", FOLDER / f"rigs/{worst['values']['rig']}.rig.yaml"),
     )
     found = json.loads(alone.stdout)

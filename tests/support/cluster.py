@@ -10,9 +10,9 @@ import pytest
 
 
 @contextmanager
-def local_cluster() -> Iterator[str]:
-    """Give the address of a cluster of two workers; skip where dask is missing."""
-    with small_cluster() as cluster:
+def local_cluster(workers: int = 2) -> Iterator[str]:
+    """Give the address of a cluster of some workers; skip where dask is missing."""
+    with small_cluster(workers) as cluster:
         yield str(cluster.scheduler_address)
 
 

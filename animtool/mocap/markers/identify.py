@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
@@ -70,15 +71,7 @@ def _seeds(
     count = len(moving.mean)
     rigid = (moving.spread < RIGID) & np.isfinite(moving.mean)
     np.fill_diagonal(rigid, False)
-    groups = []
-    for group in combinations(range(count), 4):
-        i, j, k, m = group
-        if not (rigid[i, j] and rigid[i, k] and rigid[j, k]):
-            continue
-        if rigid[i, m] and rigid[j, m] and rigid[k, m]:
-            groups.append(group)
-        if len(groups) >= MAX_GROUPS:
-            break
+    groups = list(islice(_fours(rigid), MAX_GROUPS))
     found = []
     for group in groups:
         for markers in _matches(group, moving.mean, rest):
@@ -88,6 +81,18 @@ def _seeds(
                 found.append((off, pairs))
     found.sort(key=lambda entry: entry[0])
     return [pairs for _, pairs in found]
+
+
+def _fours(rigid: BoolArray) -> Iterator[tuple[int, ...]]:
+    """Yield the runs of which any two are rigid, by fours, in order of their numbers."""
+    after = [np.flatnonzero(row[i:]) + i for i, row in enumerate(rigid)]
+    for i, others in enumerate(after):
+        for j in others.tolist():
+            both = after[j][rigid[i, after[j]]]
+            for k in both.tolist():
+                all_three = after[k][rigid[i, after[k]] & rigid[j, after[k]]]
+                for m in all_three.tolist():
+                    yield i, j, k, m
 
 
 def _matches(

@@ -159,9 +159,8 @@ class Mesh:
             np.asarray(self.points, np.float64), axis=0, return_inverse=True
         )
         triangles = same.reshape(-1)[np.asarray(self.triangles, np.int64)]
-        a, b, c = points[triangles].swapaxes(0, 1)
-        flat = ~np.cross(b - a, c - a).any(axis=1)
-        return points, np.ascontiguousarray(triangles[~flat], np.int32)
+        kept = triangles[_have_area(points, triangles)]
+        return points, np.ascontiguousarray(kept, np.int32)
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
@@ -173,9 +172,15 @@ class Mesh:
             return [f"its triangles must have shape (T, 3), not {triangles.shape}"]
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
             return [f"corners of its triangles must be of its {len(points)} points"]
-        if not triangles.size or not len(self.welded()[1]):
+        if not triangles.size or not _have_area(points, triangles).any():
             return ["it has no triangle with an area"]
         return []
+
+
+def _have_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
+    """Return which triangles ``(T, 3)`` have an area ``(T,)``."""
+    a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
+    return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,7 +155,8 @@ def test_chunks_and_parts_show_what_the_whole_shows(
         BakeOptions(frame_range=span(4, 7)),
     ):
         stage, files = simulator.baked(entry(kind), options)
-        assert files == simulator.baked(entry(kind), options)[1]
+        if options.chunk:
+            assert files == simulator.baked(entry(kind), options)[1]
         for code in range(4, 8):
             values(stage, code, values(whole, code, None))
 
