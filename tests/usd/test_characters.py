@@ -189,3 +189,29 @@ def test_nothing_is_found_in_the_layer_and_chunks_are_refused(folder: Path) -> N
     with pytest.raises(OptionError, match="not in chunks"):
         baked(folder, "chunked.usdc", chunk=10)
     assert not list(folder.glob("chunked*"))
+
+
+def test_who_left_is_not_seen(folder: Path) -> None:
+    """A member that leaves at its goal is invisible from then on, as in each frame."""
+    scene = json.loads((folder / "shot.scene.yaml").read_text("utf-8"))
+    people = scene["systems"][0]["crowds"]
+    gaits = people["populations"][0]["gaits"]
+    people["colliders"] = []
+    people["goals"] = [{"name": "gate", "at": [0, 0, 0.8], "radius": 0.4}]
+    people["populations"] = [
+        {"name": "stay", "count": 1, "at": [9, 0, 0], "gaits": gaits},
+        {"name": "go", "count": 1, "place": {"point": None}, "route": ["gate"],
+         "then": "leave", "gaits": gaits},
+    ]  # fmt: skip
+    path = folder / "left.scene.yaml"
+    path.write_text(json.dumps(scene), "utf-8")
+    (run,) = open_systems(load_scene(path).systems, 3.0)
+    seen = [run.at(k / 24).visible.tolist() for k in range(FRAMES)]
+    assert seen[0] == [True, True]
+    assert seen[-1] == [True, False]
+    bake(load_scene(path), folder / "left.usdc", BakeOptions())
+    stage = Usd.Stage.Open(str(folder / "left.usdc"))
+    agents = stage.GetPrimAtPath("/left/people").GetChildren()
+    for k in range(FRAMES):
+        shown = [UsdGeom.Imageable(one).ComputeVisibility(k + 1.0) for one in agents]
+        assert [word == "inherited" for word in shown] == seen[k]

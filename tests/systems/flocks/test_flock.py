@@ -360,3 +360,13 @@ def test_meshes_of_a_clip_are_shown_at_phases_of_its_cycle(
     with pytest.raises(AnimtoolError) as error:
         simulator.simulate(flock(missing), [0.0])
     assert error.value.faults[0].code == "SIM053"
+
+
+def test_who_flies_one_way_is_in_order_however_fast(simulator: Simulator) -> None:
+    fast = {**BIRD, "name": "fast", "spread": 0, "speed": {"cruise": 9}}
+    slow = {**BIRD, "name": "slow", "seed": 5, "spread": 0, "speed": {"cruise": 1}}
+    (run,) = open_systems(simulator.scene(flock(fast, slow)).systems, 1.0)
+    run.at(0.0)
+    found = run.diagnostics.values
+    assert found["order"] == pytest.approx(1)
+    assert found["speed"] == pytest.approx(5)
