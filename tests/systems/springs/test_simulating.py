@@ -179,7 +179,7 @@ def test_an_error_that_cannot_be_kept_is_said() -> None:
     motion = simulate_springs(flag(3), [0, 0.05], options)
     (notice,) = motion.notices
     assert notice.code == "SIM142"
-    assert notice.message.endswith("and the limit is 1e-12 m")
+    assert notice.message.endswith("and the limit is 0.001 nm")
 
 
 def test_a_step_too_long_is_pointed_out_and_stopped() -> None:
