@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.cli import Done, animtool
-from support.stage import cameras_text, observed, ring, walkers, write_observations
+from support.stage import (
+    cameras_text,
+    changed,
+    observed,
+    ring,
+    walkers,
+    write_observations,
+)
+
+from animtool.mocap.cameras import triangulate
 
 STAGE = ring(4)
 POINTS = walkers(30, 5)
@@ -83,3 +92,18 @@ def test_validate_and_schema(capture: Path) -> None:
     assert animtool("validate", "stage.cameras.yaml", cwd=capture).code == 0
     schema = json.loads(animtool("schema", "cameras").stdout)
     assert set(schema["required"]) == {"cameras", "views"}
+
+
+def test_a_camera_that_moved_is_reported_with_its_frames(tmp_path: Path) -> None:
+    """Frames of reports count from 1; the last one is the last that it moved in."""
+    seen = observed(ring(6), walkers(90, 8))
+    pixels = seen.stored.copy()
+    pixels[30:60, 4] += [9.0, 6.0]
+    moved = changed(seen, pixels)
+    (stretch,) = triangulate(moved, ring(6)).cameras[4].moved
+    write_observations(tmp_path / "take.npz", moved)
+    (tmp_path / "stage.cameras.yaml").write_text(cameras_text(ring(6)), "utf-8")
+    report = json.loads(run(tmp_path, "--format", "json").stdout)
+    (entry,) = report["cameras"][4]["moved"]
+    assert (entry["first"], entry["last"]) == (stretch.first + 1, stretch.end)
+    assert entry["last"] - entry["first"] + 1 == stretch.end - stretch.first

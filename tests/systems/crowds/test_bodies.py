@@ -21,7 +21,7 @@ from animtool.systems.crowds.cast import part
 from animtool.systems.crowds.cycles import gaits_of
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import about_up
-from animtool.systems.crowds.poses import poses_of
+from animtool.systems.crowds.poses import TILT, _tilts, poses_of
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 TAKES = SAMPLES / "retarget" / "takes"
@@ -227,3 +227,17 @@ def test_what_a_library_lacks_is_named() -> None:
     stick = Rig("stick", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
     with pytest.raises(OptionError, match="has no two legs"):
         gaits_of(stick, [])
+
+
+def test_a_sole_is_turned_as_the_ground_is() -> None:
+    """Turns take what is upright to the normal of a slope, up to the steepest."""
+    angles = np.linspace(0, 2 * np.pi, 13)
+    slopes = np.radians([0.0, 5.0, 20.0])[:, None]
+    ways = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
+    normals = np.cos(slopes)[..., None] * UP + np.sin(slopes)[..., None] * ways
+    normals = normals.reshape(-1, 3)
+    turned = so3.rotate(_tilts(normals), UP)
+    np.testing.assert_allclose(turned, normals, atol=1e-12)
+    steep = so3.rotate(_tilts(np.array([[1.0, 0.01, 0.0]])), UP)[0]
+    assert np.arccos(steep[1]) == pytest.approx(TILT)
+    assert steep[0] > 0

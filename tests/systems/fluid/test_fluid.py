@@ -318,3 +318,13 @@ def test_a_surface_is_closed_and_has_the_volume(simulator: Simulator) -> None:
     assert 0.9 < volume / (0.6 * 0.5 * 0.6) < 1.6
     sides = np.sort(mesh.indices.reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
     assert (np.unique(sides, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_a_fluid_in_the_open_falls(simulator: Simulator) -> None:
+    """Colliders may be left out: what nothing holds falls as one."""
+    (entry,) = fluid()
+    del entry["fluid"]["colliders"]
+    rows = simulator.simulate([entry], FRAMES[:6])["it"]
+    heights = [np.mean(row.points[:, 1]) for row in rows]
+    falls = heights[0] - 0.5 * 9.81 * np.array(FRAMES[:6]) ** 2
+    assert_allclose(heights, falls, atol=0.02)

@@ -269,3 +269,19 @@ def test_the_same_every_time_and_at_any_rate(tmp_path: Path) -> None:
     slow, fast = one.path(np.arange(25) / 24), other.path(np.arange(61) / 60)
     assert_array_equal(slow[::2], fast[::5])
     assert np.abs(so3.log(one.run.at(1.0).rotations)).max() > 0.1
+
+
+def test_a_ball_joint_that_swings_anywhere_is_held_short_of_its_pole(
+    tmp_path: Path,
+) -> None:
+    def heights(swing: float) -> np.ndarray:
+        folder = tmp_path / str(swing)
+        folder.mkdir()
+        joint = {"name": "neck", "type": "ball", "body": "box", "at": [0, 1, 0],
+                 "axis": [0, -1, 0], "swing": swing}  # fmt: skip
+        top = box([0.1, 0.5, 0.1], at=[0.02, 1.3, 0])
+        return Rigid(folder, top, joints=[joint]).path(np.arange(1, 25) / 24)[:, 0, 1]
+
+    free, held = heights(180), heights(179)
+    assert held.min() < 0.8
+    np.testing.assert_array_equal(free, held)
