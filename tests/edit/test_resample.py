@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.clock import Clock
-from animtool.edit.resample import SampleTimes, plan_samples, resampled, sample
+from animtool.edit.resample import (
+    BLOCK_FRAMES,
+    SampleTimes,
+    plan_samples,
+    resampled,
+    sample,
+)
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
@@ -309,3 +315,10 @@ def along(times: np.ndarray, rate: int) -> Take:
     )
     clock = Clock(Fraction(rate), Fraction(1), Fraction(1), len(times))
     return Take(rig, clock, motion)
+
+
+def test_smooth_samples_have_continuous_signs_from_block_to_block() -> None:
+    turned = resampled(spin(1500, Fraction(120)), 60, smooth=True)
+    assert len(turned) > BLOCK_FRAMES
+    values = turned.motion.rotations.values[:, 0]
+    assert (values[1:] * values[:-1]).sum(axis=1).min() > 0.99

@@ -16,7 +16,7 @@ import pytest
 import animtool
 from animtool.clock import Clock
 from animtool.edit.root_motion import RootMode
-from animtool.errors import AnimtoolError
+from animtool.errors import AnimtoolError, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass, find_pass
@@ -161,6 +161,19 @@ def said(case: Case) -> list[str]:
 @pytest.mark.parametrize("name", CASES)
 def test_a_pass_refuses(name: str) -> None:
     assert CASES[name].code in said(CASES[name])
+
+
+def test_the_joint_whose_scale_is_0_is_named() -> None:
+    case = CASES["a base of no size"]
+    scales = np.ones((12, 4, 3))
+    scales[5, 2, 1] = 0
+    motion = replace(swaying().motion, scales=Channel.from_dense(scales))
+    base = replace(swaying(), motion=motion)
+    context = PassContext(lambda _: base, Path())
+    found = find_pass(case.name)
+    stream = TakeStream.of(swaying())
+    with pytest.raises(OptionError, match="joint 'arm_r' is 0 in the base"):
+        apply_pass(stream, found, found.options(base=OTHER), context)
 
 
 SCENE = "scene: animtool/1\nsource: {file: walk.bvh}\n"

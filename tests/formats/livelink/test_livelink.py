@@ -171,6 +171,14 @@ def test_parts_of_a_frame_do_not_shift_it() -> None:
     assert frames_of(jitter) == (60, list(range(200)))
 
 
+def test_rows_that_come_a_little_late_each_lose_none() -> None:
+    """Each comes 1.02 frames after the one before; some labels are not there."""
+    whole, part = np.divmod(np.arange(200) * 102, 100)
+    made = labels(int(whole[-1]) + 1, 60)
+    late = [f"{made[i]}.{10 * p:03d}" for i, p in zip(whole, part, strict=True)]
+    assert frames_of(late) == (60, list(range(200)))
+
+
 def test_over_midnight() -> None:
     over = labels(120, 60, first=24 * 3600 * 60 - 60)
     assert over[59:61] == ["23:59:59:59", "00:00:00:00"]
