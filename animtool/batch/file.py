@@ -13,14 +13,8 @@ from annotated_types import Ge, Gt, Le
 
 from animtool.batch.cuts import SHOT_NAMES
 from animtool.batch.item import INPUT_NAMES, unknown_names
+from animtool.batch.overrides import Override
 from animtool.batch.spec import MAX_SECONDS, BatchSpec, Limits, parse_bytes
-from animtool.batch.variables_file import (
-    OverrideModel,
-    Value,
-    overrides_of_document,
-    value_text,
-    variables_of_document,
-)
 from animtool.batch.variants import (
     MAX_VARIANTS,
     TOO_MANY,
@@ -36,10 +30,67 @@ from animtool.config import project_roots
 from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
+from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import KeyReader, option_keys, with_keys
 from animtool.scene.sources import SourceOptions, is_timeline
+
+Value = str | Real | bool
+
+
+def value_text(document: Document, at: Location, value: Value) -> str:
+    """Return a value as the file has it; numbers keep the digits written."""
+    if isinstance(value, str):
+        return value
+    written = document.written(at)
+    return written or str(value).lower()
+
+
+def variables_of_document(
+    document: Document, at: Location, own: Mapping[str, Value]
+) -> dict[str, str]:
+    """Return the values of variables as text; names that are none are faults."""
+    for name in own:
+        if not is_variable_name(name):
+            message = f"{name!r} is no name of a variable"
+            hint = "letters, digits and _ make one, and no digit begins it"
+            document.add("BAT002", (*at, name), message, hint)
+    return {name: value_text(document, (*at, name), v) for name, v in own.items()}
+
+
+class OverrideModel(FileModel):
+    """Variables of some inputs."""
+
+    inputs: list[Name] = key(
+        "The inputs that it is for: files, folders and globs.", ["takes/mixamo/**"]
+    )
+    variables: dict[str, Value] = key(
+        "Their values, in place of those of the batch or of an override above.",
+        {"map": "mixamo.map.yaml"},
+    )
+
+
+def overrides_of_document(
+    document: Document, models: Sequence[OverrideModel], taken: Collection[str]
+) -> tuple[Override, ...]:
+    """Return the overrides of a batch file, faults of their names noted.
+
+    Args:
+        document: The batch file.
+        models: Its entries.
+        taken: Names that have values of another source.
+    """
+    overrides = []
+    for i, model in enumerate(models):
+        at = ("overrides", i, "variables")
+        values = variables_of_document(document, at, model.variables)
+        for name in sorted(values.keys() & taken):
+            message = f"{name!r} already has a value for each item"
+            hint = "inputs, shots and variants give it: name the variable otherwise"
+            document.add("BAT063", (*at, name), message, hint)
+        overrides.append(Override(tuple(model.inputs), values))
+    return tuple(overrides)
 
 
 class LimitsModel(FileModel):
@@ -279,7 +330,7 @@ class _BatchReader:
         self.keys = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
-        model, path = self.model, self.document.path
+        model, path, read = self.model, self.document.path, self.keys.read_file
         if model.scene is not None and model.options is not None:
             message = "there are both a scene and options"
             hint = "write into the scene's output what the options say"
@@ -299,16 +350,14 @@ class _BatchReader:
             path.parent,
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
-            None
-            if model.scene is None
-            else self.keys.read_file(("scene",), model.scene),
+            None if model.scene is None else read(("scene",), model.scene),
             variables_of_document(self.document, ("variables",), model.variables),
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
             None if model.jobs == "auto" else model.jobs,
             path,
-            None if model.cut is None else self.keys.read_file(("cut",), model.cut),
+            None if model.cut is None else read(("cut",), model.cut),
             model.handles,
             variants,
             self.keys.roots,

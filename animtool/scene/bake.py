@@ -164,25 +164,15 @@ def plan_output(
     path: the file to write; None is stdout.
     """
     form = form_of(options)
-    target = None
-    reason = "a rig layer was named" if options.form is None else "asked for"
-    mappings: list[JointMap | None] = [None] * len(streams)
     library = form is Form.LIBRARY
-    rig_layer = options.rig_layer
-    if library and path is not None and path.exists():
-        rig_layer = path
-    if rig_layer is not None:
-        from animtool.usd.target import open_target
-
-        target = open_target(rig_layer, options.prim_path)
+    added = library and path is not None and path.exists()
+    target = _target(path if added else options.rig_layer, options.prim_path)
+    mappings: list[JointMap | None] = [None] * len(streams)
+    if target is not None:
         notices += target.notices
         streams = [reorient(stream, target.skeleton.rig.up) for stream in streams]
         mappings = [_mapped(stream, target, options, notices) for stream in streams]
     else:
-        if options.prim_path is not None:
-            check_prim_path(options.prim_path)
-        if options.form is None:
-            reason = "no rig layer was named"
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
@@ -218,9 +208,23 @@ def plan_output(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
+    reason = f"{'no' if target is None else 'a'} rig layer was named"
+    if options.form is not None:
+        reason = "asked for"
     plan = BakePlan(takes, path, options, form, reason, target, fps, start, notices, ())
     _check_props(plan)
     return replace(plan, prims=(_take_prims(takes[0], target),))
+
+
+def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
+    """Return the rig of a layer, opened; None where there is none."""
+    if rig_layer is not None:
+        from animtool.usd.target import open_target
+
+        return open_target(rig_layer, prim_path)
+    if prim_path is not None:
+        check_prim_path(prim_path)
+    return None
 
 
 def _check_props(plan: BakePlan) -> None:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from animtool.config import project_roots
-from animtool.documents.check import check_version, validated
+from animtool.documents.check import check_version, record_of_options, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
+from animtool.errors import AnimtoolError, OptionError
+from animtool.passes import Pass, find_pass
 from animtool.plugins import load_object
 from animtool.rates import parse_rate
 from animtool.scene.entries import (
     OutputKind,
+    ScenePass,
     SceneProp,
     SceneSource,
     SceneSystem,
@@ -25,7 +29,6 @@ from animtool.scene.entries import (
 )
 from animtool.scene.output_entries import OutputReader
 from animtool.scene.output_fields import KeyReader, option_keys
-from animtool.scene.pass_entries import read_passes
 from animtool.scene.scene import Scene
 from animtool.scene.schema import (
     PropModel,
@@ -37,7 +40,11 @@ from animtool.scene.schema import (
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links
 from animtool.scene.tracks import TrackNames
+from animtool.systems.fields import SystemColliderModel
 from animtool.systems.kinds import SYSTEM_KINDS
+
+# It reads whole scenes, where they are characters.
+COLLIDER_READER = "animtool.scene.systems.entries:EntryReader"
 
 
 def load_scene(
@@ -124,7 +131,7 @@ class _SceneReader:
     def scene(self) -> Scene:
         model = self.model
         rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
-        passes = tuple(read_passes(self.keys, model.passes, self.output_roots))
+        passes = tuple(_read_passes(self.keys, model.passes, self.output_roots))
         outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,
@@ -284,3 +291,80 @@ class _SceneReader:
             model.timecode,
             self.keys.parsed((*at, "timecode_fps"), model.timecode_fps, parse_rate),
         )
+
+
+def _read_passes(
+    keys: KeyReader,
+    entries: Sequence[Mapping[str, Any]],
+    output_roots: Sequence[Path],
+) -> Iterator[ScenePass]:
+    """Yield the passes of entries; files that they write are in ``output_roots``."""
+    for i, entry in enumerate(entries):
+        for name, given in entry.items():
+            at: Location = ("passes", i, name)
+            pass_ = _read_pass(keys, at, name, given or {}, output_roots)
+            if pass_ is not None:
+                yield pass_
+
+
+def _read_pass(
+    keys: KeyReader,
+    at: Location,
+    name: str,
+    values: dict[str, Any],
+    output_roots: Sequence[Path],
+) -> ScenePass | None:
+    document = keys.document
+    try:
+        pass_ = find_pass(name)
+    except AnimtoolError as error:
+        fault = error.faults[0]
+        document.add(fault.code, at, fault.message, fault.hint)
+        return None
+    options, faults = record_of_options(pass_.options, values, name)
+    for place, fault in faults:
+        document.add(fault.code, (*at, *place), fault.message, fault.hint)
+    if options is None:
+        return None
+    options, files = _with_colliders(keys, at, options)
+    _check_pass(keys, at, pass_, options)
+    for written in getattr(options, "writes", ()):
+        referred(document, at, str(written), output_roots, written=True)
+    if faults:
+        return None
+    return ScenePass(pass_, options, place_of_entry(document, at), files)
+
+
+def _with_colliders(
+    keys: KeyReader, at: Location, options: Any
+) -> tuple[Any, tuple[Path, ...]]:
+    """Return options with what they run into, and the files that this goes with."""
+    entries = {
+        field.name: value
+        for field in fields(options)
+        if isinstance(value := getattr(options, field.name), list)
+        and any(isinstance(one, SystemColliderModel) for one in value)
+    }
+    if not entries:
+        return options, ()
+    kind: Any = load_object(COLLIDER_READER)
+    reader = kind(keys.document, keys.roots)
+    read = {
+        name: tuple(reader.colliders((*at, name), models))
+        for name, models in entries.items()
+    }
+    return replace(options, **read), tuple(reader.files)
+
+
+def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:
+    """Note what is wrong with options whatever the take is."""
+    for option, check in pass_.checks(options).items():
+        try:
+            check()
+        except OptionError as error:
+            for fault in error.faults:
+                keys.document.add(fault.code, (*at, option), fault.message, fault.hint)
+    for field in fields(pass_.options):
+        value = getattr(options, field.name)
+        if isinstance(value, Path):
+            keys.read_file((*at, field.name), str(value))
