@@ -126,7 +126,8 @@ def in_child(work: Callable[[], object]) -> int:
 
 
 # Each line of its input is a function to call in a fork; a line of its output is how
-# that ended. A fork of the process of the tests, which is large, is slow.
+# that ended. A fork of the process of the tests, which is large, takes ten times as
+# long.
 _FORKING = """
 import json, sys
 from importlib import import_module

@@ -23,7 +23,7 @@ from animtool.units import LengthUnit, UpAxis
 
 ROOT = Path(__file__).parents[2]
 CLIPS = ("retarget/takes/walk", "crowd/clips/stand")
-FRAMES = 60
+FRAMES = 42
 # A foot that stands slides no farther, in what USD plays [m].
 SLIDE = 0.002
 

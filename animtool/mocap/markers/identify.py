@@ -68,7 +68,6 @@ def _seeds(
     points: FloatArray, moving: Distances, shape: FloatArray, rest: FloatArray
 ) -> list[list[tuple[int, int]]]:
     """Return groups of rigid runs with the markers that they may be, best first."""
-    count = len(moving.mean)
     rigid = (moving.spread < RIGID) & np.isfinite(moving.mean)
     np.fill_diagonal(rigid, False)
     groups = list(islice(_fours(rigid), MAX_GROUPS))
@@ -84,7 +83,7 @@ def _seeds(
 
 
 def _fours(rigid: BoolArray) -> Iterator[tuple[int, ...]]:
-    """Yield the runs of which any two are rigid, by fours, in order of their numbers."""
+    """Yield four runs of which any two are rigid, in order of their numbers."""
     after = [np.flatnonzero(row[i:]) + i for i, row in enumerate(rigid)]
     for i, others in enumerate(after):
         for j in others.tolist():
