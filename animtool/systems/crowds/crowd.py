@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, ToleranceError, counted
+from animtool.errors import Fault, ToleranceError, counted, refuse
 from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
@@ -19,7 +19,6 @@ from animtool.systems.crowds.agents import (
     ENOUGH,
     Going,
     agents_of,
-    refused,
     separated,
     warning,
 )
@@ -81,8 +80,11 @@ class Crowd:
         self._frame, self._ground = _ground(context)
         if context.colliders.sheets:
             message = "crowds avoid shapes, rigid bodies and the capsules of characters"
-            raise refused(
-                message, "give it colliders in place of the surface", "systems"
+            refuse(
+                "SIM145",
+                message,
+                "systems",
+                "give it colliders in place of the surface",
             )
         frame = self._frame
         self._agents, self._notices = agents_of(
@@ -391,8 +393,11 @@ def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:
     way = frame.turned_back(np.array(direction, float))[[0, 2]]
     size = float(np.linalg.norm(way))
     if not size > 0:
-        raise refused(
-            "the direction of a queue is straight up", "along the ground", "goals"
+        refuse(
+            "SIM145",
+            "the direction of a queue is straight up",
+            "goals",
+            "along the ground",
         )
     return np.asarray(way / size)
 
@@ -402,12 +407,17 @@ def _ground(context: SimContext) -> tuple[Frame, Ground]:
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
     if len(poses.moments) > 1:
-        raise refused("the ground does not move", "leave moves and turns out", "ground")
+        refuse(
+            "SIM145", "the ground does not move", "ground", "leave moves and turns out"
+        )
     pose = poses.at(context.begin)
     frame = Frame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
-        raise refused(
-            "the ground is a shape or a mesh of a file", "leave one out", "ground"
+        refuse(
+            "SIM145",
+            "the ground is a shape or a mesh of a file",
+            "ground",
+            "leave one out",
         )
     if mesh is not None:
         found = mesh()[0]
@@ -417,6 +427,6 @@ def _ground(context: SimContext) -> tuple[Frame, Ground]:
         return frame, Ground()
     if not isinstance(shape, Mesh):
         message = "the ground is a mesh, a height_field or, with no shape, a plane"
-        raise refused(message, "shape: {height_field: {...}}", "ground")
+        refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.welded()
     return frame, Ground(points[faces])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.errors import Fault, Severity, counted, excerpt, refuse
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
 from animtool.systems.matter import check_apart
@@ -127,7 +127,10 @@ class Members:
                 name = self.named(int(np.argmax(within)))
                 message = f"{name} begins inside colliders, and finds no way out"
                 refuse(
-                    message, "begin elsewhere, or leave room between them", "species"
+                    "SIM060",
+                    message,
+                    "species",
+                    "begin elsewhere, or leave room between them",
                 )
         if not moved.any():
             return points, []
@@ -145,7 +148,11 @@ def _drawn(
     """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
-        refuse("velocities are of points, and there are none", "points: birds.npz", "")
+        refuse(
+            "SIM060",
+            "velocities are of points, and there are none",
+            hint="points: birds.npz",
+        )
     emitter = Emitter(
         place=parts["place"],
         poses=parts["poses"],
@@ -164,7 +171,7 @@ def _drawn(
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
             message = f"{name} of {species.name!r} are of shape {array.shape} or not "
-            refuse(f"{message}finite: they must be {shape}", "", name)
+            refuse("SIM060", f"{message}finite: they must be {shape}", name)
     return points, ways if velocities is None else velocities
 
 
@@ -173,23 +180,27 @@ def check_species(spec: FlocksModel) -> None:
     names = [species.name for species in spec.species]
     for species in spec.species:
         if names.count(species.name) > 1:
-            refuse(f"two species are named {excerpt(species.name)}", "", "species")
+            refuse(
+                "SIM060", f"two species are named {excerpt(species.name)}", "species"
+            )
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:
             if name not in names:
                 hint = f"there are {', '.join(names)}"
-                refuse(f"no species is named {excerpt(name)}", hint, "species")
+                refuse(
+                    "SIM060", f"no species is named {excerpt(name)}", "species", hint
+                )
         speed = species.speed
         if not speed.least <= speed.cruise <= most_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
             message += f"between {speed.least:g} and {most_speed(species):g}"
-            refuse(message, "", "species")
+            refuse("SIM060", message, "species")
     shown = [species.shows is not None for species in spec.species]
     if any(shown) and not all(shown):
         name = names[shown.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
-        refuse("some species show a mesh and others points", hint, "species")
+        refuse("SIM060", "some species show a mesh and others points", "species", hint)
     if spec.domain is not None:
         _check_domain(spec, spec.domain)
 
@@ -203,7 +214,7 @@ def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
         if least < 2 * radius:
             message = f"the domain is {least:g} m wide, and {species.name!r} needs "
             message += f"{2 * radius:g} m: twice {what}"
-            refuse(message, "a larger domain, or a smaller radius", "domain")
+            refuse("SIM060", message, "domain", "a larger domain, or a smaller radius")
 
 
 def most_speed(species: SpeciesModel) -> float:
@@ -216,8 +227,3 @@ def farthest(species: SpeciesModel) -> float:
     """Return how far members heed others [m]."""
     others = [*species.flees, *species.chases]
     return max(species.vision.radius, *(one.radius for one in others), 0.0)
-
-
-def refuse(message: str, hint: str, key: str) -> None:
-    """Raise what of a flock makes no sense (SIM060)."""
-    raise OptionError(Fault("SIM060", message, hint=hint or None, where=key or None))
