@@ -28,7 +28,7 @@ class CordModel(FileModel):
     name: str = "cord"
 
 
-@with_fields(Cord, "mass", "slack", bounds=True)
+@with_fields(Cord, "mass", "slack", ranges="schema")
 class BoundedModel(FileModel):
     """A cord of sound numbers."""
 

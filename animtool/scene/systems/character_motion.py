@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import Clock, time_codes
+from animtool.documents.fields import record_of
 from animtool.documents.names import is_named, nearest
 from animtool.errors import Fault, OptionError
 from animtool.maths.faces import triangulated
@@ -39,16 +40,12 @@ class CharacterMotion:
     world: WorldTransforms  # of its joints
     times: FloatArray  # of the frames, the first at 0 s ``(F,)`` [s]
 
-    def colliders(self, material: tuple[float, float, float]) -> list[Collider]:
-        """Return the capsules of its rig over its frames: ``material`` [m]."""
+    def colliders(self, like: Collider) -> list[Collider]:
+        """Return the capsules of its rig over its frames, like a collider [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
             hint = "particles run into the capsules that its rig file lists"
             raise OptionError(Fault("SIM020", message, str(self.path), (), hint))
-        restitution, friction, margin = material
-        like = Collider(
-            Sphere(1.0), restitution=restitution, friction=friction, margin=margin
-        )
         return rig_colliders(self.rig, self.world, self.times, like)
 
 
@@ -207,11 +204,12 @@ def character_colliders(
     for (file, mesh), one in ones.items():
         character = characters.of(Path(file))
         if mesh is None:
-            material = one.restitution, one.friction, one.margin
-            colliders += character.colliders(material)
+            like = record_of(Collider, one, shape=Sphere(1.0))
+            colliders += character.colliders(like)
         else:
-            like = one.margin, one.closed, mesh, one.restitution, one.friction
-            sheets.append(Sheet(SkinMotion(character, mesh), *like))
+            own = {"radius": one.margin, "name": mesh}
+            motion = SkinMotion(character, mesh)
+            sheets.append(record_of(Sheet, one, motion=motion, **own))
     return colliders, sheets
 
 

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from animtool.documents.arrays import load_array
 from animtool.documents.check import FileModel, wrong_values
 from animtool.documents.document import Document, Location
+from animtool.documents.fields import record_of
 from animtool.documents.names import nearest
 from animtool.documents.references import (
     referred,
@@ -124,7 +125,7 @@ class EntryReader:
         poses = self.poses(at, model, "SIM020")
         if poses is None:
             return None
-        return Collider(shape, poses, **model.model_dump(exclude={*PLACING, "shape"}))
+        return record_of(Collider, model, shape=shape, poses=poses)
 
     def shape(self, at: Location, entry: Named) -> Any:
         """Return a shape of colliders."""

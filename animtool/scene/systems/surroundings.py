@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool._types import FloatArray, IntArray
+from animtool.contacts import Material
 from animtool.documents.document import Location
+from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
@@ -41,8 +43,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
     from animtool.usd.point_reader import open_mesh
 
     motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
-    material = mesh.restitution, mesh.friction
-    return Sheet(motion, mesh.radius, mesh.closed, mesh.prim, *material)
+    return record_of(Sheet, mesh, motion=motion, name=mesh.prim)
 
 
 class _Motion:
@@ -172,12 +173,13 @@ class Surroundings:
         bodies: list[Bodies] = []
         for one in self.systems:
             other = opened[one.system]
-            material = one.restitution, one.friction
             if other.rigid:
-                bodies.append(other.bodies(*material, two_way=one.two_way))
+                own = record_of(Material, one)
+                made = other.bodies(own.restitution, own.friction, two_way=one.two_way)
+                bodies.append(made)
                 continue
             seen = other.surface()
-            thick = seen.radius, seen.closed
-            sheets.append(Sheet(seen, *thick, one.system, *material))
+            thick = {"radius": seen.radius, "closed": seen.closed}
+            sheets.append(record_of(Sheet, one, motion=seen, name=one.system, **thick))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)
