@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +159,7 @@ class SkinMotion:
         self._times = character.times
         surface = self._skin.surface
         self._faces = triangulated(surface.counts, surface.indices)
-        self._kept: OrderedDict[int, FloatArray] = OrderedDict()
+        self._frame = lru_cache(KEPT)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(V, 3)`` at a time [s] [m]."""
@@ -176,13 +176,6 @@ class SkinMotion:
         """Corners of each face ``(M,)``, and these face by face."""
         surface = self._skin.surface
         return surface.counts, surface.indices
-
-    def _frame(self, i: int) -> FloatArray:
-        if i not in self._kept:
-            self._kept[i] = self._skin.frame(i)
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[i]
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return corners of its triangles ``(T, 3)``: always the same."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.contacts import Material
 from animtool.documents.document import Location
 from animtool.documents.fields import record_of
-from animtool.errors import Fault, OptionError, counted
+from animtool.errors import counted, refuse
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
@@ -65,23 +65,19 @@ class _Motion:
         still = source.at(None if source.span is None else self._first)
         self._count = len(still.points)
         self._faces = triangulated(still.counts, still.indices)
-        self._kept: OrderedDict[float, FloatArray] = OrderedDict()
+        self._at = lru_cache(KEPT)(self._points)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""
         code = self._start + t * self._source.fps
-        code = min(max(code, self._first), self._last)
-        if code not in self._kept:
-            found = self._source.at(None if self._source.span is None else code).points
-            if len(found) != self._count:
-                message = (
-                    f"it has {len(found)} points at {code:g}, and had {self._count}"
-                )
-                raise OptionError(Fault("SIM051", message))
-            self._kept[code] = found
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[code]
+        return self._at(min(max(code, self._first), self._last))
+
+    def _points(self, code: float) -> FloatArray:
+        found = self._source.at(None if self._source.span is None else code).points
+        if len(found) != self._count:
+            message = f"it has {len(found)} points at {code:g}, and had {self._count}"
+            refuse("SIM051", message)
+        return found
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return corners of its triangles ``(T, 3)``: always the same."""

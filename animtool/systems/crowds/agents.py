@@ -270,9 +270,8 @@ def _check(spec: CrowdsModel) -> None:
         if any(shown) and not all(shown):
             name = spec.populations[shown.index(False)].name
             message = f"some populations have {what}, and {name!r} has not"
-            refuse(
-                "SIM145", message, "populations", "give it to all, or make two systems"
-            )
+            hint = "give it to all, or make two systems"
+            refuse("SIM145", message, "populations", hint)
     for door in spec.doors:
         for first, last in door.opens:
             if not first < last:

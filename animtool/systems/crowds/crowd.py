@@ -80,12 +80,8 @@ class Crowd:
         self._frame, self._ground = _ground(context)
         if context.colliders.sheets:
             message = "crowds avoid shapes, rigid bodies and the capsules of characters"
-            refuse(
-                "SIM145",
-                message,
-                "systems",
-                "give it colliders in place of the surface",
-            )
+            hint = "give it colliders in place of the surface"
+            refuse("SIM145", message, "systems", hint)
         frame = self._frame
         self._agents, self._notices = agents_of(
             spec, context.parts["populations"], context.begin, frame
@@ -393,12 +389,8 @@ def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:
     way = frame.turned_back(np.array(direction, float))[[0, 2]]
     size = float(np.linalg.norm(way))
     if not size > 0:
-        refuse(
-            "SIM145",
-            "the direction of a queue is straight up",
-            "goals",
-            "along the ground",
-        )
+        message = "the direction of a queue is straight up"
+        refuse("SIM145", message, "goals", "along the ground")
     return np.asarray(way / size)
 
 
@@ -407,18 +399,13 @@ def _ground(context: SimContext) -> tuple[Frame, Ground]:
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
     if len(poses.moments) > 1:
-        refuse(
-            "SIM145", "the ground does not move", "ground", "leave moves and turns out"
-        )
+        message = "the ground does not move"
+        refuse("SIM145", message, "ground", "leave moves and turns out")
     pose = poses.at(context.begin)
     frame = Frame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
-        refuse(
-            "SIM145",
-            "the ground is a shape or a mesh of a file",
-            "ground",
-            "leave one out",
-        )
+        message = "the ground is a shape or a mesh of a file"
+        refuse("SIM145", message, "ground", "leave one out")
     if mesh is not None:
         found = mesh()[0]
         corners = triangulated(found.counts, found.indices)

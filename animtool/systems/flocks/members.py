@@ -126,12 +126,8 @@ class Members:
             if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
                 message = f"{name} begins inside colliders, and finds no way out"
-                refuse(
-                    "SIM060",
-                    message,
-                    "species",
-                    "begin elsewhere, or leave room between them",
-                )
+                hint = "begin elsewhere, or leave room between them"
+                refuse("SIM060", message, "species", hint)
         if not moved.any():
             return points, []
         message = (
@@ -148,11 +144,8 @@ def _drawn(
     """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
-        refuse(
-            "SIM060",
-            "velocities are of points, and there are none",
-            hint="points: birds.npz",
-        )
+        message = "velocities are of points, and there are none"
+        refuse("SIM060", message, hint="points: birds.npz")
     emitter = Emitter(
         place=parts["place"],
         poses=parts["poses"],
@@ -180,17 +173,15 @@ def check_species(spec: FlocksModel) -> None:
     names = [species.name for species in spec.species]
     for species in spec.species:
         if names.count(species.name) > 1:
-            refuse(
-                "SIM060", f"two species are named {excerpt(species.name)}", "species"
-            )
+            message = f"two species are named {excerpt(species.name)}"
+            refuse("SIM060", message, "species")
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:
             if name not in names:
                 hint = f"there are {', '.join(names)}"
-                refuse(
-                    "SIM060", f"no species is named {excerpt(name)}", "species", hint
-                )
+                message = f"no species is named {excerpt(name)}"
+                refuse("SIM060", message, "species", hint)
         speed = species.speed
         if not speed.least <= speed.cruise <= most_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "

@@ -82,9 +82,8 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
             message = f"{model.name!r} is kinematic: its moves say how fast it is"
             refuse("SIM061", message, key, f"no {key}")
     if model.mass is not None and "density" in model.model_fields_set:
-        refuse(
-            "SIM061", f"{model.name!r} has a mass and a density", "density", "keep one"
-        )
+        message = f"{model.name!r} has a mass and a density"
+        refuse("SIM061", message, "density", "keep one")
     several = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
         (
@@ -96,16 +95,12 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     ]
     if model.shape is not None:
         if shapes:
-            refuse(
-                "SIM061", f"{model.name!r} has a shape and shapes", "shapes", "keep one"
-            )
+            message = f"{model.name!r} has a shape and shapes"
+            refuse("SIM061", message, "shapes", "keep one")
         shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
-        refuse(
-            "SIM061",
-            f"{model.name!r} has no shape",
-            hint="shape: {sphere: {radius: 0.1}}",
-        )
+        message = f"{model.name!r} has no shape"
+        refuse("SIM061", message, hint="shape: {sphere: {radius: 0.1}}")
     cores, solids, notices = [], [], []
     for k, (shape, at, turn) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
@@ -150,9 +145,8 @@ def _weighed(
         moments = np.array(model.inertia, np.float64)
         if 2 * moments.max() > moments.sum() * (1 + ROUNDING):
             message = f"no body has the moments of {model.name!r}, {model.inertia}: "
-            refuse(
-                "SIM061", f"{message}one is more than the sum of the others", "inertia"
-            )
+            message = f"{message}one is more than the sum of the others"
+            refuse("SIM061", message, "inertia")
         if np.count_nonzero(moments) < 2:
             message = f"{model.name!r} must have two moments of inertia above 0"
             refuse("SIM061", message, "inertia", "a rod has one of 0")
@@ -218,9 +212,8 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
-            refuse(
-                "SIM061", f"{model.name!r} has a grid and points", "points", "keep one"
-            )
+            message = f"{model.name!r} has a grid and points"
+            refuse("SIM061", message, "points", "keep one")
         counts = np.array(model.grid.count)
         if counts.prod() > MOST:
             refuse("SIM061", f"{model.name!r} has more than {MOST} copies", "grid")
@@ -296,9 +289,8 @@ class Bodies:
                 moved.append(not model.kinematic)
                 poses.append(placed_on(own, point, turn))
         if len(names) > MOST:
-            refuse(
-                "SIM061", f"there are {len(names)} bodies, and {MOST} at most", "bodies"
-            )
+            message = f"there are {len(names)} bodies, and {MOST} at most"
+            refuse("SIM061", message, "bodies")
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
         )

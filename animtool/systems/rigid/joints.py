@@ -76,11 +76,8 @@ def joints_of(
         name = model.name or at
         second = bodies.find(model.body, f"{at}.body")
         if second not in place:
-            refuse(
-                "SIM061",
-                f"{model.body!r} is kinematic: joints cannot move it",
-                f"{at}.body",
-            )
+            message = f"{model.body!r} is kinematic: joints cannot move it"
+            refuse("SIM061", message, f"{at}.body")
         for option, types in _OWN.items():
             if getattr(model, option) is not None and model.type not in types:
                 message = f"{option} of {name!r} is for {listed(types)}"
@@ -126,12 +123,8 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
     axis = np.array(model.axis, np.float64)
     size = float(np.linalg.norm(axis))
     if not size:
-        refuse(
-            "SIM061",
-            f"the axis of {name!r} has no direction",
-            f"{at}.axis",
-            "axis: [0, 1, 0]",
-        )
+        message = f"the axis of {name!r} has no direction"
+        refuse("SIM061", message, f"{at}.axis", "axis: [0, 1, 0]")
     return so3.between(np.array([1.0, 0.0, 0.0]), axis / size)
 
 
@@ -161,12 +154,8 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
             refuse("SIM061", f"{message}, {given[1]:g}", f"{at}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than a turn apart"
-            refuse(
-                "SIM061",
-                message,
-                f"{at}.{key}",
-                "leave them out: turns are not counted",
-            )
+            hint = "leave them out: turns are not counted"
+            refuse("SIM061", message, f"{at}.{key}", hint)
     if model.swing is not None:
         pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if min(pair) <= 0:
