@@ -208,13 +208,11 @@ def _drawn(
         emitter = Emitter(
             place=parts["place"],
             poses=parts["poses"],
-            bursts=[(begin, count)],
             speed=0.0,
             inherit=0.0,
             seed=population.seed,
         )
-        ((_, number),) = emitter.bursts
-        points, _, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+        points = emitter.drawn_at(begin, count)[0]
     starts = frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
     sides = np.zeros(count)

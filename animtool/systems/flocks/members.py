@@ -149,15 +149,14 @@ def _drawn(
     emitter = Emitter(
         place=parts["place"],
         poses=parts["poses"],
-        bursts=[(begin, species.count if points is None else len(points))],
         direction=species.direction or (0.0, 0.0, 1.0),
         spread=np.radians(species.spread),
         speed=species.speed.cruise,
         inherit=0.0,
         seed=species.seed,
     )
-    (_, number) = emitter.bursts[0]
-    own, ways, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+    count = species.count if points is None else len(points)
+    own, ways = emitter.drawn_at(begin, count)
     if points is None:
         return own, ways
     for name, array in (("points", points), ("velocities", velocities)):

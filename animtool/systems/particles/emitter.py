@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -133,6 +133,11 @@ class Emitter(Emission, Checked):
             births.times, points, ways * speeds[:, None]
         )
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
+
+    def drawn_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities ``(N, 3)`` of so many, born at a time [s]."""
+        burst = replace(self, rate=0.0, bursts=[(t, count)])
+        return burst.drawn(burst.births(t, None, t, count))[:2]
 
     def _directions(
         self, chances: FloatArray, outwards: FloatArray | None
