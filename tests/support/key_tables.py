@@ -68,10 +68,15 @@ def field_of(model: str, key: str) -> FieldInfo:
 
 
 def _classes(base: type[FileModel] = FileModel) -> dict[str, type[FileModel]]:
-    """Return every model below one, by name."""
+    """Return every model below one, by name; of several the one that has most keys.
+
+    A scene that was read has a model with its kinds of systems alone.
+    """
     found: dict[str, type[FileModel]] = {}
-    for model in base.__subclasses__():
-        found |= {model.__name__: model, **_classes(model)}
+    for each in base.__subclasses__():
+        for name, model in {each.__name__: each, **_classes(each)}.items():
+            known = found.setdefault(name, model)
+            found[name] = max(known, model, key=lambda one: len(one.model_fields))
     return found
 
 
