@@ -133,7 +133,8 @@ def with_fields(
 ) -> Callable[[type[Model]], type[Model]]:
     """Give a model the fields of a record as keys, beside its own.
 
-    What is infinite if it is not given is None in a file.
+    What is infinite if it is not given is None in a file. Of what else a model has,
+    class variables stay; methods are for a subclass.
 
     Args:
         record: A dataclass; the annotations of fields have a `Key`.
@@ -148,6 +149,7 @@ def with_fields(
         own: dict[str, Any] = {
             name: (model.model_fields[name].annotation, model.model_fields[name])
             for name in get_annotations(model)
+            if name in model.model_fields
         }
         at = list(own).index(before) if before else len(own)
         left = [name for name in _keys(record) if name not in model.model_fields]
@@ -160,6 +162,8 @@ def with_fields(
             __doc__=model.__doc__,
             **dict([*ahead, *given.items(), *behind]),
         )
+        for name in vars(model).keys() & model.__class_vars__:
+            setattr(model_type, name, vars(model)[name])
         return model_type  # type: ignore[no-any-return]
 
     return decorate

@@ -34,7 +34,12 @@ if TYPE_CHECKING:
 
 @with_fields(Emission)
 @with_fields(Emission, "name", before="place")
-class _EmitterKeys(PlacedModel):
+class EmitterModel(PlacedModel, RecordModel):
+    """What makes particles."""
+
+    code: ClassVar[str] = "SIM021"
+    makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
+
     place: PlaceEntry = key(
         "Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
@@ -42,19 +47,8 @@ class _EmitterKeys(PlacedModel):
     )
 
 
-class EmitterModel(_EmitterKeys, RecordModel):
-    """What makes particles."""
-
-    code: ClassVar[str] = "SIM021"
-    makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
-
-
 @with_fields(Velocity)
-class _VelocityKeys(RecordModel):
-    pass
-
-
-class VelocityModel(_VelocityKeys):
+class VelocityModel(RecordModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
     makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
