@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
-from support.bvh import read_reference
+from support.bvh import beginning, read_reference
 from support.data import data_files
 from support.suite import at_night
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
@@ -130,6 +130,7 @@ def check_sparse(whole: BakeReport, sparse: BakeReport) -> None:
 @pytest.mark.parametrize("path", FILES)
 def test_there_and_back(path: Path, tmp_path: Path) -> None:
     first, text, second = (tmp_path / name for name in ("a.usdc", "b.bvh", "c.usdc"))
+    path = at_night(path, beginning(path, LONG, tmp_path / path.name))
     convert(path, first)
     convert(first, text)
     convert(text, second)

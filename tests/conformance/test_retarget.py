@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bvh import beginning
 from support.data import data_files
+from support.suite import at_night
 
 from animtool import Rig, open_source
 from animtool._types import BoolArray, FloatArray
@@ -22,6 +24,8 @@ from animtool.mocap.retarget.take_pass import FeetOptions, held_feet
 from animtool.mocap.retarget.transfer import Person
 from animtool.passes import PassContext
 
+# Frames of captures in the default profile.
+LONG = 300
 HEADER = (
     f"{'take':12} {'target':8} {'drift [mm]':>16} {'sole [mm]':>9} {'reach':>7} "
     f"{'bones [°]':>9} {'acceleration':>12}"
@@ -156,8 +160,12 @@ def test_feet_of_takes_of_any_source_are_held(which: tuple[Path, str]) -> None:
 
 @pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))
 def test_captures_go_onto_the_biped(
-    root: Path, path: Path, record_property: Callable[[str, object], None]
+    root: Path,
+    path: Path,
+    tmp_path: Path,
+    record_property: Callable[[str, object], None],
 ) -> None:
+    path = at_night(path, beginning(path, LONG, tmp_path / path.name))
     take = open_source(path).collect()
     if "thigh_l" not in anatomy(take.rig).roles:
         pytest.skip(f"{path.name} is no person")

@@ -124,3 +124,20 @@ def read_reference(path: Path) -> ReferenceBvh:
     lines = [line for line in motion.split("\n") if line.strip()][2:]
     bvh.rows = np.array([[float(w) for w in line.split()] for line in lines])
     return bvh
+
+
+def beginning(path: Path, frames: int, made_file: Path) -> Path:
+    """Return a file with the first frames of a capture, itself where that is short.
+
+    A file whose rows are not one a line is left whole.
+    """
+    lines = path.read_bytes().splitlines(keepends=True)
+    heads = [i for i, line in enumerate(lines) if line.strip().lower() == b"motion"]
+    rows = [line for line in lines[heads[0] + 3 :] if line.strip()] if heads else []
+    name, _, count = lines[heads[0] + 1].partition(b":") if heads else (b"", b"", b"")
+    if not count.strip().isdigit() or not frames < int(count) == len(rows):
+        return path
+    few = b"%s: %d\n" % (name, frames)
+    made = [*lines[: heads[0] + 1], few, lines[heads[0] + 2], *rows[:frames]]
+    made_file.write_bytes(b"".join(made))
+    return made_file

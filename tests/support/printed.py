@@ -42,6 +42,10 @@ DOCUMENTS = [
 ]
 
 
+# What no command reads.
+NO_INPUT = shutil.ignore_patterns("*.png", "*.py", "*.md", "__pycache__")
+
+
 def fenced(text: str, language: str) -> list[str]:
     """Return the blocks of code of a language in a document."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
@@ -63,7 +67,7 @@ def is_apart(command: str, workplace: Path) -> bool:
 def make_project(folder: Path) -> None:
     """Fill a folder with the samples and the rigs that they name."""
     for name in ("samples", "rigs"):
-        shutil.copytree(ROOT / name, folder / name)
+        shutil.copytree(ROOT / name, folder / name, ignore=NO_INPUT)
     (folder / "animtool.toml").touch()
 
 
