@@ -231,7 +231,8 @@ def test_times_that_only_one_has_are_not_compared(tmp_path: Path) -> None:
         paths.append(path)
     found = compare_points(*paths)
     assert found is not None
-    assert (found.samples, found.within(0, 0)) == (5, True)
+    assert (found.samples, found.points.value) == (5, 0)
+    assert found.mismatches == ["birds: 9 samples against 3"]
 
 
 def test_large_ids_are_told_apart(tmp_path: Path) -> None:
