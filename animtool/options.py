@@ -35,6 +35,7 @@ class Key:
     example: Any
     choices: tuple[str, ...] = ()  # of a choice
     alias: str | None = None  # the key, where it is not the name of the field
+    read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
 
 
 @dataclass(frozen=True, slots=True)

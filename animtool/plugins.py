@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping
+from operator import attrgetter
 from typing import TYPE_CHECKING, TypeVar
 
 from animtool.errors import Fault, OptionError, excerpt
@@ -52,7 +53,7 @@ def load_object(place: str) -> object:
     <class 'fractions.Fraction'>
     """
     module, _, attribute = place.partition(":")
-    value: object = getattr(importlib.import_module(module), attribute)
+    value: object = attrgetter(attribute)(importlib.import_module(module))
     return value
 
 

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
+from functools import cache
 from inspect import get_annotations
-from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_type_hints,
+)
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field, create_model
@@ -107,20 +118,30 @@ class IgnoreModel(FileModel):
 
 
 Model = TypeVar("Model", bound=FileModel)
-_TYPES: dict[Any, Any] = {float: Real, float | None: Real | None}
+_TYPES: dict[Any, Any] = {
+    float: Real,
+    float | None: Real | None,
+    int: Whole,
+    Sequence[float] | None: Vector | None,
+    Sequence[tuple[float, int]]: list[Pair],
+}
+Ranges: TypeAlias = Literal["record", "model", "schema"]
 
 
 def with_fields(
-    record: type[Any], *names: str, before: str = "", bounds: bool = False
+    record: Any, *names: str, before: str = "", ranges: Ranges = "record"
 ) -> Callable[[type[Model]], type[Model]]:
     """Give a model the fields of a record as keys, beside its own.
 
+    What is infinite if it is not given is None in a file.
+
     Args:
-        record: A dataclass; the annotation of each field has a `Key`.
-        names: Of the fields, in the order of the keys.
+        record: A dataclass; the annotations of fields have a `Key`.
+        names: Of the fields, in the order of the keys; none is each that has a `Key`
+            and is none of the model yet.
         before: Key that they come before; the last ones where none is named.
-        bounds: Whether the model refuses what is out of a field's `Range`; else what
-            reads the file checks the record.
+        ranges: Who checks the `Range` of a field: what reads the file on the record or
+            on the model, or the model, which has it in its schema.
     """
 
     def decorate(model: type[Model]) -> type[Model]:
@@ -129,11 +150,12 @@ def with_fields(
             for name in get_annotations(model)
         }
         at = list(own).index(before) if before else len(own)
-        given = {name: _definition(record, name, bounds=bounds) for name in names}
+        left = [name for name in _keys(record) if name not in model.model_fields]
+        given = {name: _definition(record, name, ranges) for name in names or left}
         ahead, behind = list(own.items())[:at], list(own.items())[at:]
         model_type: Any = create_model(
             model.__name__,
-            __base__=model.__base__,
+            __base__=model.__bases__,
             __module__=model.__module__,
             __doc__=model.__doc__,
             **dict([*ahead, *given.items(), *behind]),
@@ -148,20 +170,48 @@ Made = TypeVar("Made")
 
 def record_of(record: type[Made], model: FileModel, **others: Any) -> Made:
     """Return a record of the fields that a model has too, and of others."""
-    own = {each.name for each in fields(cast(Any, record))} - others.keys()
-    names = own & type(model).model_fields.keys()
-    return record(**{name: getattr(model, name) for name in names}, **others)
+    kind, given = cast(Any, record), others
+    keys = _keys(kind)
+    for each in fields(kind):
+        if each.name in others or each.name not in type(model).model_fields:
+            continue
+        value = getattr(model, each.name)
+        if value is None and _endless(each.default):
+            continue
+        read = keys[each.name].read if each.name in keys else None
+        given[each.name] = value if read is None else read(value)
+    return record(**given)
 
 
-def _definition(record: type[Any], name: str, *, bounds: bool) -> tuple[Any, Any]:
+@cache
+def _keys(record: Any) -> dict[str, Key]:
+    """Return the keys of the fields of a record that have one."""
+    hints = get_type_hints(record, include_extras=True)
+    notes = {each.name: get_args(hints[each.name]) for each in fields(record)}
+    return {
+        name: note for name in notes for note in notes[name] if isinstance(note, Key)
+    }
+
+
+def _endless(default: Any) -> bool:
+    return isinstance(default, float) and math.isinf(default)
+
+
+def _definition(record: Any, name: str, ranges: Ranges) -> tuple[Any, Any]:
     """Return the type of a key, and what documents it."""
     type_, *notes = get_args(get_type_hints(record, include_extras=True)[name])
-    key = next(note for note in notes if isinstance(note, Key))
-    type_ = Literal[key.choices] if key.choices else _TYPES[type_]
-    for allowed in (note for note in notes if bounds and isinstance(note, Range)):
-        limit = Ge(allowed.least) if allowed.reached else Gt(allowed.least)
-        type_ = Annotated[type_, limit]
+    key = _keys(record)[name]
+    type_ = Literal[key.choices] if key.choices else _TYPES.get(type_, type_)
     (default,) = (each.default for each in fields(record) if each.name == name)
+    if _endless(default):
+        type_, default = type_ | None, None
+    elif default == ():
+        default = []
+    for note in notes:
+        if isinstance(note, Range) and ranges == "schema":
+            type_ = Annotated[type_, (Ge if note.reached else Gt)(note.least)]
+        elif isinstance(note, Le) or (isinstance(note, Range) and ranges == "model"):
+            type_ = Annotated[type_, note]
     described: dict[str, Any] = {} if default is MISSING else {"default": default}
     return type_, Field(
         description=key.description, examples=[key.example], **described

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
+from animtool.contacts import Contact, Material
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
@@ -20,9 +21,12 @@ from animtool.documents.fields import (
     Whole,
     check_numbers,
     key,
+    record_of,
+    with_fields,
 )
 from animtool.errors import Fault, counted
-from animtool.options import Checked, Range, above, or_more
+from animtool.options import Checked, above
+from animtool.plugins import load_object
 
 # One name of a table, and its options.
 Named = Annotated[
@@ -130,11 +134,15 @@ class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
 
 
 class RecordModel(FileModel):
-    """An entry whose part is a record; this says what of it makes no sense."""
+    """An entry whose part is a record."""
+
+    makes: ClassVar[str]  # the record, as ``module:class``; it says what makes no sense
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
         """Return it, from what the keys are read as."""
-        raise NotImplementedError
+        kind: Any = load_object(self.makes)
+        made: Checked = record_of(kind, self, **parts)
+        return made
 
 
 class PlacementModel(FileModel):
@@ -174,36 +182,19 @@ class PlacedModel(PlacementModel):
     )
 
 
+@with_fields(Material, ranges="model")
 class _MaterialModel(FileModel):
-    restitution: Annotated[Real, Range("0 to 1", "SIM020", 0, 1)] = key(
-        "Share of the speed into the surface that comes back, 0 to 1.", 0.4, default=0.0
-    )
-    friction: Annotated[Real, or_more(0, "SIM020", finite=True)] = key(
-        "Coulomb's coefficient.", 0.3, default=0.0
-    )
+    pass
 
 
+@with_fields(Contact)
+@with_fields(Contact, "name", before="shape")
 class SystemColliderModel(PlacedModel, _MaterialModel):
     """What particles run into, or where they are removed."""
 
-    name: str = key("For messages.", "step_1", default="")
     shape: ShapeEntry = key(
         "`plane`, `sphere`, `capsule`, `box`, `mesh` or `height_field`.",
         {"box": {"size": [2, 0.2, 1]}},
-    )
-    container: bool = key(
-        "Particles are to stay inside; of `kill`, those outside go.",
-        True,
-        default=False,
-    )
-    margin: Margin = 0.0
-    depenetration: Real = key(
-        "How fast those that begin inside are moved out [m/s].", 0.5, default=1.0
-    )
-    speed_limit: Real = key(
-        "What moves faster was put elsewhere, and hits nothing [m/s].",
-        500,
-        default=200.0,
     )
 
 

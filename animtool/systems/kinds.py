@@ -69,8 +69,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         {"name": "birds", "species": [{"name": "starling", "count": 200}]},
     ),
     "fluid": system_kind(
-        "animtool.systems.fluid:Spec",
-        "animtool.systems.fluid:build",
+        "animtool.systems.fluid.spec:FluidModel",
+        "animtool.systems.fluid.fluid:Fluid",
         "Fluids that flow, splash and carry bodies.",
         {
             "name": "water",
@@ -110,8 +110,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         },
     ),
     "rigid": system_kind(
-        "animtool.systems.rigid:Spec",
-        "animtool.systems.rigid:build",
+        "animtool.systems.rigid.spec:RigidModel",
+        "animtool.systems.rigid.simulation:RigidSimulation.of",
         "Rigid bodies: they fall, tumble, collide, stack and hang on joints.",
         {
             "name": "crates",

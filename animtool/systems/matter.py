@@ -11,6 +11,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import refuse
 from animtool.maths import so3
+from animtool.maths.rows import Rows
 from animtool.systems.fields import PlacementModel
 
 
@@ -67,7 +68,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True)
-class Bodies:
+class Bodies(Rows):
     """N bodies at a time."""
 
     points: FloatArray  # (N, 3)
@@ -93,15 +94,6 @@ class Bodies:
             message = f"the mass of {kind} {i} is {masses[i]:g} kg, not above 0"
             refuse(code, message, where)
         return Bodies(points, velocities, masses)
-
-    @staticmethod
-    def joined(parts: Sequence[Bodies]) -> Bodies:
-        """Return bodies one after the other."""
-        return Bodies(
-            np.concatenate([one.points for one in parts]),
-            np.concatenate([one.velocities for one in parts]),
-            np.concatenate([one.masses for one in parts]),
-        )
 
 
 def normals(u: FloatArray) -> FloatArray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import pytest
 from annotated_types import Len
 from pydantic import BaseModel, Field, TypeAdapter
+from support.key_tables import models_in
 
 from animtool.clip.schema import ClipModel
 from animtool.documents.check import FileModel
@@ -17,7 +17,6 @@ from animtool.documents.placeholders import (
     annotation_of,
     fields_at,
     fields_of,
-    models_of,
     replaced,
     stand_in,
 )
@@ -26,22 +25,10 @@ from animtool.rig.schema import RigModel
 from animtool.scene.schema import whole_model
 
 
-def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
-    """Yield a model and those inside it."""
-    yield model
-    for field in model.model_fields.values():
-        pending = [annotation_of(field)]
-        while pending:
-            found = pending.pop()
-            for inner in models_of(found):
-                yield from models(inner)
-            pending += list(getattr(found, "__args__", ()))
-
-
 @pytest.mark.parametrize("model", [RigModel, ClipModel, whole_model()])
 def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
     seen = 0
-    for inner in models(model):
+    for inner in models_in(model):
         for field in fields_of(inner).values():
             kind: Any = annotation_of(field)
             TypeAdapter(kind).validate_python(stand_in(kind))

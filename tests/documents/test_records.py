@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -9,8 +11,8 @@ import pytest
 from pydantic import Field, ValidationError
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import with_fields
-from animtool.options import Key, above, or_more
+from animtool.documents.fields import record_of, with_fields
+from animtool.options import Key, above, or_more, range_faults
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class CordModel(FileModel):
     name: str = "cord"
 
 
-@with_fields(Cord, "mass", "slack", bounds=True)
+@with_fields(Cord, "mass", "slack", ranges="schema")
 class BoundedModel(FileModel):
     """A cord of sound numbers."""
 
@@ -81,3 +83,32 @@ def test_keys_of_the_model_before_stay_and_own_ones_count() -> None:
     assert list(LongModel.model_fields) == ["mass", "slack"]
     assert LongModel.model_fields["mass"].description == "Its own."
     assert issubclass(LongModel, BoundedModel)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swing:
+    angle: Annotated[float, Key("[deg]", 30, read=math.radians)] = 0.0
+    pushes: Annotated[Sequence[tuple[float, int]], Key("Pushes.", [[0, 1]])] = ()
+    end: Annotated[float, above(0, "SIM040"), Key("Never, not given.", 2)] = math.inf
+    length: float = 1.0
+
+
+@with_fields(Swing, ranges="model")
+class SwingModel(FileModel):
+    pushes: list[list[float]] = Field(default=[[1.0, 2.0]], description="Its own.")
+
+
+def test_all_that_have_keys_are_those_of_the_model_and_are_read() -> None:
+    assert list(SwingModel.model_fields) == ["pushes", "angle", "end"]
+    model = SwingModel.model_validate({"angle": 180})
+    assert model.model_dump()["end"] is None
+    pushes = [[1.0, 2.0]]
+    assert record_of(Swing, model) == Swing(angle=math.pi, pushes=pushes)  # type: ignore[arg-type]
+    given = record_of(Swing, SwingModel.model_validate({"end": 3}), length=2.0)
+    assert (given.end, given.length) == (3, 2.0)
+
+
+def test_ranges_of_a_model_are_those_of_the_record() -> None:
+    wrong = SwingModel.model_validate({"end": -1})
+    assert [fault.where for fault in range_faults(wrong)] == ["end"]
+    assert range_faults(SwingModel()) == []

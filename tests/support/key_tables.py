@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from animtool.cli.schema import model_of
-from animtool.documents.check import FileModel
+from animtool.cli.schema import MODELS, model_of
+from animtool.documents.placeholders import annotation_of
+from animtool.documents.placeholders import models_of as models_of_type
 
 PAGE = Path(__file__).parents[2] / "animtool/docs/formats.md"
 _MARK = re.compile(r"(<!-- keys: (\w+) (.+?) -->\n)(?:\n(?:\|.*\n)+)?")
@@ -67,12 +69,24 @@ def field_of(model: str, key: str) -> FieldInfo:
     )
 
 
-def _classes(base: type[FileModel] = FileModel) -> dict[str, type[FileModel]]:
-    """Return every model below one, by name."""
-    found: dict[str, type[FileModel]] = {}
-    for model in base.__subclasses__():
-        found |= {model.__name__: model, **_classes(model)}
-    return found
+@cache
+def _classes() -> dict[str, type[BaseModel]]:
+    """Return every model of the files, by name."""
+    return {
+        inner.__name__: inner for kind in MODELS for inner in models_in(model_of(kind))
+    }
+
+
+def models_in(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    """Yield a model and those inside it."""
+    yield model
+    for field in model.model_fields.values():
+        pending = [annotation_of(field)]
+        while pending:
+            found = pending.pop()
+            for inner in models_of_type(found):
+                yield from models_in(inner)
+            pending += list(getattr(found, "__args__", ()))
 
 
 def keys_of(kind: str, models: list[str]) -> Iterator[Key]:

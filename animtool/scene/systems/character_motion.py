@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import Clock, time_codes
+from animtool.documents.fields import record_of
 from animtool.documents.names import is_named, nearest
 from animtool.errors import Fault, OptionError
 from animtool.maths.faces import triangulated
@@ -39,16 +40,12 @@ class CharacterMotion:
     world: WorldTransforms  # of its joints
     times: FloatArray  # of the frames, the first at 0 s ``(F,)`` [s]
 
-    def colliders(self, material: tuple[float, float, float]) -> list[Collider]:
-        """Return the capsules of its rig over its frames: ``material`` [m]."""
+    def colliders(self, like: Collider) -> list[Collider]:
+        """Return the capsules of its rig over its frames, like a collider [m]."""
         if not self.rig.colliders:
             message = f"the rig {self.rig.name!r} has no colliders"
             hint = "particles run into the capsules that its rig file lists"
             raise OptionError(Fault("SIM020", message, str(self.path), (), hint))
-        restitution, friction, margin = material
-        like = Collider(
-            Sphere(1.0), restitution=restitution, friction=friction, margin=margin
-        )
         return rig_colliders(self.rig, self.world, self.times, like)
 
 
@@ -162,7 +159,7 @@ class SkinMotion:
         self._times = character.times
         surface = self._skin.surface
         self._faces = triangulated(surface.counts, surface.indices)
-        self._kept: OrderedDict[int, FloatArray] = OrderedDict()
+        self._frame = lru_cache(KEPT)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(V, 3)`` at a time [s] [m]."""
@@ -179,13 +176,6 @@ class SkinMotion:
         """Corners of each face ``(M,)``, and these face by face."""
         surface = self._skin.surface
         return surface.counts, surface.indices
-
-    def _frame(self, i: int) -> FloatArray:
-        if i not in self._kept:
-            self._kept[i] = self._skin.frame(i)
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[i]
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return corners of its triangles ``(T, 3)``: always the same."""
@@ -207,11 +197,12 @@ def character_colliders(
     for (file, mesh), one in ones.items():
         character = characters.of(Path(file))
         if mesh is None:
-            material = one.restitution, one.friction, one.margin
-            colliders += character.colliders(material)
+            like = record_of(Collider, one, shape=Sphere(1.0))
+            colliders += character.colliders(like)
         else:
-            like = one.margin, one.closed, mesh, one.restitution, one.friction
-            sheets.append(Sheet(SkinMotion(character, mesh), *like))
+            own = {"radius": one.margin, "name": mesh}
+            motion = SkinMotion(character, mesh)
+            sheets.append(record_of(Sheet, one, motion=motion, **own))
     return colliders, sheets
 
 

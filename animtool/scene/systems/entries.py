@@ -18,6 +18,7 @@ from animtool.documents.check import (
     unknown_options,
 )
 from animtool.documents.document import Document, Location
+from animtool.documents.fields import record_of
 from animtool.documents.names import nearest
 from animtool.documents.references import (
     referred,
@@ -133,7 +134,7 @@ class EntryReader:
         poses = self.poses(at, model, "SIM020")
         if poses is None:
             return None
-        return Collider(shape, poses, **model.model_dump(exclude={*PLACING, "shape"}))
+        return record_of(Collider, model, shape=shape, poses=poses)
 
     def shape(self, at: Location, entry: Named) -> Any:
         """Return a shape of colliders."""

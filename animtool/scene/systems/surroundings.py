@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool._types import FloatArray, IntArray
+from animtool.contacts import Material
 from animtool.documents.document import Location
-from animtool.errors import Fault, OptionError, counted
+from animtool.documents.fields import record_of
+from animtool.errors import counted, refuse
 from animtool.maths.faces import triangulated
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
@@ -41,8 +43,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
     from animtool.usd.point_reader import open_mesh
 
     motion = _Motion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
-    material = mesh.restitution, mesh.friction
-    return Sheet(motion, mesh.radius, mesh.closed, mesh.prim, *material)
+    return record_of(Sheet, mesh, motion=motion, name=mesh.prim)
 
 
 class _Motion:
@@ -64,23 +65,19 @@ class _Motion:
         still = source.at(None if source.span is None else self._first)
         self._count = len(still.points)
         self._faces = triangulated(still.counts, still.indices)
-        self._kept: OrderedDict[float, FloatArray] = OrderedDict()
+        self._at = lru_cache(KEPT)(self._points)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""
         code = self._start + t * self._source.fps
-        code = min(max(code, self._first), self._last)
-        if code not in self._kept:
-            found = self._source.at(None if self._source.span is None else code).points
-            if len(found) != self._count:
-                message = (
-                    f"it has {len(found)} points at {code:g}, and had {self._count}"
-                )
-                raise OptionError(Fault("SIM051", message))
-            self._kept[code] = found
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[code]
+        return self._at(min(max(code, self._first), self._last))
+
+    def _points(self, code: float) -> FloatArray:
+        found = self._source.at(None if self._source.span is None else code).points
+        if len(found) != self._count:
+            message = f"it has {len(found)} points at {code:g}, and had {self._count}"
+            refuse("SIM051", message)
+        return found
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return corners of its triangles ``(T, 3)``: always the same."""
@@ -172,12 +169,13 @@ class Surroundings:
         bodies: list[Bodies] = []
         for one in self.systems:
             other = opened[one.system]
-            material = one.restitution, one.friction
             if other.rigid:
-                bodies.append(other.bodies(*material, two_way=one.two_way))
+                own = record_of(Material, one)
+                made = other.bodies(own.restitution, own.friction, two_way=one.two_way)
+                bodies.append(made)
                 continue
             seen = other.surface()
-            thick = seen.radius, seen.closed
-            sheets.append(Sheet(seen, *thick, one.system, *material))
+            thick = {"radius": seen.radius, "closed": seen.closed}
+            sheets.append(record_of(Sheet, one, motion=seen, name=one.system, **thick))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

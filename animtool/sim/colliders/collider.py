@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray
+from animtool.contacts import Contact
 from animtool.maths import so3
-from animtool.options import Checked, Range, above, or_more
+from animtool.options import Checked
 from animtool.sim.colliders.shapes import Shape
 
 
@@ -105,42 +106,20 @@ class Poses:
         return faults
 
 
-Restitution: TypeAlias = Annotated[float, Range("0 to 1", "SIM020", 0, 1)]
-Friction: TypeAlias = Annotated[float, or_more(0, "SIM020", finite=True)]
-Depenetration: TypeAlias = Annotated[float, above(0, "SIM020")]
-
-# No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
-SPEED_LIMIT = 200.0
-
-
 @dataclass(frozen=True)
-class Collider(Checked):
+class Collider(Contact, Checked):
     """A shape, where it is over time, and what touching it does.
 
     Attributes:
         shape: In its own frame.
         poses: Of that frame in the world.
-        name: For messages.
-        container: Whether particles are to stay inside it.
-        restitution: Share of the speed into the surface that comes back [0, 1].
-        friction: Coulomb's coefficient [1].
-        margin: Distance that particles keep [m].
-        depenetration: How fast particles that start inside are moved out [m/s].
-        speed_limit: A collider that goes faster was put elsewhere: it has no velocity
-            then, and hits nothing on the way [m/s].
+        speed_limit: A collider that goes faster has no velocity then [m/s].
     """
 
     code: ClassVar[str] = "SIM020"
 
     shape: Shape
     poses: Poses = field(default_factory=Poses)
-    name: str = ""
-    container: bool = False
-    restitution: Restitution = 0.0
-    friction: Friction = 0.0
-    margin: Annotated[float, or_more(0, "SIM020", finite=True)] = 0.0
-    depenetration: Depenetration = 1.0
-    speed_limit: Annotated[float, above(0, "SIM020")] = SPEED_LIMIT
 
     @property
     def material(self) -> tuple[float, float, float, float]:

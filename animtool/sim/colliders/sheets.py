@@ -9,13 +9,9 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.options import Checked, Range
-from animtool.sim.colliders.collider import (
-    Collider,
-    Depenetration,
-    Friction,
-    Restitution,
-)
+from animtool.contacts import Material
+from animtool.options import Checked, Range, above
+from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 
 
@@ -36,7 +32,7 @@ class SheetMotion(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet(Checked):
+class Sheet(Material, Checked):
     """A surface in motion, and what touching it does.
 
     Particles meet it from both sides of its thickness.
@@ -46,8 +42,6 @@ class Sheet(Checked):
         radius: Half its thickness, above 0 [m].
         closed: Whether it is the skin of a volume, which is met from outside only.
         name: For messages.
-        restitution: Share of the speed into the surface that comes back [0, 1].
-        friction: Coulomb's coefficient [1].
         depenetration: How fast particles that start inside are moved out [m/s].
     """
 
@@ -57,9 +51,7 @@ class Sheet(Checked):
     radius: Annotated[float, Range("above 0", "SIM020", 0, reached=False, finite=True)]
     closed: bool = False
     name: str = ""
-    restitution: Restitution = 0.0
-    friction: Friction = 0.0
-    depenetration: Depenetration = 1.0
+    depenetration: Annotated[float, above(0, "SIM020")] = 1.0
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what of it makes no sense: an option, and why."""

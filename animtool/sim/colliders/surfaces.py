@@ -10,8 +10,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
+from animtool.contacts import SPEED_LIMIT
 from animtool.errors import Fault, Severity
-from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 
 # Where points are is asked for no more often than this [s]: between, they go straight.

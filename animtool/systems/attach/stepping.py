@@ -19,7 +19,6 @@ from animtool.systems.springs.body import (
     Loads,
     Paths,
     Springs,
-    gathered,
     spring_layers,
 )
 from animtool.systems.springs.motion import Through
@@ -268,5 +267,5 @@ def _springs(
         none, never = np.zeros_like(stiffness), np.full_like(stiffness, np.inf)
         own = links.ends[kept], links.rests[kept], stiffness
         families.append(Springs(*own, damping=none, limit=never))
-    every = gathered(families)
+    every = Springs.joined([Springs.none(), *families])
     return every.select(_kernels.spring_order(every.ends, network.count))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.errors import Fault, Severity, counted, excerpt, refuse
 from animtool.systems.crowds.ground import Frame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.particles.emitter import Emitter, uniforms
@@ -199,7 +199,7 @@ def _drawn(
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
     ):
         message = f"points of {population.name!r} are of shape {points.shape} or not "
-        raise refused(f"{message}finite: they must be (N, 3)", "", "points")
+        refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     keys = np.arange(count)
     chances, more = np.split(uniforms(population.seed, keys, 10), [6], axis=1)
@@ -208,13 +208,11 @@ def _drawn(
         emitter = Emitter(
             place=parts["place"],
             poses=parts["poses"],
-            bursts=[(begin, count)],
             speed=0.0,
             inherit=0.0,
             seed=population.seed,
         )
-        ((_, number),) = emitter.bursts
-        points, _, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+        points = emitter.drawn_at(begin, count)[0]
     starts = frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
     sides = np.zeros(count)
@@ -261,34 +259,30 @@ def _check(spec: CrowdsModel) -> None:
             if name not in goals:
                 hint = f"there are {', '.join(goals)}" if goals else "name it in goals"
                 message = f"no goal is named {excerpt(name)}"
-                raise refused(message, hint, "populations")
+                refuse("SIM145", message, "populations", hint)
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            raise refused(message, "then: stay", "populations")
+            refuse("SIM145", message, "populations", "then: stay")
     for what in ("shows", "gaits"):
         shown = [getattr(one, what) is not None for one in spec.populations]
         if any(shown) and not all(shown):
             name = spec.populations[shown.index(False)].name
             message = f"some populations have {what}, and {name!r} has not"
-            raise refused(message, "give it to all, or make two systems", "populations")
+            hint = "give it to all, or make two systems"
+            refuse("SIM145", message, "populations", hint)
     for door in spec.doors:
         for first, last in door.opens:
             if not first < last:
                 message = f"{door.name!r} is to be open from {first:g} s to {last:g} s"
-                raise refused(message, "the earlier time first", "doors")
+                refuse("SIM145", message, "doors", "the earlier time first")
         if door.begin == door.end:
-            raise refused(f"both ends of {door.name!r} are one place", "", "doors")
+            refuse("SIM145", f"both ends of {door.name!r} are one place", "doors")
 
 
 def _check_names(kind: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise refused(f"two {kind} are named {excerpt(name)}", "", kind)
-
-
-def refused(message: str, hint: str, key: str) -> OptionError:
-    """Return an error of what makes no sense of a crowd (SIM145)."""
-    return OptionError(Fault("SIM145", message, hint=hint or None, where=key or None))
+            refuse("SIM145", f"two {kind} are named {excerpt(name)}", kind)
 
 
 def warning(code: str, message: str, hint: str) -> Fault:

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, ToleranceError, counted
+from animtool.errors import Fault, ToleranceError, counted, refuse
 from animtool.frames import CharactersFrame, MeshFrame, PointsFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
@@ -19,7 +19,6 @@ from animtool.systems.crowds.agents import (
     ENOUGH,
     Going,
     agents_of,
-    refused,
     separated,
     warning,
 )
@@ -81,9 +80,8 @@ class Crowd:
         self._frame, self._ground = _ground(context)
         if context.colliders.sheets:
             message = "crowds avoid shapes, rigid bodies and the capsules of characters"
-            raise refused(
-                message, "give it colliders in place of the surface", "systems"
-            )
+            hint = "give it colliders in place of the surface"
+            refuse("SIM145", message, "systems", hint)
         self._agents, self._notices = agents_of(
             spec, context.parts["populations"], context.begin, self._frame
         )
@@ -399,9 +397,8 @@ def _line(frame: Frame, direction: Sequence[float]) -> FloatArray:
     way = frame.turned_back(np.array(direction, float))[[0, 2]]
     size = float(np.linalg.norm(way))
     if not size > 0:
-        raise refused(
-            "the direction of a queue is straight up", "along the ground", "goals"
-        )
+        message = "the direction of a queue is straight up"
+        refuse("SIM145", message, "goals", "along the ground")
     return np.asarray(way / size)
 
 
@@ -410,13 +407,13 @@ def _ground(context: SimContext) -> tuple[Frame, Ground]:
     parts = context.parts["ground"]
     poses, shape, mesh = parts["poses"], parts.get("shape"), parts.get("mesh")
     if len(poses.moments) > 1:
-        raise refused("the ground does not move", "leave moves and turns out", "ground")
+        message = "the ground does not move"
+        refuse("SIM145", message, "ground", "leave moves and turns out")
     pose = poses.at(context.begin)
     frame = Frame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
-        raise refused(
-            "the ground is a shape or a mesh of a file", "leave one out", "ground"
-        )
+        message = "the ground is a shape or a mesh of a file"
+        refuse("SIM145", message, "ground", "leave one out")
     if mesh is not None:
         found = mesh()[0]
         corners = triangulated(found.counts, found.indices)
@@ -425,6 +422,6 @@ def _ground(context: SimContext) -> tuple[Frame, Ground]:
         return frame, Ground()
     if not isinstance(shape, Mesh):
         message = "the ground is a mesh, a height_field or, with no shape, a plane"
-        raise refused(message, "shape: {height_field: {...}}", "ground")
+        refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.welded()
     return frame, Ground(points[faces])

@@ -107,7 +107,7 @@ class Falling:
             corners = seen.reshape(-1, 3)
             shape = Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
         poses = Poses.fixed(frame.origin, frame.rotation)
-        floor = Collider(shape, poses, "ground", friction=0.8)
+        floor = Collider(shape, poses, name="ground", friction=0.8)
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
         small = max(1, round(step / SMALL_STEP))
         self._spec = RigidModel.model_validate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
@@ -202,6 +202,8 @@ class ImpactModel(FileModel):
 
 class CrowdsModel(SystemSpec):
     """Crowds: agents walk to goals, around obstacles and each other."""
+
+    code: ClassVar[str] = "SIM145"
 
     populations: Annotated[list[PopulationModel], Len(1, 100)] = key(
         "Who walks.", [{"name": "commuters", "route": ["gate"]}]

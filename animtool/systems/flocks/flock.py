@@ -180,7 +180,10 @@ class Flock:
         colliders = context.colliders
         if spec.domain is not None and not spec.domain.wrap:
             walls = Collider(
-                Box(spec.domain.size), Poses.fixed(spec.domain.at), "domain", True
+                Box(spec.domain.size),
+                Poses.fixed(spec.domain.at),
+                name="domain",
+                container=True,
             )
             colliders = Colliders(
                 [*colliders, walls], colliders.sheets, colliders.bodies

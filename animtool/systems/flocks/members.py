@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, Severity, counted, excerpt
+from animtool.errors import Fault, Severity, counted, excerpt, refuse
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
 from animtool.systems.matter import check_apart
@@ -126,9 +126,8 @@ class Members:
             if colliders.rigid:
                 name = self.named(int(np.argmax(within)))
                 message = f"{name} begins inside colliders, and finds no way out"
-                refuse(
-                    message, "begin elsewhere, or leave room between them", "species"
-                )
+                hint = "begin elsewhere, or leave room between them"
+                refuse("SIM060", message, "species", hint)
         if not moved.any():
             return points, []
         message = (
@@ -145,26 +144,26 @@ def _drawn(
     """Return where members begin ``(N, 3)`` [m], and how fast [m/s]."""
     points, velocities = parts.get("points"), parts.get("velocities")
     if points is None and velocities is not None:
-        refuse("velocities are of points, and there are none", "points: birds.npz", "")
+        message = "velocities are of points, and there are none"
+        refuse("SIM060", message, hint="points: birds.npz")
     emitter = Emitter(
         place=parts["place"],
         poses=parts["poses"],
-        bursts=[(begin, species.count if points is None else len(points))],
         direction=species.direction or (0.0, 0.0, 1.0),
         spread=np.radians(species.spread),
         speed=species.speed.cruise,
         inherit=0.0,
         seed=species.seed,
     )
-    (_, number) = emitter.bursts[0]
-    own, ways, _, _ = emitter.drawn(emitter.births(begin, None, begin, number))
+    count = species.count if points is None else len(points)
+    own, ways = emitter.drawn_at(begin, count)
     if points is None:
         return own, ways
     for name, array in (("points", points), ("velocities", velocities)):
         shape = (len(points), 3)
         if array is not None and (array.shape != shape or not np.isfinite(array).all()):
             message = f"{name} of {species.name!r} are of shape {array.shape} or not "
-            refuse(f"{message}finite: they must be {shape}", "", name)
+            refuse("SIM060", f"{message}finite: they must be {shape}", name)
     return points, ways if velocities is None else velocities
 
 
@@ -173,23 +172,25 @@ def check_species(spec: FlocksModel) -> None:
     names = [species.name for species in spec.species]
     for species in spec.species:
         if names.count(species.name) > 1:
-            refuse(f"two species are named {excerpt(species.name)}", "", "species")
+            message = f"two species are named {excerpt(species.name)}"
+            refuse("SIM060", message, "species")
         others = [*species.joins, *(one.species for one in species.flees)]
         others += [one.species for one in species.chases]
         for name in others:
             if name not in names:
                 hint = f"there are {', '.join(names)}"
-                refuse(f"no species is named {excerpt(name)}", hint, "species")
+                message = f"no species is named {excerpt(name)}"
+                refuse("SIM060", message, "species", hint)
         speed = species.speed
         if not speed.least <= speed.cruise <= most_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
             message += f"between {speed.least:g} and {most_speed(species):g}"
-            refuse(message, "", "species")
+            refuse("SIM060", message, "species")
     shown = [species.shows is not None for species in spec.species]
     if any(shown) and not all(shown):
         name = names[shown.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
-        refuse("some species show a mesh and others points", hint, "species")
+        refuse("SIM060", "some species show a mesh and others points", "species", hint)
     if spec.domain is not None:
         _check_domain(spec, spec.domain)
 
@@ -203,7 +204,7 @@ def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
         if least < 2 * radius:
             message = f"the domain is {least:g} m wide, and {species.name!r} needs "
             message += f"{2 * radius:g} m: twice {what}"
-            refuse(message, "a larger domain, or a smaller radius", "domain")
+            refuse("SIM060", message, "domain", "a larger domain, or a smaller radius")
 
 
 def most_speed(species: SpeciesModel) -> float:
@@ -216,8 +217,3 @@ def farthest(species: SpeciesModel) -> float:
     """Return how far members heed others [m]."""
     others = [*species.flees, *species.chases]
     return max(species.vision.radius, *(one.radius for one in others), 0.0)
-
-
-def refuse(message: str, hint: str, key: str) -> None:
-    """Raise what of a flock makes no sense (SIM060)."""
-    raise OptionError(Fault("SIM060", message, hint=hint or None, where=key or None))

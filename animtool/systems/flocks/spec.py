@@ -240,6 +240,7 @@ class FlocksModel(SystemSpec):
     """Flocks: members see each other, and attract, align and repel."""
 
     methods: ClassVar[Sequence[str]] = ("symplectic_euler", "midpoint", "heun", "rk4")
+    code: ClassVar[str] = "SIM060"
 
     species: Annotated[list[SpeciesModel], Len(1, 100)] = key(
         "Who flies.", [{"name": "starling", "count": 200}]

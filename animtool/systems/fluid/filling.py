@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, counted
+from animtool.errors import counted, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Poses
 from animtool.sim.colliders.shapes import bounds
@@ -51,7 +51,7 @@ def filled(
         if not len(points):
             message = f"{name} has no particle: it is thinner than the spacing of "
             message += f"{spec.spacing:g} m, or within colliders"
-            refuse(message, "a smaller spacing, or a larger fill", "fills")
+            refuse("SIM064", message, "fills", "a smaller spacing, or a larger fill")
         speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
         made.append(np.stack([points, speeds]))
     state = np.concatenate(made, axis=1)
@@ -73,11 +73,11 @@ def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
         shape = (len(points), 3)
         if array.shape != shape:
             message = f"{what} of {name} are of shape {array.shape}, not {shape}"
-            refuse(message, "", "fills")
+            refuse("SIM064", message, "fills")
         bad = ~np.isfinite(array).all(axis=1)
         if bad.any():
             i = int(np.argmax(bad))
-            refuse(f"{what} of {name}: row {i} is not finite", "", "fills")
+            refuse("SIM064", f"{what} of {name}: row {i} is not finite", "fills")
     return np.stack([points, velocities])
 
 
@@ -99,7 +99,7 @@ def _check_outside(
     message = f"particle {i} of {name} begins {-gaps[c, i]:g} m {where} {what}"
     more = int(within.any(axis=0).sum()) - 1
     message += f", as {counted(more, 'other')} begin in colliders" if more else ""
-    refuse(message, "move it, or leave it out", "fills")
+    refuse("SIM064", message, "fills", "move it, or leave it out")
 
 
 def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
@@ -120,7 +120,7 @@ def _check_apart(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
     gap = float(np.linalg.norm(points[one] - points[other]))
     message = f"{names[0]} and {names[1]} begin {gap:g} m apart, where the spacing is "
     message += f"{spec.spacing:g} m"
-    refuse(message, "let fills not overlap, and leave out doubles", "fills")
+    refuse("SIM064", message, "fills", "let fills not overlap, and leave out doubles")
 
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
@@ -131,7 +131,7 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
         message += f"and {spec.max_particles:,} are allowed"
         wider = spec.spacing * (count / spec.max_particles) ** (1 / 3)
         hint = f"spacing: {math.ceil(wider * 1e3) / 1e3:g}, or raise max_particles"
-        refuse(message, hint, key)
+        refuse("SIM064", message, key, hint)
 
 
 def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
@@ -234,8 +234,3 @@ def has_room(
     if colliders.rigid:
         kept = kept & (colliders.sample(points, t).distances >= 0).all(axis=0)
     return kept
-
-
-def refuse(message: str, hint: str, key: str) -> None:
-    """Raise what of a fluid makes no sense (SIM064)."""
-    raise OptionError(Fault("SIM064", message, hint=hint or None, where=key))

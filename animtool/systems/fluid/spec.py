@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Gt, Le, Len
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Pair, Real, Vector, Whole, key
+from animtool.documents.fields import (
+    NotNegative,
+    Pair,
+    Positive,
+    Real,
+    Vector,
+    Whole,
+    key,
+)
 from animtool.errors import Fault, counted
 from animtool.systems.colours import ColourModel
 from animtool.systems.fields import (
@@ -17,14 +25,13 @@ from animtool.systems.fields import (
     ForceEntry,
     MovingMeshModel,
     PlacedModel,
+    Problem,
     ShapeEntry,
     SystemColliderModel,
     SystemSpec,
     SystemSurfaceModel,
 )
 
-Positive = Annotated[Real, Gt(0)]
-NotNegative = Annotated[Real, Ge(0)]
 # What particles can be written with and coloured by.
 Quantity = Literal["age", "density", "pressure", "speed"]
 
@@ -87,6 +94,9 @@ class FluidSurfaceModel(FileModel):
 
 class FluidModel(SystemSpec):
     """A fluid: particles that pressure keeps as dense as at rest."""
+
+    code: ClassVar[str] = "SIM064"
+    quantities: ClassVar[Sequence[str]] = get_args(Quantity)
 
     spacing: Positive = key(
         "How far particles are from each other [m]: half of it, and there are eight "
@@ -186,35 +196,35 @@ class FluidModel(SystemSpec):
             "max_particles": self.max_particles,
         }
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return which keys make no sense together (SIM064)."""
-        found: list[Fault] = []
-
-        def note(message: str, where: str, hint: str | None = None) -> None:
-            found.append(Fault("SIM064", message, where=where, hint=hint))
-
+    def problems(self) -> Iterator[Problem]:
+        """Yield which keys make no sense together (SIM064)."""
         box = "shape: {box: {size: [1, 1, 1]}}"
         if not self.fills and not self.emitters:
             why = "there is neither a fill nor an emitter, so it is never there"
-            note(why, "fills", f"fills: [{{{box}}}]")
+            yield why, "fills", f"fills: [{{{box}}}]"
         for fill in self.fills:
             kind = next(iter(fill.shape)) if fill.shape else ""
             if (fill.shape is None) is (fill.points is None):
-                note("a fill is a shape or points, one of both", "fills", box)
+                yield "a fill is a shape or points, one of both", "fills", box
             elif fill.velocities is not None and fill.points is None:
-                note("velocities are of points, and there are none", "fills")
+                yield "velocities are of points, and there are none", "fills", None
             elif kind in ENDLESS:
-                note(f"a {kind} has no volume to fill", "fills", box)
+                yield f"a {kind} has no volume to fill", "fills", box
         for emitter in self.emitters:
             if (emitter.radius is None) is (emitter.size is None):
-                note("a nozzle is round or rectangular: radius or size", "emitters")
+                why = "a nozzle is round or rectangular: radius or size"
+                yield why, "emitters", None
             for begin, end in emitter.opens:
                 if not begin <= end:
-                    note(f"it closes at {end:g} s, before {begin:g} s", "emitters")
-        if self.colour is not None:
-            found += self.colour.faults(get_args(Quantity), "SIM064")
-            if self.colour.range is None:
-                note("colours have no range", "colour", "range: [0, 4]")
+                    why = f"it closes at {end:g} s, before {begin:g} s"
+                    yield why, "emitters", None
+
+    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
+        """Return which keys make no sense together, colours without a range too."""
+        found = list(super().faults(parts))
+        if self.colour is not None and self.colour.range is None:
+            why, hint = "colours have no range", "range: [0, 4]"
+            found.append(Fault(self.code, why, where="colour", hint=hint))
         return found
 
 

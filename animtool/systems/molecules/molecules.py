@@ -132,6 +132,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         placing, parts = Box(spec), context.parts
         self.bodies = self.atoms = Atoms.of(spec, parts["species"], placing)
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
+        self.several = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
         self.shown = np.arange(len(self.species))
         self._placing, self.box = placing, placing.size

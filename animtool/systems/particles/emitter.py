@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
-from animtool.options import Checked, Range, above
+from animtool.options import Checked
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point
+from animtool.systems.particles.records import Emission
 
 # Of splitmix64: S. Vigna, 2015, after G. Steele, D. Lea, C. Flood, "Fast splittable
 # pseudorandom number generators", 2014.
@@ -52,9 +52,6 @@ MAX_AT_ONCE = 10**12
 _CHANCES = 8
 # Over which the motion of an emitter is measured [s].
 _BRIEF = 1e-4
-_AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
-_SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
-_FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 # A direction that is no longer than this has no certain length.
 SHORTEST = 1e-150
 
@@ -69,55 +66,21 @@ class Births:
 
 
 @dataclass(frozen=True)
-class Emitter(Checked):
+class Emitter(Emission, Checked):
     """Makes particles; of which number when depends on time alone.
 
     Every particle draws its place, direction, speed and lifetime by its number, so
     that neither the step nor the frame rate of an output changes them.
 
     Attributes:
-        name: For messages.
         place: Where, in its frame.
         poses: Of its frame in the world over time.
-        rate: Particles a second.
-        bursts: Times [s], and how many at once.
-        start: From when on the rate holds [s].
-        end: Until when [s].
-        direction: Middle of the directions, in its frame; of surfaces None is outwards.
-        spread: Half the angle of the cone about it [rad]; pi is all around.
-        speed: [m/s].
-        speed_spread: Most that a speed is beside that [m/s].
-        inherit: Share of the emitter's own velocity that particles have too [1].
-        lifetime: [s]; infinity is for ever.
-        lifetime_spread: Most that a lifetime is beside that [s].
-        radius: Of each particle [m].
-        radius_spread: Most that a radius is beside that [m].
-        mass: Of each particle [kg].
-        charge: Of each particle [C].
-        seed: Of what is random.
     """
 
     code: ClassVar[str] = "SIM021"
 
-    name: str = ""
     place: Place = field(default_factory=Point)
     poses: Poses = field(default_factory=Poses)
-    rate: Annotated[float, _SPREAD] = 0.0
-    bursts: Sequence[tuple[float, int]] = ()
-    start: float = -math.inf
-    end: float = math.inf
-    direction: Sequence[float] | None = None
-    spread: float = 0.0
-    speed: Annotated[float, _FINITE] = 0.0
-    speed_spread: Annotated[float, _SPREAD] = 0.0
-    inherit: Annotated[float, _FINITE] = 1.0
-    lifetime: Annotated[float, above(0, "SIM021")] = math.inf
-    lifetime_spread: Annotated[float, _SPREAD] = 0.0
-    radius: Annotated[float, _AMOUNT] = 0.005
-    radius_spread: Annotated[float, _SPREAD] = 0.0
-    mass: Annotated[float, _AMOUNT] = 0.001
-    charge: Annotated[float, _FINITE] = 0.0
-    seed: int = 0
 
     def births(
         self, begin: float, after: float | None, until: float, room: int
@@ -170,6 +133,11 @@ class Emitter(Checked):
             births.times, points, ways * speeds[:, None]
         )
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
+
+    def drawn_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities ``(N, 3)`` of so many, born at a time [s]."""
+        burst = replace(self, rate=0.0, bursts=[(t, count)])
+        return burst.drawn(burst.births(t, None, t, count))[:2]
 
     def _directions(
         self, chances: FloatArray, outwards: FloatArray | None

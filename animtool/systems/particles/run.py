@@ -138,7 +138,7 @@ class ParticleSimulation:
             born[1] = self.setup.velocity.velocity(until, born[0], particles)
         return replace(
             state,
-            particles=state.particles.joined(particles),
+            particles=ParticleState.joined([state.particles, particles]),
             state=np.concatenate([state.state, born], axis=1),
         )
 
@@ -172,9 +172,8 @@ class ParticleSimulation:
             states.append(np.stack([x, v]))
         if not states:
             return ParticleState.none(), np.zeros((2, 0, 3)), beyond
-        particles, state = particle_sets[0], np.concatenate(states, axis=1)
-        for other in particle_sets[1:]:
-            particles = particles.joined(other)
+        particles = ParticleState.joined(particle_sets)
+        state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
         particles, state = particles.select(order), state[:, order]
         ids = first + np.arange(len(particles), dtype=np.int64)

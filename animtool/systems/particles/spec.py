@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from annotated_types import Gt, Le, Len
 from pydantic import Field
 
-from animtool.documents.fields import Pair, Real, Vector, Whole, key
+from animtool.documents.fields import Real, Whole, key, with_fields
 from animtool.errors import Fault, OptionError, counted
 from animtool.systems.fields import (
     CharacterModel,
@@ -25,85 +24,40 @@ from animtool.systems.fields import (
     SystemSurfaceModel,
     Tolerance,
 )
+from animtool.systems.particles.records import Emission, Velocity
 
 if TYPE_CHECKING:
-    from animtool.systems.particles.emitter import Emitter
     from animtool.systems.particles.run import ParticleSimulation
     from animtool.systems.particles.setup import Particles
-    from animtool.systems.particles.velocity_field import VelocityField
     from animtool.systems.simulation import SimContext
 
 
-class EmitterModel(PlacedModel, RecordModel):
-    """What makes particles."""
-
-    code: ClassVar[str] = "SIM021"
-
-    name: str = key("For messages.", "embers", default="")
+@with_fields(Emission)
+@with_fields(Emission, "name", before="place")
+class _EmitterKeys(PlacedModel):
     place: PlaceEntry = key(
         "Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
         {"disc": {"radius": 0.2}},
         default={"point": None},
     )
-    rate: Annotated[Real, Le(1e9)] = key("Particles a second.", 200, default=0.0)
-    bursts: list[Pair] = key(
-        "Seconds from the first frame on, and how many at once.",
-        [[0, 50], [1.5, 50]],
-        default=[],
-    )
-    start: Real | None = key(
-        "Second that the rate begins in. Not given: the first.", 0.5, default=None
-    )
-    end: Real | None = key(
-        "Second that the rate ends in. Not given: never.", 2.5, default=None
-    )
-    direction: Vector | None = key(
-        "Middle of their directions. Not given: y, and from surfaces outwards.",
-        [1, 1, 0],
-        default=None,
-    )
-    spread: Real = key(
-        "Half the angle of the cone about it [deg]; 180 is all around.", 20, default=0.0
-    )
-    speed: Real = key("Speed [m/s].", 3, default=0.0)
-    speed_spread: Real = key("Most that it differs by [m/s].", 0.5, default=0.0)
-    inherit: Real = key(
-        "Share of the emitter's velocity that they have too.", 0.5, default=1.0
-    )
-    lifetime: Real | None = key(
-        "How long they live [s]. Not given: for ever.", 2.5, default=None
-    )
-    lifetime_spread: Real = key("Most that it differs by [s].", 0.5, default=0.0)
-    radius: Real = key("Their radius [m].", 0.01, default=0.005)
-    radius_spread: Real = key("Most that it differs by [m].", 0.005, default=0.0)
-    mass: Real = key("Their mass [kg].", 0.1, default=0.001)
-    charge: Real = key("Their charge [C].", 1e-6, default=0.0)
-    seed: Whole = key("Of what is random about them.", 7, default=0)
-
-    def record(self, parts: Mapping[str, Any]) -> Emitter:
-        """Return what makes them; what is not given is without end."""
-        from animtool.systems.particles.emitter import Emitter
-
-        own = self.model_dump(exclude={*PlacedModel.model_fields, "place"})
-        own["bursts"] = [(when, int(count)) for when, count in self.bursts]
-        own["spread"] = math.radians(self.spread)
-        endless = {"start": -math.inf, "end": math.inf, "lifetime": math.inf}
-        own |= {name: end for name, end in endless.items() if own[name] is None}
-        return Emitter(place=parts["place"], poses=parts["poses"], **own)
 
 
-class VelocityModel(RecordModel):
+class EmitterModel(_EmitterKeys, RecordModel):
+    """What makes particles."""
+
+    code: ClassVar[str] = "SIM021"
+    makes: ClassVar[str] = "animtool.systems.particles.emitter:Emitter"
+
+
+@with_fields(Velocity)
+class _VelocityKeys(RecordModel):
+    pass
+
+
+class VelocityModel(_VelocityKeys):
     """A velocity field: expressions of x, y, z, t and age."""
 
-    x: str = key("Along x [m/s].", "-z", default="0")
-    y: str = key("Along y [m/s].", "0.2", default="0")
-    z: str = key("Along z [m/s].", "x", default="0")
-
-    def record(self, parts: Mapping[str, Any]) -> VelocityField:  # noqa: ARG002
-        """Return the field."""
-        from animtool.systems.particles.velocity_field import VelocityField
-
-        return VelocityField(self.x, self.y, self.z)
+    makes: ClassVar[str] = "animtool.systems.particles.velocity_field:VelocityField"
 
 
 class ParticlesModel(SystemSpec):

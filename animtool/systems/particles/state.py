@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import FloatArray, IntArray
+from animtool.maths.rows import Rows
 
 
 @dataclass(frozen=True, slots=True)
-class ParticleState:
+class ParticleState(Rows):
     """N particles, in the order of their births.
 
     Attributes:
@@ -41,18 +42,3 @@ class ParticleState:
         flat = np.zeros(0)
         ids, origins = np.zeros(0, np.int64), np.zeros((0, 3))
         return ParticleState(ids, flat, flat, flat, flat, flat, origins)
-
-    def select(self, kept: BoolArray | IntArray) -> ParticleState:
-        """Return some of them."""
-        return ParticleState(
-            *(getattr(self, field.name)[kept] for field in fields(self))
-        )
-
-    def joined(self, others: ParticleState) -> ParticleState:
-        """Return these, then others."""
-        return ParticleState(
-            *(
-                np.concatenate([getattr(self, field.name), getattr(others, field.name)])
-                for field in fields(self)
-            )
-        )

@@ -11,6 +11,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.options import Checked
 from animtool.rig.expressions import Expression, parse_expression
+from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
 
 # What expressions of fields may name: place [m], velocity [m/s], time and age [s].
@@ -32,20 +33,10 @@ class Expressions:
 
 
 @dataclass(frozen=True)
-class VelocityField(Expressions, Checked):
-    """Velocities by place and time, as expressions of x, y, z [m], t and age [s].
-
-    Attributes:
-        x: [m/s].
-        y: [m/s].
-        z: [m/s].
-    """
+class VelocityField(Velocity, Expressions, Checked):
+    """Velocities by place and time, as expressions of x, y, z [m], t and age [s]."""
 
     code: ClassVar[str] = "SIM022"
-
-    x: str = "0"
-    y: str = "0"
-    z: str = "0"
 
     def velocity(
         self, t: float | FloatArray, x: FloatArray, particles: ParticleState

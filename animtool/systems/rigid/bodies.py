@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import OptionError
+from animtool.errors import OptionError, refuse
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
@@ -27,7 +27,6 @@ from animtool.systems.rigid.kind import (
     check_moved,
     copies,
     kind_of,
-    refuse,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -79,7 +78,7 @@ class Bodies:
             place = f"bodies[{number}]"
             with _entry(place):
                 if model.name in {kind.model.name for kind in kinds}:
-                    refuse(f"two bodies are named {model.name!r}", "", "name")
+                    refuse("SIM061", f"two bodies are named {model.name!r}", "name")
                 check_moved(model)
                 kind = kind_of(model, part)
                 points, turns = copies(model, part)
@@ -93,7 +92,8 @@ class Bodies:
                 moved.append(not model.kinematic)
                 poses.append(placed_on(own, point, turn))
         if len(names) > MOST:
-            refuse(f"there are {len(names)} bodies, and {MOST} at most", "", "bodies")
+            message = f"there are {len(names)} bodies, and {MOST} at most"
+            refuse("SIM061", message, "bodies")
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
         )
@@ -162,7 +162,7 @@ class Bodies:
             Collider(
                 shape,
                 placed_on(self.poses[i], at, turn),
-                self.names[i],
+                name=self.names[i],
                 restitution=kind.model.restitution,
                 friction=kind.model.friction,
             )
@@ -232,7 +232,7 @@ class Bodies:
             from animtool.documents.names import nearest
 
             hint = nearest(name, list(self.names)) or ""
-            refuse(f"no body is named {name!r}", hint, key)
+            refuse("SIM061", f"no body is named {name!r}", key, hint)
         return self._numbers[name]
 
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, listed
+from animtool.errors import Fault, Severity, listed, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies
-from animtool.systems.rigid.kind import refuse
 from animtool.systems.rigid.spec import RigidJointModel
 
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
@@ -77,13 +76,12 @@ def joints_of(
         name = model.name or at
         second = bodies.find(model.body, f"{at}.body")
         if second not in place:
-            refuse(
-                f"{model.body!r} is kinematic: joints cannot move it", "", f"{at}.body"
-            )
+            message = f"{model.body!r} is kinematic: joints cannot move it"
+            refuse("SIM061", message, f"{at}.body")
         for option, types in _OWN.items():
             if getattr(model, option) is not None and model.type not in types:
                 message = f"{option} of {name!r} is for {listed(types)}"
-                refuse(message, f"type: {types[0]}", f"{at}.{option}")
+                refuse("SIM061", message, f"{at}.{option}", f"type: {types[0]}")
         poses: Poses = part["poses"]
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis(model, name, at))
@@ -95,10 +93,10 @@ def joints_of(
         else:
             other = bodies.find(model.to, f"{at}.to")
             if other == second:
-                refuse(f"{name!r} joins {model.body!r} to itself", "", f"{at}.to")
+                refuse("SIM061", f"{name!r} joins {model.body!r} to itself", f"{at}.to")
             if len(poses.moments) > 1:
                 message = f"{name!r} goes with {model.to!r}, not as moves or a prim say"
-                refuse(message, "", at)
+                refuse("SIM061", message, at)
             if other in place:
                 first, on_a = place[other], seen_by(bodies, other, frame)
             else:
@@ -125,9 +123,8 @@ def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
     axis = np.array(model.axis, np.float64)
     size = float(np.linalg.norm(axis))
     if not size:
-        refuse(
-            f"the axis of {name!r} has no direction", "axis: [0, 1, 0]", f"{at}.axis"
-        )
+        message = f"the axis of {name!r} has no direction"
+        refuse("SIM061", message, f"{at}.axis", "axis: [0, 1, 0]")
     return so3.between(np.array([1.0, 0.0, 0.0]), axis / size)
 
 
@@ -154,14 +151,15 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
         low, high = (value * scale for value in given)
         if low > high:
             message = f"the least of {name!r}, {given[0]:g}, is above the most"
-            refuse(f"{message}, {given[1]:g}", "", f"{at}.{key}")
+            refuse("SIM061", f"{message}, {given[1]:g}", f"{at}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than a turn apart"
-            refuse(message, "leave them out: turns are not counted", f"{at}.{key}")
+            hint = "leave them out: turns are not counted"
+            refuse("SIM061", message, f"{at}.{key}", hint)
     if model.swing is not None:
         pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if min(pair) <= 0:
-            refuse(f"the swing of {name!r} must be above 0", "", f"{at}.swing")
+            refuse("SIM061", f"the swing of {name!r} must be above 0", f"{at}.swing")
         swing = np.minimum(np.radians(pair), SWING).tolist()
     return [low, high, *swing]
 
@@ -174,10 +172,10 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
     if ("target" if ball else "rotation") in drive.model_fields_set:
         wrong, right = ("target", "rotation") if ball else ("rotation", "target")
         message = f"the drive of a {model.type} has a {right}, not a {wrong}"
-        refuse(message, f"{right}: ...", f"{at}.drive.{wrong}")
+        refuse("SIM061", message, f"{at}.drive.{wrong}", f"{right}: ...")
     turn = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse("the rotation of a drive is all 0", "", f"{at}.drive")
+        refuse("SIM061", "the rotation of a drive is all 0", f"{at}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # The drive sees the joint's own axes.
     own = _axis(model, model.name, at)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, Severity, refuse
 from animtool.frames import MeshFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Shape
@@ -66,9 +66,11 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     for key in ("velocity", "spin") if model.kinematic else ():
         if key in model.model_fields_set:
             message = f"{model.name!r} is kinematic: its moves say how fast it is"
-            refuse(message, f"no {key}", key)
+            refuse("SIM061", message, key, f"no {key}")
     if model.mass is not None and "density" in model.model_fields_set:
-        refuse(f"{model.name!r} has a mass and a density", "keep one", "density")
+        refuse(
+            "SIM061", f"{model.name!r} has a mass and a density", "density", "keep one"
+        )
     several = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
         (
@@ -80,20 +82,26 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
     ]
     if model.shape is not None:
         if shapes:
-            refuse(f"{model.name!r} has a shape and shapes", "keep one", "shapes")
+            refuse(
+                "SIM061", f"{model.name!r} has a shape and shapes", "shapes", "keep one"
+            )
         shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
-        refuse(f"{model.name!r} has no shape", "shape: {sphere: {radius: 0.1}}")
+        refuse(
+            "SIM061",
+            f"{model.name!r} has no shape",
+            hint="shape: {sphere: {radius: 0.1}}",
+        )
     cores, solids, notices = [], [], []
     for k, (shape, at, turn) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
             message = f"a shape of {model.name!r}: a height field has no inside"
-            refuse(message, "it is a collider, not a body", key)
+            refuse("SIM061", message, key, "it is a collider, not a body")
         try:
             core = core_of(shape)
         except ValueError as error:
-            refuse(f"a shape of {model.name!r}: {error}", "", key)
+            refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
         solid = solid_of(shape, core)
         if isinstance(shape, Mesh) and not convex(shape, solid):
             message = (
@@ -128,10 +136,12 @@ def _weighed(
         moments = np.array(model.inertia, np.float64)
         if 2 * moments.max() > moments.sum() * (1 + ROUNDING):
             message = f"no body has the moments of {model.name!r}, {model.inertia}: "
-            refuse(f"{message}one is more than the sum of the others", "", "inertia")
+            refuse(
+                "SIM061", f"{message}one is more than the sum of the others", "inertia"
+            )
         if np.count_nonzero(moments) < 2:
             message = f"{model.name!r} must have two moments of inertia above 0"
-            refuse(message, "a rod has one of 0", "inertia")
+            refuse("SIM061", message, "inertia", "a rod has one of 0")
         turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
         inertia = turn @ np.diag(moments) @ turn.T
     return mass, centre, inertia
@@ -179,14 +189,14 @@ def check_moved(model: BodyModel) -> None:
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is moved by what happens to it, not by {key}"
-            refuse(message, "kinematic: true", key)
+            refuse("SIM061", message, key, "kinematic: true")
     if model.pushes and model.kinematic:
-        refuse(f"{model.name!r} is kinematic: nothing pushes it", "", "pushes")
+        refuse("SIM061", f"{model.name!r} is kinematic: nothing pushes it", "pushes")
     for k, push in enumerate(model.pushes):
         start, end = push.start, push.end
         if start is not None and end is not None and end <= start:
             message = f"a push of {model.name!r} begins at {start:g} s, and ends at "
-            refuse(f"{message}{end:g} s", "", f"pushes[{k}].end")
+            refuse("SIM061", f"{message}{end:g} s", f"pushes[{k}].end")
 
 
 def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -194,17 +204,19 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
-            refuse(f"{model.name!r} has a grid and points", "keep one", "points")
+            refuse(
+                "SIM061", f"{model.name!r} has a grid and points", "points", "keep one"
+            )
         counts = np.array(model.grid.count)
         if counts.prod() > MOST:
-            refuse(f"{model.name!r} has more than {MOST} copies", "", "grid")
+            refuse("SIM061", f"{model.name!r} has more than {MOST} copies", "grid")
         x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
         cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
         cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)
         points = cells * np.array(model.grid.spacing)
     if points is None:
         if rotations is not None:
-            refuse("rotations are of points, and there are none", "", "rotations")
+            refuse("SIM061", "rotations are of points, and there are none", "rotations")
         return np.zeros((1, 3)), so3.IDENTITY[None]
     count = len(points)
     turns = np.tile(so3.IDENTITY, (count, 1))
@@ -215,19 +227,14 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
     for name, array, width in (("points", points, 3), ("rotations", turns, 4)):
         if array.shape != (count, width) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} are of shape {array.shape} or not "
-            refuse(f"{message}finite: they must be {(count, width)}", "", name)
+            refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
     if not turns.any(axis=1).all():
-        refuse(f"a rotation of {model.name!r} is all 0", "", "rotations")
+        refuse("SIM061", f"a rotation of {model.name!r} is all 0", "rotations")
     return np.asarray(points, np.float64), so3.normalize(turns)
 
 
 def _turn(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
     turn = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
     if not turn.any():
-        refuse(f"a rotation of {name!r} is all 0", "", key)
+        refuse("SIM061", f"a rotation of {name!r} is all 0", key)
     return so3.normalize(turn)
-
-
-def refuse(message: str, hint: str = "", key: str = "") -> NoReturn:
-    """Raise what of rigid bodies makes no sense (SIM061)."""
-    raise OptionError(Fault("SIM061", message, hint=hint or None, where=key or None))

@@ -265,7 +265,7 @@ def still_colliders(physics: Physics) -> list[Collider]:
         Collider(
             shape_of(one),
             Poses.fixed(one.pose[:3], one.pose[3:]),
-            one.name,
+            name=one.name,
             restitution=one.restitution,
             friction=one.friction,
         )

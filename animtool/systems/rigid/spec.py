@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
@@ -18,7 +18,6 @@ from animtool.documents.fields import (
     Whole,
     key,
 )
-from animtool.errors import Fault
 from animtool.systems.fields import (
     ArrayEntry,
     CharacterModel,
@@ -26,6 +25,7 @@ from animtool.systems.fields import (
     MovingMeshModel,
     PhysicsStageModel,
     PlacedModel,
+    Problem,
     PrototypeModel,
     ShapeEntry,
     SystemColliderModel,
@@ -252,6 +252,7 @@ class RigidModel(SystemSpec):
         "symplectic_euler",
         "explicit_euler",
     )
+    code: ClassVar[str] = "SIM061"
 
     bodies: Annotated[list[BodyModel], Len(0, 100_000)] = key(
         "The bodies.",
@@ -330,14 +331,10 @@ class RigidModel(SystemSpec):
         default=SleepModel(),
     )
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return which keys make no sense together (SIM061)."""
-        faults = []
+    def problems(self) -> Iterator[Problem]:
+        """Yield which keys make no sense together (SIM061)."""
         if not self.bodies and not self.stages:
-            hint = "name some, or a stage that has some"
-            faults.append(Fault("SIM061", "there are no bodies", hint=hint))
+            yield "there are no bodies", None, "name some, or a stage that has some"
         if self.physics and self.prims != "xforms":
             message = "UsdPhysics is said of prims, and copies of an instancer are none"
-            fault = Fault("SIM061", message, hint="prims: xforms", where="physics")
-            faults.append(fault)
-        return faults
+            yield message, "physics", "prims: xforms"

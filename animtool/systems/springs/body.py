@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.maths.rows import Rows
 from animtool.systems.springs.records import Family, SelfContact
 
 # Which springs are torn, in the order of kernels ``(S,)``.
@@ -18,7 +19,7 @@ Flags: TypeAlias = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Springs:
+class Springs(Rows):
     """S springs.
 
     Attributes:
@@ -40,10 +41,6 @@ class Springs:
     def none() -> Springs:
         """Return no springs."""
         return Springs(np.zeros((0, 2), np.int64), *np.zeros((4, 0)))
-
-    def select(self, rows: IntArray | BoolArray) -> Springs:
-        """Return some of them, by number in an order, or by a mask ``(S,)``."""
-        return Springs(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def lengths(self, points: FloatArray) -> FloatArray:
         """Return how long they are ``(S,)`` [m] with particles at points ``(N, 3)``."""
@@ -110,13 +107,6 @@ def springs_between(
     return Springs(pairs, lengths, stiffness, damping, limit)
 
 
-def gathered(springs: Sequence[Springs]) -> Springs:
-    """Return springs of many families together."""
-    every = [Springs.none(), *springs]
-    columns = ([getattr(each, f.name) for each in every] for f in fields(Springs))
-    return Springs(*map(np.concatenate, columns))
-
-
 def built(
     positions: ArrayLike,
     masses: ArrayLike,
@@ -132,7 +122,8 @@ def built(
         if family is not None
     ]
     faces = np.asarray(triangles, np.int64).reshape(-1, 3)
-    return Body(places, weights, gathered(springs), faces)
+    every = Springs.joined([Springs.none(), *springs])
+    return Body(places, weights, every, faces)
 
 
 def join(bodies: Sequence[Body]) -> Body:
@@ -144,7 +135,7 @@ def join(bodies: Sequence[Body]) -> Body:
     [4, 5]
     """
     offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
-    springs = gathered([body.springs for body in bodies])
+    springs = Springs.joined([Springs.none(), *(body.springs for body in bodies)])
     shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
     faces = [body.triangles + at for body, at in zip(bodies, offsets, strict=False)]
     return Body(

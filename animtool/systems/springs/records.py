@@ -19,15 +19,9 @@ class Family:
     """What springs of a kind have in common.
 
     Attributes:
-        stiffness: Force over lengthening [N/m].
-        damping: Along the spring, force over speed [N s/m].
-        ratio: More of it, as a share of what a spring of this stiffness on the mean
-            mass of its ends is critical with [1]: c = 2 ratio √(k m).
-        tear: Lengthening over the length at rest beyond which a spring tears [1]; None
-            is never.
-        rest: Length at rest over the distance of the ends as built [1].
-        axial_stiffness: Force over strain [N]: each spring's stiffness is this over its
-            length at rest, and `stiffness` is not used; None is by `stiffness`.
+        damping: [N s/m].
+        ratio: Of c = 2 ratio √(k m), on the mean mass m of both ends [1].
+        axial_stiffness: Where it is given, `stiffness` is not used.
     """
 
     stiffness: Annotated[_OfSpring, Key("Force over lengthening [N/m].", 1e4)]
@@ -79,9 +73,6 @@ class Air:
 
     Attributes:
         wind: Velocity of the air ``(3,)``, or at the times ``(K, 3)`` [m/s].
-        drag: Coefficient along the flow [1].
-        lift: Coefficient across it [1].
-        density: [kg/m³]
         times: Ascending ``(K,)`` [s]; None where the wind is steady.
     """
 
@@ -117,13 +108,8 @@ class SpringOptions:
 
     Attributes:
         solver: Of `Solver`.
-        step: The longest step [s]. None leaves it to the solver: as many steps in
-            each 1/240 s as it needs.
-        stretch: Of xpbd, most that a spring may be longer than at rest, over its
-            length at rest [1], where this is not mostly its own give under what it
-            bears; steps are halved where it is more.
-        error: Most error of positions [m]: the motion is made again in half the step
-            until two agree. None does not ask.
+        step: None leaves it to the solver: as many steps in each 1/240 s as it needs.
+        stretch: Over the length at rest [1]; steps are halved where it is more.
         growth: Energy gained, in those of the start and what may be supplied, from
             which on a motion has blown up; of xpbd it is not asked for.
         longest: Length of a spring, in lengths at rest, from which on it has.
@@ -183,10 +169,7 @@ class SelfContact:
     a shorter step.
 
     Attributes:
-        thickness: Least distance [m].
-        friction: Coulomb's coefficient [1].
-        speed: With which what is nearer at the start comes apart [m/s]; it keeps none
-            of it.
+        speed: What comes apart keeps none of it.
         rest: Where particles are at rest ``(N, 3)`` [m]; None is where the body begins.
 
     References:

@@ -44,7 +44,7 @@ _OTHERS = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settl
 _SHARED = (*_OPTIONS, *_OTHERS, "save_at", "resume")
 
 
-@with_fields(SelfContact, "thickness", "friction", "speed", bounds=True)
+@with_fields(SelfContact, "thickness", "friction", "speed", ranges="schema")
 class SelfContactModel(FileModel):
     """How a surface keeps apart from itself, in folds and layers."""
 

@@ -224,6 +224,15 @@ def test_atoms_stay_in_the_box_and_a_trap_draws_them(simulator: Simulator) -> No
         assert frame.primvars["displayColor"].shape == (20, 3)
 
 
+def test_atoms_say_their_species_where_there_are_two() -> None:
+    xenon = {"name": "xenon", "count": 256, "sigma": 0.4, "epsilon": 1.8, "mass": 131}
+    for species, expected in (([ARGON], {}), ([ARGON, xenon], {0: 256, 1: 256})):
+        made = molecules(species=species)
+        primvars = made.frame(made.initial(), 0.0).primvars
+        kinds = np.array(primvars.get("species", []), int)
+        assert dict(zip(*np.unique(kinds, return_counts=True), strict=True)) == expected
+
+
 def test_mixtures_alternate_or_are_mixed() -> None:
     both = [{**ARGON, "count": 32}, {**ARGON, "name": "krypton", "count": 32}]
     made = molecules(species=both, lattice="cubic", box=[2, 2, 2])

@@ -287,7 +287,7 @@ def codes(setup: Particles) -> list[str]:
     ],
 )
 def test_emitters_that_make_no_sense(wrong: dict[str, object]) -> None:
-    emitter = Emitter("jet", **{"rate": 1.0, **wrong})  # type: ignore[arg-type]
+    emitter = Emitter(name="jet", **{"rate": 1.0, **wrong})  # type: ignore[arg-type]
     assert set(codes(Particles([emitter]))) == {"SIM021"}
 
 

@@ -1,0 +1,52 @@
+"""What touching a surface does, as files say it and simulations take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from animtool.options import Key, Range, above, or_more
+
+# No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
+SPEED_LIMIT = 200.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """What a contact keeps of velocities."""
+
+    restitution: Annotated[
+        float,
+        Range("0 to 1", "SIM020", 0, 1),
+        Key("Share of the speed into the surface that comes back, 0 to 1.", 0.4),
+    ] = 0.0
+    friction: Annotated[
+        float,
+        or_more(0, "SIM020", finite=True),
+        Key("Coulomb's coefficient.", 0.3),
+    ] = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact(Material):
+    """What touching a collider does."""
+
+    name: Annotated[str, Key("For messages.", "step_1")] = ""
+    container: Annotated[
+        bool, Key("Particles are to stay inside; of `kill`, those outside go.", True)
+    ] = False
+    margin: Annotated[
+        float,
+        or_more(0, "SIM020", finite=True),
+        Key("Distance that they keep [m].", 0.01),
+    ] = 0.0
+    depenetration: Annotated[
+        float,
+        above(0, "SIM020"),
+        Key("How fast those that begin inside are moved out [m/s].", 0.5),
+    ] = 1.0
+    speed_limit: Annotated[
+        float,
+        above(0, "SIM020"),
+        Key("What moves faster was put elsewhere, and hits nothing [m/s].", 500),
+    ] = SPEED_LIMIT
