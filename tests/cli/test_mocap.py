@@ -165,6 +165,14 @@ def test_info_of_markers(tmp_path: Path) -> None:
     assert found["longest_gap"] == 0.3
 
 
+def test_info_of_markers_without_gaps(tmp_path: Path) -> None:
+    write_marker_arrays(captured(moving(20, 100, 3), 100).markers, tmp_path / "a.npz")
+    done = animtool("info", tmp_path / "a.npz", "--format", "json")
+    assert done.code == 0, done.stderr
+    (found,) = json.loads(done.stdout)["files"]
+    assert (found["gaps"], found["longest_gap"], found["missing"]) == (0, 0, 0)
+
+
 def test_a_suffix_that_no_markers_are_written_to(tmp_path: Path) -> None:
     source = marker_file(tmp_path, "take.trc")
     done = animtool("mocap", "fill", source, "-o", tmp_path / "a.usda")

@@ -50,6 +50,20 @@ def check_back(source: Path, tmp_path: Path) -> tuple[Take, Take]:
     return wanted, found
 
 
+TURNING = "joints: [{name: a, type: pin, axis: [1, 0, 0]}]\n"
+
+
+def test_motion_that_is_as_small_as_its_tolerance_is_kept(tmp_path: Path) -> None:
+    """What is taken for rounding is always far less than the tolerance."""
+    source = taken(tmp_path, TURNING, ("joint/a.translate", [0, 0, 0], [8e-7, 0, 0]))
+    output = tmp_path / "back.clip.yaml"
+    report = convert(source, output, reduce=1e-7).reduction
+    assert report is not None
+    assert report.held
+    places = open_source(output).collect().motion.translations.dense()[:, 0, 0]
+    np.testing.assert_allclose(places, np.linspace(0, 8e-7, 9), atol=1e-7)
+
+
 DRIVEN = """joints:
 - {name: a, type: pin, axis: [0, 0, 1]}
 - {name: b, type: fixed, parent: a, translate: [1, 0, 0]}

@@ -7,7 +7,7 @@ import pytest
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.documents.check import FileModel, check_version, validated
+from animtool.documents.check import MAX_MENDED, FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import Fault, FormatError
 
@@ -174,3 +174,17 @@ def test_what_does_not_ascend(tmp_path: Path) -> None:
     read.doubts.add(("items", 1, "at"))
     found = list(read.descents(("items",), [3, 9, 2, 4, 4], "at"))
     assert found == [(2, 0), (4, 3)]
+
+
+def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
+    """Up to the bound later checks add theirs. Each of these faults is found twice."""
+
+    def read(count: int) -> Document:
+        rows = "".join("- {type: square, side: x}\n" for _ in range(count))
+        return document(tmp_path, f"rig: x\nitems:\n{rows}")
+
+    most = read(MAX_MENDED // 2)
+    assert len(validated(most, Box).items) == MAX_MENDED // 2
+    assert len(most.faults) == MAX_MENDED // 2
+    with pytest.raises(FormatError):
+        validated(read(MAX_MENDED // 2 + 1), Box)

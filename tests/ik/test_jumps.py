@@ -10,6 +10,7 @@ from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.ik import Goal, IkOptions, build, follow
 from animtool.ik.chain import seamless
+from animtool.ik.goals import COLUMNS
 from animtool.ik.path import Path, explained, jumping, named, path_of, strain
 from animtool.ik.result import Jump
 from animtool.rig.limits import RangeLimit
@@ -72,6 +73,17 @@ def test_targets_that_are_not_asked_explain_nothing() -> None:
     moving[3, :, 13:] = 0
     gone = replace(path, targets=moving)
     np.testing.assert_array_equal(explained(gone, 60.0), explained(path, 60.0))
+
+
+def test_targets_of_no_weight_explain_nothing() -> None:
+    """A goal that does not turn to its target: turns of the target are no reason."""
+    problem = build(mixed_rig(), [Goal("hand", orientation=0.0)])
+    rows = np.repeat(random_pose(problem, 1), 6, axis=0)
+    path = path_of(problem, reached_by(problem, rows), None, IkOptions())
+    moving = path.targets.copy()
+    moving[3:, :, COLUMNS["orientation"]] = [1.0, 0.0, 0.0, 0.0]
+    turned = replace(path, targets=moving)
+    np.testing.assert_array_equal(explained(turned, 60.0), explained(path, 60.0))
 
 
 def test_the_motion_of_a_clip_is_no_jump() -> None:

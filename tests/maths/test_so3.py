@@ -36,6 +36,15 @@ def test_identity_and_inverse(q: FloatArray) -> None:
     assert_allclose(so3.multiply(q, so3.conjugate(q)), so3.IDENTITY, atol=TIGHT)
 
 
+@pytest.mark.parametrize("off", [1e-3, 1e-5, 2.5e-6])
+def test_vectors_that_are_nearly_opposite_are_turned_onto_each_other(
+    off: float,
+) -> None:
+    one = np.array([0.6, 0.0, 0.8])
+    other = -np.cos(off) * one + np.sin(off) * np.array([0.8, 0.0, -0.6])
+    assert_allclose(so3.rotate(so3.between(one, other), one), other, atol=1e-9)
+
+
 @given(quaternions, quaternions, vectors)
 def test_rotate_is_a_homomorphism(a: FloatArray, b: FloatArray, v: FloatArray) -> None:
     scale = 1 + np.linalg.norm(v)

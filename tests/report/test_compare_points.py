@@ -218,6 +218,23 @@ def test_what_copies_leave_out_changes_nothing(tmp_path: Path) -> None:
     assert (found.samples, found.within(0, 0)) == (1, True)
 
 
+def test_times_that_only_one_has_are_not_compared(tmp_path: Path) -> None:
+    """The second ends at half of the first, of which it has every other frame."""
+    paths = []
+    for name, codes in (("a", range(1, 10)), ("b", range(1, 6, 2))):
+        rows = ", ".join(f"{code}: [(0, {code}, 0), (1, 0, 0)]" for code in codes)
+        path = copies(tmp_path, name)
+        text = path.read_text("utf-8").replace(
+            "positions = [(0, 0, 0), (1, 0, 0)]", f"positions.timeSamples = {{{rows}}}"
+        )
+        path.write_text(text, "utf-8")
+        paths.append(path)
+    found = compare_points(*paths)
+    assert found is not None
+    assert (found.samples, found.points.value) == (5, 0)
+    assert found.mismatches == ["birds: 9 samples against 3"]
+
+
 def test_large_ids_are_told_apart(tmp_path: Path) -> None:
     ids = [f"int64[] ids = [{2**60}, {2**60 + last}]" for last in (1, 2)]
     one, two = (copies(tmp_path, f"{i}", text) for i, text in enumerate(ids))

@@ -31,6 +31,7 @@ JOINTS = [
     Joint("fixed", 0, JointType.FIXED, (0, 1, 0), TURNED),
     Joint("ball", 0, JointType.BALL),
     Joint("cone", 0, JointType.BALL, limits=BallLimit((0.5, 0.9))),
+    Joint("hinge", 0, JointType.BALL, limits=BallLimit((0.0, 0.9))),
     Joint("whole", 0, JointType.BALL, limits=BallLimit((0.5, 0.9), (-0.2, 0.7))),
     Joint("twist", 0, JointType.BALL, limits=BallLimit(None, (-1.0, 1.0), SLANTED)),
     Joint("locked", 0, JointType.BALL, limits=BallLimit((1.0, 1.0), (0.0, 0.0))),

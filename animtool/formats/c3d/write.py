@@ -22,6 +22,8 @@ MAX_NAME = 255
 # Header and parameters count in 16 bits.
 MAX_COUNT = 65535
 MAX_CAMERAS = 7
+# Bytes before the parameters: which block they begin in, blocks and the processor.
+_HEAD = 4
 # Blocks of parameters are counted in a byte.
 MAX_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 says that a point was not measured.
@@ -69,7 +71,7 @@ def _head(markers: Markers, path: Path) -> bytes:
     blocks = 1
     # Where the data begin is a parameter itself.
     section = _parameters(markers, 2 + blocks)
-    blocks = -(-len(section) // BLOCK)
+    blocks = -(-(_HEAD + len(section)) // BLOCK)
     if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
         message += f"and at least one frame; these are {count} in {frames} frames"
@@ -79,7 +81,7 @@ def _head(markers: Markers, path: Path) -> bytes:
     scale = _scale(markers)
     header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
     header += struct.pack("<fHHf", scale, 2 + blocks, 0, float(markers.clock.rate))
-    text = section[:2] + bytes([blocks, int(Processor.INTEL)]) + section[4:]
+    text = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + section
     return header.ljust(BLOCK, b"\0") + text.ljust(BLOCK * blocks, b"\0")
 
 
@@ -145,7 +147,7 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
             for i in range(0, len(spans), MAX_ENTRIES)
         ]
         groups[OWN_GROUP] = _numbered("FILLED", rows)
-    out = bytes([1, MAGIC, 0, 0])
+    out = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         raw = name.encode()
         out += struct.pack("<bb", len(raw), -number) + raw + struct.pack("<HB", 3, 0)

@@ -72,8 +72,7 @@ def read_keypoints(
         hint = "--source-fps gives it"
         raise OptionError(Fault("CAM010", message, str(folder), (), hint))
     rate = rate_option(fps)
-    folders = sorted(each for each in folder.iterdir() if each.is_dir())
-    folders = [each for each in folders if any(each.glob("*.json"))]
+    folders = sorted(each for each in folder.iterdir() if any(each.glob("*.json")))
     if not folders:
         message = "holds no folder of JSON files for each camera"
         raise FormatError(Fault("CAM010", message, str(folder)))

@@ -70,7 +70,7 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
         taken[point] = run
         old = taken >= 0
         new_runs = np.arange(int((~old).sum())) + len(first)
-        numbers = np.zeros(len(slots), np.int64)
+        numbers = np.empty(len(slots), np.int64)
         numbers[old] = open_runs[taken[old]]
         numbers[~old] = new_runs
         first += [frame] * len(new_runs)

@@ -298,3 +298,9 @@ def test_weights_from_one_face_to_another() -> None:
     named = transfer_weights(weights[:, :2], ["JawOpen", "q"], ["jaw_open"])
     assert_array_equal(named.weights[:, 0], weights[:, 0])
     assert [n.code for n in named.notices] == ["FAC108"]
+
+
+def test_landmarks_that_count_little_say_nothing_of_the_fit() -> None:
+    model, weights = made_face(), made_weights(6)
+    fit = fit_face(model, placed(model.points(weights)), 60)
+    assert replace(fit, shares=np.zeros_like(fit.shares)).rms == 0

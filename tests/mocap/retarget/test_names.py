@@ -85,6 +85,14 @@ def test_a_name_is_taken_apart(name: str, other: str, side: str, key: str) -> No
     assert (read[0].side, read[0].key) == (side, key)
 
 
+def test_a_start_that_all_share_is_no_prefix_where_it_says_the_side() -> None:
+    names = ["puppet_L_shoulder", "puppet_L_elbow", "puppet_L_wrist"]
+    read = read_names(names, np.array([-1, 0, 1]))
+    assert [(one.side, one.key) for one in read] == [
+        ("l", "shoulder"), ("l", "elbow"), ("l", "wrist")
+    ]  # fmt: skip
+
+
 def test_every_preset_has_its_source_and_roles_that_there_are() -> None:
     assert len(presets()) == 46
     for preset in presets().values():

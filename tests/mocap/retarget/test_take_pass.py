@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from animtool import Channel, Motion, Rig, Take, open_source
+from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.take_pass import onto_rig
@@ -60,3 +62,10 @@ def test_offsets_that_are_not_the_rest_pose(root: Path) -> None:
     off = so3.angle_between(turns["rig"], source)
     assert off.max() < 1e-7
     assert so3.angle_between(turns[None], source)[:, arm].min() > 1
+
+
+@pytest.mark.parametrize("key", ["preset", "target_preset"])
+def test_a_convention_of_either_skeleton_can_be_said(root: Path, key: str) -> None:
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    with pytest.raises(OptionError, match="mixamoo"):
+        onto_rig(TakeStream.of(walk), walk.rig, RetargetOptions(**{key: "mixamoo"}))

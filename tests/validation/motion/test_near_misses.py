@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf
 from support.cli import animtool
-from support.planted_takes import at_frames, eased, edited, scaled, step, turned
+from support.planted_takes import at_frames, eased, edited, held, scaled, step, turned
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
@@ -23,7 +23,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rules import find_rule, own_rules, replaced_codes
 from animtool.scene.sources import open_source
 from animtool.take import Take
-from animtool.validation.motion.sampling import repeated_frames
+from animtool.validation.motion.sampling import frozen_frames, repeated_frames
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import findings_in, validate
@@ -100,9 +100,23 @@ def test_an_eased_hold_is_not_frozen(walking: Take) -> None:
     share = frames - low
     between = so3.slerp(turns[low], turns[low + 1], share[:, None])
     way = moves[low] + (moves[low + 1] - moves[low]) * share[:, None, None]
-    held = edited(walking, way, between)
-    assert subject(held).speeds.min() < 1e-9
-    assert not {"MOT205", "MOT206", "MOT207"} & set(codes(held))
+    stopped = edited(walking, way, between)
+    assert subject(stopped).speeds.min() < 1e-9
+    assert not {"MOT205", "MOT206", "MOT207"} & set(codes(stopped))
+
+
+@pytest.mark.parametrize(
+    ("starts", "said"),
+    [((20,), "that do"), ((20, 40), "that do; it freezes 1 times more")],
+)
+def test_a_freeze_is_said_with_how_many_there_are(
+    walking: Take, starts: tuple[int, ...], said: str
+) -> None:
+    take = walking
+    for start in starts:
+        take = held(start, 4)(take)
+    (fault,) = frozen_frames(subject(take))
+    assert fault.message.endswith(said)
 
 
 def test_a_jump_does_not_float(walking: Take) -> None:

@@ -251,3 +251,21 @@ def test_a_scene_that_writes_over_what_its_targets_follow(shot: Path) -> None:
     (shot.parent / "page.targets.yaml").write_text(TARGETS + goal, "utf-8")
     shot.write_text(f"{SOLVED}output: {{file: prop.usda}}\n", "utf-8")
     assert "OUT003" in codes(shot)
+
+
+def test_a_unit_is_told_by_the_first_of_several_roots(shot: Path) -> None:
+    """What the rig carries far off says nothing of the points of its targets."""
+    rig = shot.with_name("limb.rig.yaml")
+    prop = "- {name: prop, type: prismatic, axis: [1, 0, 0]}\nik:"
+    rig.write_text(rig.read_text("utf-8").replace("ik:", prop), "utf-8")
+    channel = "joint/prop.slide, keys: [{t: 1, v: 90}]}\n- {target: joint/lower"
+    clip = CLIP.replace("channels: [", "channels:\n- ").replace("}]}]", "}]}")
+    shot.with_name("limb.clip.yaml").write_text(
+        clip.replace("joint/lower", channel), "utf-8"
+    )
+    shot.write_text(SOLVED, "utf-8")
+    shot.with_name("page.targets.yaml").write_text(
+        TARGETS + "- {effector: arm, position: [10, 60, 30]}\n", "utf-8"
+    )
+    (fault,) = (each for each in validate(shot) if each.code == "TGT206")
+    assert fault.hint == "units: {length: cm} fits better"

@@ -51,3 +51,12 @@ def test_targets(name: str, tmp_path: Path) -> None:
     path = tmp_path / "page.targets.yaml"
     path.write_text(HEAD + text.replace("MORE", ""), "utf-8")
     assert [fault.code for fault in validate(path)] == wanted
+
+
+def test_what_is_outside_the_range_is_said_with_the_range(tmp_path: Path) -> None:
+    path = tmp_path / "page.targets.yaml"
+    text, _ = CASES["a hold behind the range"]
+    path.write_text(HEAD + text, "utf-8")
+    (fault,) = validate(path)
+    assert "the range is 1 to 24" in fault.message
+    assert "widen the range" in fault.hint
