@@ -55,7 +55,7 @@ TURNING = "joints: [{name: a, type: pin, axis: [1, 0, 0]}]\n"
 
 def test_motion_that_is_as_small_as_its_tolerance_is_kept(tmp_path: Path) -> None:
     """What is taken for rounding is always far less than the tolerance."""
-    source = taken(tmp_path, TURNING, ("joint/a.translate", [0, 0, 0], [8e-7, 0, 0]))
+    source = taken(tmp_path, TURNING, ("joint/a.local_translation", [0, 0, 0], [8e-7, 0, 0]))
     output = tmp_path / "back.clip.yaml"
     report = convert(source, output, reduce=1e-7).reduction
     assert report is not None
