@@ -20,7 +20,7 @@ CHANNEL = (
 )
 
 
-def taken(tmp_path: Path, rig: str, *channels: tuple[str, float, float]) -> Path:
+def taken(tmp_path: Path, rig: str, *channels: tuple[str, object, object]) -> Path:
     """Write a rig and a clip of ramps; return the clip."""
     (tmp_path / "one.rig.yaml").write_text(f"rig: animtool/1\nname: one\n{rig}")
     text = "clip: animtool/1\nrig: one.rig.yaml\nfps: 24\nrange: [1, 9]\n"
@@ -55,7 +55,9 @@ TURNING = "joints: [{name: a, type: pin, axis: [1, 0, 0]}]\n"
 
 def test_motion_that_is_as_small_as_its_tolerance_is_kept(tmp_path: Path) -> None:
     """What is taken for rounding is always far less than the tolerance."""
-    source = taken(tmp_path, TURNING, ("joint/a.translate", [0, 0, 0], [8e-7, 0, 0]))
+    source = taken(
+        tmp_path, TURNING, ("joint/a.local_translation", [0, 0, 0], [8e-7, 0, 0])
+    )
     output = tmp_path / "back.clip.yaml"
     report = convert(source, output, reduce=1e-7).reduction
     assert report is not None
