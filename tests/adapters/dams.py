@@ -48,7 +48,10 @@ class Dam:
         gravity = find_force("gravity")(acceleration=(0.0, -self.params["g"], 0.0))
         parts = {"fills": [{"points": self.start()}], "forces": [gravity]}
         tank = Collider(
-            Box(tuple(self.tank)), Poses.fixed(self.tank / 2), "tank", container=True
+            Box(tuple(self.tank)),
+            Poses.fixed(self.tank / 2),
+            name="tank",
+            container=True,
         )
         return Fluid(
             FluidModel.model_validate(spec), _Context(Colliders([tank]), parts)
