@@ -505,12 +505,14 @@ of a cell, and how many steps a second would have seen all of it, 0 where these 
                             R"(Strands of P particles of one mass, each held at its root.
 
 Lengths at rest of springs along them, ``rests`` ``(S, P - 1)``, which hardly give, and from
-each particle to the next but one, ``folds`` ``(S, P - 2)``. ``field`` ``(4,)``: gravity, and
-what slows them, a second. ``numbers`` ``(5,)``, over the mass: stiffness along strands, of
-folds, and of the draw to where the animation has them; its damping; and the share by which
-springs along strands may be longer than at rest before a step corrects them once more.)")
-      .def(nb::init<In<double, 2>, In<double, 2>, In<double, 1>, In<double, 1>>(), "rests"_a,
-           "folds"_a, "field"_a, "numbers"_a);
+each particle to the next but one, ``folds`` ``(S, P - 2)``. ``drag`` is what slows them, a
+second. Over the mass: ``stiffness`` along strands, of folds, and of the draw to where the
+animation has them, with its damping. ``stretch`` is the share by which springs along strands
+may be longer than at rest before a step corrects them once more.)")
+      .def(nb::init<In<double, 2>, In<double, 2>, In<double, 1>, double, double, double, double,
+                    double, double>(),
+           "rests"_a, "folds"_a, "gravity"_a, "drag"_a, "stiffness"_a, "fold_stiffness"_a,
+           "draw_stiffness"_a, "draw_damping"_a, "stretch"_a);
 
   m.def("follow_strands", &follow_strands, "strands"_a, "targets"_a, "state"_a, "span"_a,
         "substeps"_a, "colliders"_a.none(), "threads"_a = 1,

@@ -230,25 +230,32 @@ double give(double stiffness, double damping, double weight, double h) {
 
 }  // namespace
 
-SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> field,
-                             In<double, 1> numbers)
-    : strands_(rests.shape(0)), points_(rests.shape(1) + 1) {
+SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity,
+                             double drag, double stiffness, double fold_stiffness,
+                             double draw_stiffness, double draw_damping, double stretch)
+    : strands_(rests.shape(0)),
+      points_(rests.shape(1) + 1),
+      drag_(drag),
+      stiffness_(stiffness),
+      fold_(fold_stiffness),
+      draw_(draw_stiffness),
+      draw_damping_(draw_damping),
+      stretch_(stretch) {
   check::shape("rests", rests, {check::ANY, check::ANY});
   if (strands_ == 0) check::refuse("rests", "there is no strand");
   check::at_most("rests", points_, check::MOST_ROWS / strands_);
   for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
   check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
-  check::shape("field", field, {4});
-  check::finite("field", field);
-  check::shape("numbers", numbers, {5});
-  for (std::size_t k = 0; k < 5; ++k) check::not_negative("numbers", numbers.data()[k]);
-  std::copy_n(field.data(), 4, field_);
-  stiffness_ = numbers.data()[0];
-  fold_ = numbers.data()[1];
-  draw_ = numbers.data()[2];
-  draw_damping_ = numbers.data()[3];
-  stretch_ = numbers.data()[4];
+  check::shape("gravity", gravity, {3});
+  check::finite("gravity", gravity);
+  check::finite("drag", drag);
+  check::not_negative("stiffness", stiffness);
+  check::not_negative("fold_stiffness", fold_stiffness);
+  check::not_negative("draw_stiffness", draw_stiffness);
+  check::not_negative("draw_damping", draw_damping);
+  check::not_negative("stretch", stretch);
+  std::copy_n(gravity.data(), 3, gravity_);
   rests_ = side_by_side(rests, strands_, springs());
   folds_ = side_by_side(folds, strands_, points_);
 }
@@ -260,8 +267,8 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
   made.substeps = substeps;
   const double h = span / static_cast<double>(cells * substeps);
   made.h = h;
-  for (std::size_t k = 0; k < 3; ++k) made.fall[k] = h * field_[k];
-  made.slowed = 1 / (1 + h * field_[3]);
+  for (std::size_t k = 0; k < 3; ++k) made.fall[k] = h * gravity_[k];
+  made.slowed = 1 / (1 + h * drag_);
   made.fold = give(fold_, 0, 2, h);
   made.root_fold = give(fold_, 0, 1, h);
   made.draw = give(draw_, draw_damping_, 1, h);

@@ -18,8 +18,9 @@ using StrandsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t, d
 
 class SpringStrands {
  public:
-  SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> field,
-                In<double, 1> numbers);
+  SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> gravity, double drag,
+                double stiffness, double fold_stiffness, double draw_stiffness,
+                double draw_damping, double stretch);
 
   std::size_t strands() const { return strands_; }
   std::size_t points() const { return points_; }
@@ -34,7 +35,7 @@ class SpringStrands {
   std::size_t springs() const { return points_ - 1; }
 
   std::size_t strands_, points_;
-  double field_[4], stiffness_, fold_, draw_, draw_damping_, stretch_;
+  double gravity_[3], drag_, stiffness_, fold_, draw_, draw_damping_, stretch_;
   std::vector<double> rests_, folds_;  // by bundle, four side by side
 };
 

@@ -115,8 +115,7 @@ def strands(rng: np.random.Generator) -> list[np.ndarray]:
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
     folds = np.linalg.norm(places[:, 2:] - places[:, :-2], axis=-1)
     made = _kernels.SpringStrands(
-        rests, folds, np.array([0.0, -9.81, 0, 0.5]),
-        np.array([1e12, 150.0, 150.0, 7.0, 0.01]),
+        rests, folds, np.array([0.0, -9.81, 0]), 0.5, 1e12, 150.0, 150.0, 7.0, 0.01,
     )  # fmt: skip
     flat = places.reshape(-1, 3)
     goal = flat + np.linspace(0, 1, 5)[:, None, None] * [0.01, 0.02, -0.01]

@@ -34,8 +34,8 @@ def made(
 ) -> Any:
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
     folds = np.linalg.norm(places[:, 2:] - places[:, :-2], axis=-1)
-    numbers = np.array([1e12, fold, draw, 0.6 * np.sqrt(draw), 0.01])
-    return _kernels.SpringStrands(rests, folds, np.array([*FALL, drag]), numbers)
+    pulls = 1e12, fold, draw, 0.6 * np.sqrt(draw)
+    return _kernels.SpringStrands(rests, folds, np.array(FALL), drag, *pulls, 0.01)
 
 
 def checkpoint(places: np.ndarray, cells: int, way: np.ndarray | None = None) -> Any:
@@ -228,5 +228,5 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
             )  # fmt: skip
     with pytest.raises(ValueError, match="folds"):
         _kernels.SpringStrands(
-            np.ones((2, 3)), np.ones((2, 3)), np.zeros(4), np.zeros(5)
+            np.ones((2, 3)), np.ones((2, 3)), np.zeros(3), *np.zeros(6)
         )

@@ -49,12 +49,16 @@ class StrandStepper:
         length = network.count // network.strands
         field = settings.gravity * down + settings.drag * np.array(settings.wind)
         draw = settings.frequency
-        pulls = [STIFF**2, settings.bend**2, draw**2, 2 * settings.damping * draw]
         self._strands = _kernels.SpringStrands(
             _rests(network.stiff, network.strands, length - 1),
             _rests(network.folds, network.strands, max(length - 2, 0)),
-            np.append(field, settings.drag),
-            np.array([*pulls, settings.stretch]),
+            gravity=field,
+            drag=settings.drag,
+            stiffness=STIFF**2,
+            fold_stiffness=settings.bend**2,
+            draw_stiffness=draw**2,
+            draw_damping=2 * settings.damping * draw,
+            stretch=settings.stretch,
         )
 
     def cross(

@@ -233,8 +233,13 @@ def _strands(rng: Rng) -> dict[str, Any]:
     return {
         "rests": rng.uniform(0.05, 0.1, (strands, points - 1)),
         "folds": rng.uniform(0.1, 0.2, (strands, max(points - 2, 0))),
-        "field": np.array([0, -9.81, 0, 0.5]),
-        "numbers": np.array([1e12, *rng.choice([0.0, 150.0], 2), 2.0, 0.05]),
+        "gravity": np.array([0, -9.81, 0]),
+        "drag": 0.5,
+        "stiffness": 1e12,
+        "fold_stiffness": float(rng.choice([0.0, 150.0])),
+        "draw_stiffness": float(rng.choice([0.0, 150.0])),
+        "draw_damping": 2.0,
+        "stretch": 0.05,
     }
 
 
