@@ -15,30 +15,22 @@ from filelock import FileLock
 from support.cli import Done, animtool
 
 ROOT = Path(__file__).parents[2]
+
+
+def commands_in(text: str) -> list[str]:
+    """Return the commands that a document prints after a prompt or indented."""
+    return re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
+
+
 # Whose commands run here.
 DOCUMENTS = [
     "README.md",
     "animtool/docs/guide.md",
-    "samples/argon/README.md",
-    "samples/batch/README.md",
-    "samples/bounce/README.md",
-    "samples/cape/README.md",
-    "samples/carry/README.md",
-    "samples/ci/README.md",
-    "samples/drape/README.md",
-    "samples/embers/README.md",
-    "samples/flag/README.md",
-    "samples/galaxies/README.md",
-    "samples/orbits/README.md",
-    "samples/press/README.md",
-    "samples/retarget/README.md",
-    "samples/rope/README.md",
-    "samples/sheets/README.md",
-    "samples/shot/README.md",
-    "samples/speech/README.md",
-    "samples/stride/README.md",
-    "samples/walk/README.md",
-    "samples/weld/README.md",
+    *sorted(
+        path.relative_to(ROOT).as_posix()
+        for path in ROOT.glob("samples/*/README.md")
+        if commands_in(path.read_text("utf-8"))
+    ),
 ]
 
 
@@ -49,11 +41,6 @@ NO_INPUT = shutil.ignore_patterns("*.png", "*.py", "*.md", "__pycache__")
 def fenced(text: str, language: str) -> list[str]:
     """Return the blocks of code of a language in a document."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
-
-
-def commands_in(text: str) -> list[str]:
-    """Return the commands that a document prints after a prompt or indented."""
-    return re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
 
 
 def is_apart(command: str, workplace: Path) -> bool:
