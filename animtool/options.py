@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from animtool.errors import Fault
 
@@ -36,6 +36,48 @@ class Key:
     choices: tuple[str, ...] = ()  # of a choice
     alias: str | None = None  # the key, where it is not the name of the field
     read: Callable[[Any], Any] | None = None  # makes the field's value of the key's
+
+
+class _Described:
+    """A docstring with the keyed fields, put together when it is asked for."""
+
+    def __init__(self, own: str) -> None:
+        self.own = own
+
+    def __get__(self, instance: object, owner: type[Any]) -> str:
+        head, _, _ = self.own.partition("    Attributes:\n")
+        told = {
+            name: text
+            for base in reversed(owner.__mro__)
+            for text, name in _ATTRIBUTE.findall(_own_text(base))
+        }
+        for name, hint in get_type_hints(owner, include_extras=True).items():
+            for note in getattr(hint, "__metadata__", ()):
+                if isinstance(note, Key):
+                    told.setdefault(name, f"        {name}: {note.description}\n")
+        if not told:
+            return self.own
+        names = [each.name for each in fields(owner)]
+        texts = [told[name] for name in names if name in told]
+        return f"{head.rstrip()}\n\n    Attributes:\n{''.join(texts)}    "
+
+
+# One of a docstring, with the lines that it goes on in.
+_ATTRIBUTE = re.compile(r"^( {8}(\w+): .*\n(?: {12}.*\n)*)", re.M)
+
+
+def _own_text(owner: type[Any]) -> str:
+    text = vars(owner).get("__doc__") or ""
+    return text.own if isinstance(text, _Described) else text
+
+
+Described = TypeVar("Described")
+
+
+def described(record: type[Described]) -> type[Described]:
+    """Return a dataclass whose docstring tells of what has a `Key`, or is inherited."""
+    record.__doc__ = cast(str, _Described(record.__doc__ or ""))
+    return record
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import pickle
 import re
 from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
 from typing import get_type_hints
 
@@ -29,6 +31,7 @@ from animtool.options import (
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
+from animtool.systems.particles import Emitter
 from animtool.validation.options import ValidateOptions
 
 
@@ -190,3 +193,27 @@ def test_a_record_has_the_options_of_another_as_files_write_them() -> None:
     assert defaults["restarts"] == TakeOptions().restarts
     assert get_type_hints(Reach)["tolerance"] is str
     assert pickle.loads(pickle.dumps(Reach(far=True))) == Reach(far=True)
+
+
+RECORDS = ["sim.colliders.Collider", "sim.colliders.Sheet"]
+RECORDS += [f"systems.particles.{name}" for name in ("Emitter", "VelocityField")]
+RECORDS += [
+    f"systems.springs.{name}"
+    for name in ("Air", "Family", "SelfContact", "SpringOptions")
+]
+
+
+@pytest.mark.parametrize("place", RECORDS)
+def test_docstrings_tell_of_every_field_once(place: str) -> None:
+    """Those with a key in files have their text there, and inherited ones theirs."""
+    package, _, name = place.rpartition(".")
+    record = getattr(import_module(f"animtool.{package}"), name)
+    told = re.findall(r"^ {4}(\w+): \S", inspect.getdoc(record), re.M)
+    assert sorted(told) == sorted(field.name for field in fields(record))
+
+
+def test_a_docstring_has_units_of_python_where_a_file_has_others() -> None:
+    told = inspect.getdoc(Emitter)
+    assert told is not None
+    assert "spread: Half the angle of the cone, here in radians" in told
+    assert "[deg]" not in told

@@ -11,7 +11,7 @@ import numpy as np
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.contacts import Contact
 from animtool.maths import so3
-from animtool.options import Checked
+from animtool.options import Checked, described
 from animtool.sim.colliders.shapes import Shape
 
 
@@ -106,6 +106,7 @@ class Poses:
         return faults
 
 
+@described
 @dataclass(frozen=True)
 class Collider(Contact, Checked):
     """A shape, where it is over time, and what touching it does.

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.contacts import Material
-from animtool.options import Checked, Range, above
+from animtool.options import Checked, Range, above, described
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 
@@ -31,6 +31,7 @@ class SheetMotion(Protocol):
         """Take note that no time before one will be asked for [s]."""
 
 
+@described
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet(Material, Checked):
     """A surface in motion, and what touching it does.

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
-from animtool.options import Checked
+from animtool.options import Checked, described
 from animtool.sim.colliders.collider import Poses
 from animtool.systems.particles.places import Place, Point
 from animtool.systems.particles.records import Emission
@@ -65,6 +65,7 @@ class Births:
     missed: int = 0  # how many more there would be, for which there is no room
 
 
+@described
 @dataclass(frozen=True)
 class Emitter(Emission, Checked):
     """Makes particles; of which number when depends on time alone.

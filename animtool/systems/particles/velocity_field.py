@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.options import Checked
+from animtool.options import Checked, described
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
@@ -32,6 +32,7 @@ class Expressions:
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
 
+@described
 @dataclass(frozen=True)
 class VelocityField(Velocity, Expressions, Checked):
     """Velocities by place and time, as expressions of x, y, z [m], t and age [s]."""

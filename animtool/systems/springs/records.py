@@ -7,13 +7,14 @@ from enum import StrEnum
 from typing import Annotated
 
 from animtool._types import ArrayLike
-from animtool.options import Key, above, or_more
+from animtool.options import Key, above, described, or_more
 
 # Of springs, and of the air.
 _OfSpring = Annotated[float, or_more(0, "SIM042")]
 _OfAir = Annotated[float, or_more(0, "SIM050")]
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class Family:
     """What springs of a kind have in common.
@@ -63,6 +64,7 @@ class Family:
     ] = None
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class Air:
     """Air that moves past the triangles of a body.
@@ -102,6 +104,7 @@ class Solver(StrEnum):
     IMPLICIT_EULER = "implicit_euler"
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class SpringOptions:
     """How to simulate springs.
@@ -151,6 +154,7 @@ class SpringOptions:
     longest: Annotated[float, above(1, "SIM004")] = 10.0
 
 
+@described
 @dataclass(frozen=True, slots=True)
 class SelfContact:
     """How a surface keeps apart from itself: cloth in folds, rolls and layers.
