@@ -49,7 +49,7 @@ class _Described:
         told = {
             name: text
             for base in reversed(owner.__mro__)
-            for text, name in _ATTRIBUTE.findall(_own_text(base))
+            for text, name in re.findall(_ATTRIBUTE, _own_text(base), re.M)
         }
         for name, hint in get_type_hints(owner, include_extras=True).items():
             for note in getattr(hint, "__metadata__", ()):
@@ -63,7 +63,7 @@ class _Described:
 
 
 # One of a docstring, with the lines that it goes on in.
-_ATTRIBUTE = re.compile(r"^( {8}(\w+): .*\n(?: {12}.*\n)*)", re.M)
+_ATTRIBUTE = r"^( {8}(\w+): .*\n(?: {12}.*\n)*)"
 
 
 def _own_text(owner: type[Any]) -> str:

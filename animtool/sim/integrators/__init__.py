@@ -11,23 +11,27 @@ from animtool.sim.integrators.integrator import Integrator
 __all__ = ["INTEGRATORS", "find_integrator"]
 
 _FOLDER = "animtool.sim.integrators"
+# The file of each, in the order in which they are listed: from the simplest on.
 _FAMILIES = {
-    "explicit": ("euler", "modified_euler", "midpoint", "heun", "rk4"),
-    "symplectic": ("symplectic_euler", "velocity_verlet", "position_verlet"),
-    "adaptive": ("adaptive_doubling", "rk45", "dop853", "lsoda", "radau"),
-    "implicit": ("implicit_euler", "trapezoid", "bdf2"),
+    "euler": "explicit",
+    "modified_euler": "explicit",
+    "midpoint": "explicit",
+    "heun": "explicit",
+    "symplectic_euler": "symplectic",
+    "velocity_verlet": "symplectic",
+    "position_verlet": "symplectic",
+    "rk4": "explicit",
+    "adaptive_doubling": "adaptive",
+    "rk45": "adaptive",
+    "implicit_euler": "implicit",
+    "trapezoid": "implicit",
+    "bdf2": "implicit",
+    "dop853": "adaptive",
+    "lsoda": "adaptive",
+    "radau": "adaptive",
 }
-# In the order in which they are listed: from the simplest on.
-_ORDER = (
-    *("euler", "modified_euler", "midpoint", "heun", "symplectic_euler"),
-    *("velocity_verlet", "position_verlet", "rk4", "adaptive_doubling", "rk45"),
-    *("implicit_euler", "trapezoid", "bdf2", "dop853", "lsoda", "radau"),
-)
 INTEGRATORS: dict[str, str] = {
-    name: f"{_FOLDER}.{family}:{name.upper()}"
-    for name in _ORDER
-    for family, names in _FAMILIES.items()
-    if name in names
+    name: f"{_FOLDER}.{family}:{name.upper()}" for name, family in _FAMILIES.items()
 }
 
 
