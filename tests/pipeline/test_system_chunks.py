@@ -195,7 +195,7 @@ for chunk in json.loads(sys.argv[3]):
 @pytest.mark.skipif(sys.platform != "linux", reason="peaks from a moment on")
 @pytest.mark.skipif(SANITIZED, reason="sanitizers keep memory")
 def test_memory_stays_the_same(tmp_path: Path) -> None:
-    text = SCENE.replace("[1, 9]", "[1, 28]").replace("[0.1, 40]", "[0, 10000]")
+    text = SCENE.replace("[1, 9]", "[1, 84]").replace("[0.1, 40]", "[0, 10000]")
     head, _, dust = text.partition("- particles:\n    name: embers")
     dust = dust[dust.index("- particles:") :]
     scene = tmp_path / "dust.scene.yaml"
@@ -208,5 +208,6 @@ def test_memory_stays_the_same(tmp_path: Path) -> None:
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(found) == 3
     for peak, size in found:
-        assert size > 11_000_000
-        assert peak < size / 2
+        assert size > 33_000_000
+        # Some 4 MB; pages of files that the system lets go come on top.
+        assert peak < size / 3
