@@ -417,9 +417,7 @@ class PathFit : public Descent {
 
   // Limits that the slope runs against.
   void stop(int i, const double* down) {
-    double most = 1e-300;
-    for (int d = 0; d < width_; ++d) most = std::max(most, std::fabs(down[d]));
-    for (int d = 0; d < width_; ++d) away_[d] = PROBE * down[d] / most;
+    std::fill(away_.begin(), away_.end(), 0.0);
     // Each joint by itself: a small slope runs against a limit too.
     for (const Node& node : task_.chain.nodes) {
       if (node.follows) continue;

@@ -156,7 +156,7 @@ Manifold of_points(Vec a, Vec b, Vec normal, double radius_a, double radius_b) {
   made.normal = normal;
   const double gap = dot(b - a, normal) - radius_a - radius_b;
   made.points[0] = {a + normal * (radius_a + gap / 2), gap};
-  made.count = 1, made.gap = gap;
+  made.count = 1;
   return made;
 }
 
@@ -177,7 +177,7 @@ Manifold meet_round(const Placed& a, const Placed& b, double reach) {
   const Vec normal = length(off) > 0 ? off * (1 / length(off)) : aside;
   const double ra = a.core->radius, rb = b.core->radius;
   Manifold made = of_points(on_a, on_b, normal, ra, rb);
-  if (made.gap > reach) made.count = 0;
+  if (made.points[0].gap > reach) made.count = 0;
   // Two that are parallel touch along a line.
   if (!made.count || !(sized > 0) || dot(crossed, crossed) > LIES * LIES * sized) return made;
   const double size = dot(d, d);
@@ -468,8 +468,6 @@ Manifold meet(const Placed& a, const Placed& b, double reach) {
 
 void keep_four(std::vector<Touching>& points, Vec normal, Manifold& into) {
   into.count = 0;
-  into.gap = FAR;
-  for (const Touching& p : points) into.gap = std::min(into.gap, p.gap);
   if (points.size() <= MOST_POINTS) {
     for (const Touching& p : points) into.points[static_cast<std::size_t>(into.count++)] = p;
     return;

@@ -91,7 +91,6 @@ struct Manifold {
   Vec normal;
   int count = 0;
   std::array<Touching, MOST_POINTS> points{};
-  double gap = std::numeric_limits<double>::infinity();  // least, along the normal
 };
 
 // How far two are apart along the axis that parts them most, negative where they overlap; it

@@ -40,6 +40,23 @@ def test_there_and_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.positions, positions, atol=1e-9)
 
 
+def test_rows_at_once_do_not_show(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock(Fraction(60), Fraction(3), Fraction(1), 7)
+    positions = np.random.default_rng(3).normal(size=(7, 2, 3))
+    positions[4, 1] = np.nan
+    markers = Markers(("A", "B"), clock, positions)
+    path = tmp_path / "take.trc"
+    write_trc(markers, path)
+    whole = path.read_bytes()
+    assert len(whole.splitlines()) == 6 + 7
+    path.unlink()
+    monkeypatch.setattr("animtool.formats.trc.ROWS_AT_ONCE", 3)
+    write_trc(markers, path)
+    assert path.read_bytes() == whole
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_empty_cells_and_nan_are_not_seen(tmp_path: Path, end: str) -> None:
     rows = "1\t0.0\t1\t2\t3\t\t\t\n2\t0.01\tnan\tNaN\tnan\t4\t5\t6\n"

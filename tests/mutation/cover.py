@@ -183,7 +183,8 @@ class Cover:
         """Return the tests that run a mutant's line, or what a module makes of it.
 
         What runs as a module is imported is run by no test of its own: its tests are
-        those that run the functions and methods that its names occur in.
+        those of the mirrored folder, and those that run the functions and methods that
+        its names occur in.
         """
         tree = ast.parse(self.texts[mutant.path])
         line = mutant.edit.line
@@ -198,11 +199,13 @@ class Cover:
             found = self.ran(mutant.path, [line])
             first = max(node.lineno for node in around)
             return found or self.ran(mutant.path, range(first, line + 1))
+        near = mirrored(mutant.path)
+        found = {test for test in self.seconds if test.startswith(near)}
         if functions:
-            return self.ran(mutant.path, _body_lines(functions))
+            return found | self.ran(mutant.path, _body_lines(functions))
         outer = [node for node in tree.body if node in around]
         names = set().union(*map(_bound, outer))
-        found = self.ran(mutant.path, _body_lines(outer))
+        found |= self.ran(mutant.path, _body_lines(outer))
         if not names:
             return found
         pattern = re.compile(rf"\b(?:{'|'.join(map(re.escape, sorted(names)))})\b")
@@ -214,6 +217,16 @@ class Cover:
             if pattern.search(text):
                 found |= self.ran(path, _using_lines(text, pattern))
         return found
+
+
+def mirrored(path: str) -> str:
+    """Return how the names of tests begin that mirror a module's folder.
+
+    >>> mirrored("animtool/cli/loop.py"), mirrored("animtool/take.py")
+    ('tests/cli/', 'tests/test_take.py')
+    """
+    folder = Path(path).relative_to("animtool").parent.as_posix()
+    return f"tests/test_{Path(path).stem}.py" if folder == "." else f"tests/{folder}/"
 
 
 def _first_line(node: ast.stmt) -> int:

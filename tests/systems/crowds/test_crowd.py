@@ -125,6 +125,21 @@ def test_a_way_around_a_wall_is_hardly_longer_than_the_shortest(
     assert np.linalg.norm(track - corner, axis=1).min() > radius - 1e-3
 
 
+def test_who_walks_abreast_keeps_the_speed_of_one_alone(simulator: Simulator) -> None:
+    """Headway is of those ahead on the same line: a second one behind them slows."""
+    side = np.array([[0.0, 0, 0], [0.2, 0, 0.8]])
+    behind = np.array([[0.0, 0, 0], [0.6, 0, 0]])
+    walked = []
+    for points in (side[:1], side, behind):
+        people = {"points": placed(simulator.folder, points), "route": ["g"]}
+        systems = crowd([people], goals=[goal("g", 60, 0)], avoidance={"headway": 1.5})
+        track = tracks(simulator.simulate(systems, times(4))["it"])
+        walked.append(track[-1, 0, 0] - track[0, 0, 0])
+    alone, abreast, following = walked
+    assert abreast == pytest.approx(alone, rel=0.03)
+    assert following < 0.9 * alone
+
+
 def test_flow_through_a_door_is_as_published(simulator: Simulator) -> None:
     """From 1.2 to 1.9 persons a metre and second (Seyfried et al., 2009)."""
     width = 1.2

@@ -224,6 +224,18 @@ def test_torn_springs_are_those_of_the_body() -> None:
     assert motion.torn.tolist() == [False, False, True]
 
 
+def test_limits_that_nothing_reaches_tear_nothing() -> None:
+    """Far from the origin, where the other particles are light."""
+    lines = [
+        rope([100, y, 0], [100, y, -1], 4, Family(1e3, tear=0.05), mass=mass)
+        for y, mass in ((0, 0.01), (1, 90.0))
+    ]
+    system = SpringSystem(join(lines), pins=Pins([0, 4]))
+    motion = simulate_springs(system, [0, 0.25])
+    assert not motion.torn[:3].any()
+    assert motion.torn[3:].any()
+
+
 def test_targets_draw_particles_home() -> None:
     home = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
     line = rope(home[0], home[2], 3, Family(1e3, 0.5), mass=0.01)

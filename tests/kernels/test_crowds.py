@@ -1,0 +1,41 @@
+"""Distances of ways, and who slows down for whom."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool import _kernels
+
+CELL = 0.25
+
+
+def distances(free: np.ndarray, row: int, column: int) -> np.ndarray:
+    seeds = np.array([row * free.shape[1] + column])
+    return np.asarray(_kernels.travel_distances(free, CELL, seeds, np.zeros(1)))
+
+
+def test_distances_are_alike_in_all_directions() -> None:
+    """In a room with a wall, however it is turned and mirrored."""
+    free = np.ones((9, 14), bool)
+    free[2:7, 6] = False
+    found = distances(free, 3, 4)
+    assert np.isinf(found[~free]).all()
+    for turn, row, column in (
+        (np.flipud, 5, 4),
+        (np.fliplr, 3, 9),
+        (np.transpose, 4, 3),
+    ):
+        np.testing.assert_allclose(
+            turn(distances(turn(free).copy(), row, column)), found, rtol=1e-12
+        )
+
+
+@pytest.mark.parametrize("cells", [20, 40, 80])
+def test_distances_in_an_empty_room(cells: int) -> None:
+    """Within what the method errs about a point: a cell and a half at these sizes."""
+    found = distances(np.ones((cells, cells), bool), cells // 2, cells // 3)
+    at = np.indices(found.shape) * CELL
+    true = np.hypot(at[0] - cells // 2 * CELL, at[1] - cells // 3 * CELL)
+    assert (found >= true - 1e-9).all()
+    assert (found - true).max() < 1.5 * CELL
