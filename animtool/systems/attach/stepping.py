@@ -38,7 +38,7 @@ MAX_STEPS = 20_000.0
 STIFF = 1e6
 # Cloth [kg/m²], and the least mass of a particle among the others' [1].
 CLOTH_WEIGHT = 0.3
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 # Half the density of air [kg/m³].
 AIR = 0.6
 # Even parts of a frame, between which what is animated goes straight.
@@ -247,7 +247,7 @@ def masses_of(network: Network) -> FloatArray:
     thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
     masses = np.bincount(corners.ravel(), thirds, network.count)
     # Faces without area leave some particles none.
-    least = LEAST_SHARE * float(masses.max(initial=0.0))
+    least = MIN_SHARE * float(masses.max(initial=0.0))
     return np.maximum(masses, least if least > 0 else 1.0)
 
 
