@@ -108,8 +108,8 @@ def steps_wanted(network: Network, settings: Settings) -> float:
     them; a step moves it by its share of what a step of acceleration a moves, so that
     its stretch is n a h² over its length at rest.
     """
-    if settings.rate is not None:
-        return settings.rate
+    if settings.options.rate is not None:
+        return settings.options.rate
     if network.strands:
         wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
         return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
@@ -171,18 +171,18 @@ class SheetStepper:
         draws = Draws(
             drawn,
             masses[drawn] * settings.frequency**2,
-            masses[drawn] * (2 * settings.damping * settings.frequency),
+            masses[drawn] * (2 * settings.options.damping * settings.frequency),
         )
         # Cloth feels the air by its triangles, other things by their speed alone.
-        self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
-        slowing = 0.0 if cloth else settings.drag
-        pressure = AIR * settings.drag if cloth else 0.0
+        self._wind, cloth = np.array(settings.options.wind), len(network.triangles) > 0
+        slowing = 0.0 if cloth else settings.options.drag
+        pressure = AIR * settings.options.drag if cloth else 0.0
         self._loads = Loads(
             inverse,
             np.full(network.count, slowing),
             _springs(network, settings, masses, inverse),
             network.triangles,
-            settings.gravity * down + slowing * self._wind,
+            settings.options.gravity * down + slowing * self._wind,
             (pressure, pressure / 2),
             network.held,
             draws,
@@ -199,7 +199,9 @@ class SheetStepper:
         both = np.stack([state.positions, state.velocities])
         network = self._led(motions, span)
         if self._settings.thickness and self._layers is None:
-            contact = SelfContact(self._settings.thickness, self._settings.friction)
+            contact = SelfContact(
+                self._settings.thickness, self._settings.options.friction
+            )
             self._layers = spring_layers(network, contact, self.network.points)
         outputs = _kernels.project_springs(
             network, both, self._torn, 0.0, 0, span / cells, cells,
