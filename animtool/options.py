@@ -267,7 +267,7 @@ def clashes(record: Any) -> list[str]:
 
 # What a message says of a number of an entry in a file.
 OF_ENTRY = "its {name} must be {bound}, not {value:g}"
-# The largest number of an option with a range from `within`.
+# What options may be at most, where nothing else limits them.
 LARGEST = 1e9
 # What a message says of an argument.
 OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
@@ -325,13 +325,13 @@ def at_least(least: float, code: str, *, finite: bool = False) -> Range:
 def within(
     least: float, code: str, most: float = LARGEST, *, reached: bool = True
 ) -> Range:
-    """Return a finite range up to a most, which is told unless it is `LARGEST`.
+    """Return a range between two finite numbers.
 
     >>> within(0, "SIM062", 1.0, reached=False).bound
     'more than 0 and at most 1'
     """
     bound = f"{least:g} or more" if reached else f"more than {least:g}"
-    bound += f" and at most {most:g}" if most < LARGEST else ""
+    bound += f" and at most {most:g}"
     return Range(bound, code, least, most, reached, finite=True)
 
 
