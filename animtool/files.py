@@ -274,12 +274,10 @@ def read_input(
         return file.whole()
 
 
-def too_large(
-    path: Path, size: int, limit: int, hint: str | None = None
-) -> FormatError:
+def too_large(path: Path, size: int, limit: int) -> FormatError:
     """Return the error of a file of more bytes than the limit [bytes] (IO010)."""
     message = f"is {size / 1e6:,.6g} MB, and at most {limit / 1e6:,.6g} MB are read"
-    return FormatError(Fault("IO010", message, str(path), (), hint))
+    return FormatError(Fault("IO010", message, str(path)))
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:

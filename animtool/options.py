@@ -267,6 +267,8 @@ def clashes(record: Any) -> list[str]:
 
 # What a message says of a number of an entry in a file.
 OF_ENTRY = "its {name} must be {bound}, not {value:g}"
+# What options may be at most, where nothing else limits them.
+LARGEST = 1e9
 # What a message says of an argument.
 OF_ARGUMENT = "{name} must be {bound}, not {value:g}"
 
@@ -318,6 +320,19 @@ def at_least(least: float, code: str, *, finite: bool = False) -> Range:
     """Return a range from a number on, as in "at least 1e-06"."""
     bound = _bound(f"at least {least:g}", finite=finite)
     return Range(bound, code, least, finite=finite)
+
+
+def within(
+    least: float, code: str, most: float = LARGEST, *, reached: bool = True
+) -> Range:
+    """Return a range between two finite numbers.
+
+    >>> within(0, "SIM062", 1.0, reached=False).bound
+    'more than 0 and at most 1'
+    """
+    bound = f"{least:g} or more" if reached else f"more than {least:g}"
+    bound += f" and at most {most:g}"
+    return Range(bound, code, least, most, reached, finite=True)
 
 
 def _bound(text: str, *, finite: bool) -> str:

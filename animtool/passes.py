@@ -237,7 +237,7 @@ def find_pass(name: str) -> Pass:
         return cast(Pass, load_object(PASSES[name]))
     points = plugin_points(PLUGIN_GROUP)
     if name in points:
-        return load_plugin(points[name], Pass, "IO003")
+        return load_plugin(points[name], Pass)
     allowed = sorted({*PASSES, *points})
     near = similar(name, allowed)
     hint = f"did you mean {near}?" if near else None

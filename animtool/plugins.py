@@ -67,19 +67,19 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=group)}
 
 
-def load_plugin(point: EntryPoint, kind: type[Kind], code: str) -> Kind:
-    """Return what an entry point names, of a kind; else a fault of that code."""
+def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
+    """Return what an entry point names, of a kind; else IO003."""
     try:
         loaded: object = point.load()
     except Exception as error:
-        raise _broken(point, kind, code, str(error)) from error
+        raise _broken(point, kind, str(error)) from error
     if not isinstance(loaded, kind):
         why = f"a {type(loaded).__name__}, no {kind.__name__}"
-        raise _broken(point, kind, code, why)
+        raise _broken(point, kind, why)
     return loaded
 
 
-def _broken(point: EntryPoint, kind: type[object], code: str, why: str) -> OptionError:
+def _broken(point: EntryPoint, kind: type[object], why: str) -> OptionError:
     what = f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
     message = f"the {what} cannot be loaded: {why}"
-    return OptionError(Fault(code, message, hint="mend or remove the plug-in"))
+    return OptionError(Fault("IO003", message, hint="mend or remove the plug-in"))

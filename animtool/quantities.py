@@ -91,9 +91,9 @@ _LENGTHS = (
     (0.0, 1e-9, "nm"),
 )
 # Shorter lengths are what rounding in float64 leaves [m].
-LEAST_LENGTH = 1e-12
+MIN_LENGTH = 1e-12
 # Smaller angles are what rounding in float64 leaves [deg].
-LEAST_ANGLE = 1e-6
+MIN_ANGLE = 1e-6
 _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
@@ -121,7 +121,7 @@ def length_text(meters: float, digits: int = 3) -> str:
     >>> length_text(26.2), length_text(0.00012), length_text(4.1e-8), length_text(0)
     ('26.2 m', '0.12 mm', '0.041 µm', '0 mm')
     """
-    if 0 < abs(meters) < LEAST_LENGTH:
+    if 0 < abs(meters) < MIN_LENGTH:
         return "below 0.001 nm"
     return _text(meters, _LENGTHS, "mm", digits)
 
@@ -132,8 +132,8 @@ def angle_text(degrees: float, digits: int = 3) -> str:
     >>> angle_text(26.25, 4), angle_text(0.000267), angle_text(8.8e-13), angle_text(0)
     ('26.25°', '0.000267°', 'below 0.000001°', '0°')
     """
-    if 0 < abs(degrees) < LEAST_ANGLE:
-        return f"below {plain(LEAST_ANGLE)}°"
+    if 0 < abs(degrees) < MIN_ANGLE:
+        return f"below {plain(MIN_ANGLE)}°"
     return f"{plain(degrees, digits)}°"
 
 

@@ -162,7 +162,7 @@ def find_reader(path: Path) -> Reader:
     points = plugin_points(PLUGIN_GROUP)
     point = points.get(suffix.removeprefix("."))
     if point is not None:
-        return load_plugin(point, Reader, "IO003")
+        return load_plugin(point, Reader)
     there = is_there(path)
     if not (there and path.is_file()):
         reason = "is a folder" if there else "does not exist"
@@ -215,7 +215,7 @@ def listed_readers() -> list[ListedReader]:
             continue
         opens: tuple[str, ...] = ()
         try:
-            reader = load_plugin(point, Reader, "IO003")
+            reader = load_plugin(point, Reader)
             opens, about = _opens(reader), reader.about
         except OptionError as error:
             about = error.faults[0].message

@@ -244,7 +244,7 @@ def _loaded(point: EntryPoint) -> Rule | Fault:
     """Return the rule of a plug-in, or what is wrong with it."""
     what = f"the plug-in rule {point.name!r} ({point.value})"
     try:
-        rule = load_plugin(point, Rule, "IO003")
+        rule = load_plugin(point, Rule)
         rule.load()
     except OptionError as error:
         return error.faults[0]

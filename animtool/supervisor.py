@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 # What a child may note, and what it may read of stdin [bytes]. Pages that are not
 # written to take no memory.
-NOTED = 1 << 20
-LISTED = 1 << 26
+MAX_NOTES = 1 << 20
+MAX_STDIN = 1 << 26
 # The longest name of a file that systems take, folders included.
 MAX_NAME = 1 << 15
 # How long a child has to end after a signal, before it is killed [s].
@@ -82,7 +82,7 @@ class _Notes:
 
     def write(self) -> None:
         text = json.dumps([self.path, self.reported, self.folders]).encode()
-        if len(text) < NOTED - _LENGTH:
+        if len(text) < MAX_NOTES - _LENGTH:
             _put(self.shared, text)
 
     def write_path(self, path: str) -> None:
@@ -191,7 +191,7 @@ def stdin_lines() -> list[str]:
     if noted is None:
         text = sys.stdin.read()
         noted = text.encode("utf-8", "surrogateescape")
-        if notes is not None and len(noted) < LISTED - _LENGTH:
+        if notes is not None and len(noted) < MAX_STDIN - _LENGTH:
             _put(notes.listed, noted)
         else:
             note_said()
@@ -271,7 +271,7 @@ def supervise(
     crash that a second run does not mend is given to ``refuse``, which returns the exit
     code; ``clean`` removes from folders what a dead child began to write there.
     """
-    notes = _Notes(mmap.mmap(-1, NOTED), mmap.mmap(-1, LISTED))
+    notes = _Notes(mmap.mmap(-1, MAX_NOTES), mmap.mmap(-1, MAX_STDIN))
     waited = _waited()
     signal.pthread_sigmask(signal.SIG_BLOCK, waited)
     while True:

@@ -130,7 +130,7 @@ def find_executor(name: str) -> Executor:
         return EXECUTORS[name]
     points = plugin_points(PLUGIN_GROUP)
     if name in points:
-        return load_plugin(points[name], Executor, "IO003")
+        return load_plugin(points[name], Executor)
     hint = nearest(name, sorted({*EXECUTORS, *points}))
     message = f"no executor is named {excerpt(name)}"
     raise OptionError(Fault("BAT030", message, hint=hint))

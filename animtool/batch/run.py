@@ -40,7 +40,7 @@ class RunOptions:
         force: Make every item, also what is up to date.
         verify: Read every file again, whatever its size and time.
         retry_failed: Only what failed last time.
-        most_failures: After so many, begin nothing more; None is never.
+        max_failures: After so many, begin nothing more; None is never.
         overwrite: Replace files that no run of the batch made.
     """
 
@@ -51,7 +51,7 @@ class RunOptions:
     force: bool = False
     verify: bool = False
     retry_failed: bool = False
-    most_failures: int | None = None
+    max_failures: int | None = None
     overwrite: bool = False
 
 
@@ -225,7 +225,7 @@ class _Run:
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
         """Yield items, each when it is begun, unless too many have failed."""
-        most = self.options.most_failures
+        most = self.options.max_failures
         for item in due:
             if most is not None and self.failures >= most:
                 return

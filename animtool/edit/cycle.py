@@ -29,7 +29,7 @@ SPEED_TIME = 0.1
 # Frames a second at which pairs are compared; the best is then looked at closer.
 SEARCH_RATE = Fraction(30)
 # A cycle must lead this far away, as a share of what the take varies by.
-LEAST_MOVED = 0.25
+MIN_MOVED = 0.25
 # What differs by less than this share of the rig's size does not move.
 STILL = 1e-4
 # Of cycles nearly as good as the best the shortest is meant, not several of it:
@@ -231,7 +231,7 @@ def _best(
     """Return start, length and distance moved of the best cycle, in columns."""
     count = table.shape[1]
     variety = _apart(table, table.mean(axis=1, keepdims=True))
-    enough = max(still, LEAST_MOVED * math.sqrt(float(np.mean(variety**2))))
+    enough = max(still, MIN_MOVED * math.sqrt(float(np.mean(variety**2))))
     moved = np.zeros(count)
     scores = np.full(most + 1, np.inf)
     starts = np.zeros(most + 1, np.int64)

@@ -45,7 +45,6 @@ def thin_samples(
     tolerance: float,
     *,
     joint_tolerances: Mapping[str, float] | None = None,
-    weight_tolerance: float = WEIGHT_TOLERANCE,
 ) -> Thinned:
     """Return which samples ``(F,)`` play a motion within a tolerance > 0 [m].
 
@@ -55,10 +54,11 @@ def thin_samples(
     out not to be needed are left out again. The measure is that of
     `animtool.clip.reduction.reduce.reduce_motion`: points that each joint carries, in
     the world, at every sample. The first and last sample stay. ``joint_tolerances`` are
-    by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights > 0 [1].
+    by names of joints or patterns such as ``hand_*`` > 0 [m], that of weights
+    is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    measure = _Measure(rig, codes, motion, bounds, weight_tolerance)
+    measure = _Measure(rig, codes, motion, bounds)
     kept = _split(measure, np.unique([0, len(codes) - 1]))
     for turn in range(JOINING):
         kept = _joined(measure, kept, turn % 2)
@@ -112,10 +112,9 @@ class _Measure:
         codes: FloatArray,
         motion: Motion,
         bounds: FloatArray,
-        weight_tolerance: float,
     ) -> None:
         self.rig, self.codes, self.motion = rig, codes, motion
-        self.bounds, self.weight_tolerance = bounds, weight_tolerance
+        self.bounds = bounds
         self.points = attached_points(rig, SHELL)
         self.truth = forward(rig, *motion.dense())
 
@@ -136,7 +135,7 @@ class _Measure:
         """Return the largest error at each frame, over its tolerance ``(N,)``."""
         joints, weights = self.errors(kept, frames)
         largest = (joints / self.bounds).max(axis=1, initial=0.0)
-        return np.asarray(np.maximum(largest, weights / self.weight_tolerance))
+        return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
     def report(self, kept: IntArray) -> Thinned:
         """Return what came of it."""

@@ -191,6 +191,3 @@ def write_marker_arrays(
     arrays.update({name: values for name, values in extra if values is not None})
     write_arrays(path, arrays)
     return []
-
-
-__all__ = ["read_markers", "write_marker_arrays"]

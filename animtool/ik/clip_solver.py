@@ -38,7 +38,7 @@ SMALLER, SMOOTH_ENOUGH = 0.9, 0.4
 NO_WORSE = 1e-3
 # Chains with so many more degrees of freedom than residuals are searched through from
 # end to end, from new starts so many seconds apart, at most so many times.
-MAX_FREE, WEAVE, WEAVES = 2, 0.5, 4
+MAX_FREE, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
 # Poses nearer than this are the same [rad], [share of the length].
 UNCHANGED = 1e-9
 
@@ -177,7 +177,7 @@ class _Clip:
     def followed(self) -> IkResult:
         """Return the frames one after the other, jumps taken out where that can be."""
         result = self._solved(slice(0, self.count), self.start)
-        for attempt in range(WEAVES if self._is_thin() else 0):
+        for attempt in range(MAX_SEARCHES if self._is_thin() else 0):
             if not self._is_worth_weaving(self._poses(result), attempt):
                 break
             before, result = result, self._search_branches(result, attempt)
@@ -227,7 +227,7 @@ class _Clip:
         poses = self._poses(result)
         whole = slice(0, self.count)
         interval = self._stretch(poses, whole, 0)
-        spacing = max(round(WEAVE * self.options.fps), 1)
+        spacing = max(round(SEARCH_INTERVAL * self.options.fps), 1)
         seed = self.options.solving.seed + attempt * self.count
         paths, costs = search_branches(interval, spacing, seed)
         path = self._way(interval, paths, costs, closed=False)

@@ -24,7 +24,7 @@ ROUNDS = 30
 HARDLY = 1e-6
 # A joint jumps that moves by more than this [rad], or share of the chain's length, and
 # this a second, and so many times what the targets move by, all together.
-LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
+MIN_JUMP, MIN_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
 # Slower ones are named too, where the joint moves so many times farther than within
 # so many frames before and after.
 MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
@@ -134,7 +134,7 @@ def explained(path: Path, fps: float) -> FloatArray:
 
     In radians, and shares of the problem's length.
     """
-    return np.asarray(LEAST_JUMP + LEAST_SPEED / fps + _by_targets(path))
+    return np.asarray(MIN_JUMP + MIN_SPEED / fps + _by_targets(path))
 
 
 def _by_targets(path: Path) -> FloatArray:
@@ -194,7 +194,7 @@ def _jerking(path: Path, steps: FloatArray) -> BoolArray:
         around[away:] = np.maximum(around[away:], steps[:-away])
         around[:-away] = np.maximum(around[:-away], steps[away:])
     least = np.maximum(
-        MORE_THAN_NEIGHBOURS * around, (LEAST_JUMP + _by_targets(path))[:, None]
+        MORE_THAN_NEIGHBOURS * around, (MIN_JUMP + _by_targets(path))[:, None]
     )
     jerks = steps > least
     # Of the first and the last, nothing is known on one side.

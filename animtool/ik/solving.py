@@ -142,7 +142,7 @@ def solve(
         found = _damped(problem, asked, options)
     if options.near and options.method in _CLOSED | {IkMethod.DAMPED}:
         _settle(problem, asked, options, found)
-    reached = _met(found, options)
+    reached = _reached(found, options)
     _explain(found, asked, reached)
     return IkResult(
         problem,
@@ -228,7 +228,7 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
     return _Solved(*solved)
 
 
-def _met(solved: _Solved, options: IkOptions) -> BoolArray:
+def _reached(solved: _Solved, options: IkOptions) -> BoolArray:
     """Return which goals are reached ``(B, E)``."""
     tolerances = by_unit(options.tolerance, options.angle_tolerance)
     return np.asarray((solved.misses <= tolerances).all(axis=2), np.bool_)
@@ -242,7 +242,7 @@ def _settle(
     What the goals leave free would else stay as random as the starts were.
     """
     redundant = problem.degrees > problem.rows
-    again = (solved.reports[:, 2] > 1) & _met(solved, options).all(axis=1)
+    again = (solved.reports[:, 2] > 1) & _reached(solved, options).all(axis=1)
     rows = np.flatnonzero(again)
     if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
         return
@@ -256,7 +256,7 @@ def _settle(
         np.linalg.norm(difference(problem.chain, wished, poses), axis=1)
         for poses in (solved.coordinates[rows], drawn.coordinates)
     )
-    kept = _met(drawn, options).all(axis=1) & (after < before)
+    kept = _reached(drawn, options).all(axis=1) & (after < before)
     solved.coordinates[rows[kept]] = drawn.coordinates[kept]
     solved.misses[rows[kept]] = drawn.misses[kept]
 

@@ -111,7 +111,7 @@ def noise_level(values: FloatArray) -> float:
     return math.sqrt(power / math.comb(2 * order, order))
 
 
-def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None:
+def best_cutoff(values: FloatArray, rate: float) -> float | None:
     """Return the cut-off that brings a noisy signal nearest to what it was [Hz].
 
     The expected error of each cut-off is what the filter takes away and what it leaves
@@ -121,7 +121,6 @@ def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None
     Args:
         values: ``(F, K)``.
         rate: Frames a second.
-        order: As that of `lowpass`.
     """
     noise = noise_level(values) ** 2 * max(1, int((np.ptp(values, axis=0) > 0).sum()))
     if noise == 0 or len(values) <= NOISE_ORDER:
@@ -130,8 +129,8 @@ def best_cutoff(values: FloatArray, rate: float, order: int = 2) -> float | None
     waves = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     errors = []
     for share in shares.tolist():
-        away = values - lowpass(values, share * rate, rate, order=order)
-        gains = 1 / (1 + (waves / math.sin(math.pi * share)) ** (2 * order))
+        away = values - lowpass(values, share * rate, rate)
+        gains = 1 / (1 + (waves / math.sin(math.pi * share)) ** 4)
         taken = float((away * away).sum()) / len(values)
         errors.append(taken + (2 * float(gains.mean()) - 1) * noise)
     best = int(np.argmin(errors))

@@ -36,7 +36,7 @@ SPIKE_FACTOR = 5.0
 # Frames on either side that say how rough a motion is.
 AROUND = 8
 # What is smaller is no spike: a share of the rig's size, and of a quaternion.
-LEAST_SHIFT, LEAST_TURN = 1e-3, 5e-3
+MIN_SHIFT, MIN_TURN = 1e-3, 5e-3
 # Noise below this share of the smallest spike is that of a file's digits.
 NO_NOISE = 2e-4
 # A spike can hide one beside it, which is seen when the first is gone.
@@ -221,8 +221,8 @@ def cleaned_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedS
     """Return a take cleaned, and what was done to the joints that move."""
     motion = take.motion
     cleaner = _Cleaner(tuple(take.rig.names), float(take.clock.rate), options)
-    shifts = cleaner.channel(motion.translations, LEAST_SHIFT * rest_size(take.rig))
-    turns = cleaner.channel(motion.rotations, LEAST_TURN)
+    shifts = cleaner.channel(motion.translations, MIN_SHIFT * rest_size(take.rig))
+    turns = cleaner.channel(motion.rotations, MIN_TURN)
     dense = so3.align_signs(turns.values, turns.rest[turns.animated])
     motion = replace(
         motion, translations=shifts, rotations=replace(turns, values=dense)

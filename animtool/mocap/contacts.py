@@ -26,7 +26,7 @@ RAISED = 0.05
 # Of all frames, those that a foot is lower in are outliers.
 LOWEST = 0.02
 # Of fewer frames nobody says what stands.
-FEWEST = 3
+MIN_FRAMES = 3
 # Contacts, and gaps in them, that are shorter are none [s].
 SHORT = 0.06
 
@@ -86,7 +86,7 @@ def find_contacts(
     """
     slow = SLOW * leg
     points = [ankle] if toe is None else [ankle, toe]
-    if len(ankle) < FEWEST or leg <= 0:
+    if len(ankle) < MIN_FRAMES or leg <= 0:
         nothing = np.zeros(len(ankle), np.bool_)
         return FootContacts(nothing, nothing, float(ankle[:, up].min(initial=np.inf)))
     width = SMOOTH * fps

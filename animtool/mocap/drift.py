@@ -36,7 +36,7 @@ WINDOW = 10.0
 # Of a contact, the share at either end in which the foot still lands or leaves.
 LANDING = 0.2
 # Of fewer frames nobody says how fast they go.
-FEWEST = 4
+MIN_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,7 @@ def _stance(take: Take, person: Person, *, heading: bool) -> _Stance | None:
         for start, end in intervals(stands):
             edge = round(LANDING * (end - start))
             part = slice(start + edge, end - edge)
-            if part.stop - part.start < FEWEST:
+            if part.stop - part.start < MIN_FRAMES:
                 continue
             # Who rolls over the toe moves the ankle.
             still = min(
@@ -201,7 +201,7 @@ def _stance(take: Take, person: Person, *, heading: bool) -> _Stance | None:
             rows.append([middle, length, spin, *speed[[a, b]], *at[[a, b]]])
             where[part] += still[part][:, [a, b, up]] - [0.0, 0.0, base]
             many[part] += 1
-    if (many > 0).sum() <= FEWEST:
+    if (many > 0).sum() <= MIN_FRAMES:
         return None
     contacts = np.array(sorted(rows))
     width, frames = WINDOW * rate, np.arange(count)

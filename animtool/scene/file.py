@@ -110,7 +110,7 @@ def stated_rate(path: Path) -> Fraction | None:
 _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
-def _meet(one: str, other: str) -> bool:
+def _overlap(one: str, other: str) -> bool:
     """Return whether a path is another, or below it."""
     return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
 
@@ -218,7 +218,7 @@ class _SceneReader:
         ]
         for i, prop in enumerate(props):
             for other in props[:i]:
-                if _meet(prop.path, other.path):
+                if _overlap(prop.path, other.path):
                     message = f"{prop.path!r} meets {other.path!r} of "
                     message += other.place.where
                     hint = "each has a path of its own, none below another's"

@@ -14,7 +14,7 @@ from animtool.sim.integrators.integrator import Control, Integrator
 # Of methods that choose their steps, where nothing else is said.
 TOLERANCE = 1e-6
 # scipy's solvers take none below.
-LEAST_TOLERANCE = 3e-14
+MIN_TOLERANCE = 3e-14
 # Of a finer motion to compare with: over the step, and over the tolerance.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
@@ -45,7 +45,7 @@ class IntegrateOptions:
     method: str = "rk45"
     step: Annotated[float | None, above(0, "SIM004", finite=True)] = None
     tolerance: Annotated[
-        float | None, at_least(LEAST_TOLERANCE, "SIM004", finite=True)
+        float | None, at_least(MIN_TOLERANCE, "SIM004", finite=True)
     ] = None
     absolute: Annotated[float | None, at_least(0, "SIM004")] = None
     base: str = "rk4"
@@ -90,7 +90,7 @@ def finer(options: IntegrateOptions) -> IntegrateOptions:
         return replace(options, step=options.step * FINER_STEP, estimate=False)
     return replace(
         options,
-        tolerance=max(options.relative * FINER_TOLERANCE, LEAST_TOLERANCE),
+        tolerance=max(options.relative * FINER_TOLERANCE, MIN_TOLERANCE),
         absolute=options.least * FINER_TOLERANCE,
         estimate=False,
     )

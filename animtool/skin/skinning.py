@@ -84,9 +84,7 @@ class PreparedSkin:
         return self.influences.vertices
 
 
-def prepare_skin(
-    binding: Binding, vertices: int, *, most: int | None = None
-) -> PreparedSkin:
+def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
     """Return a binding ready to be evaluated, with the joints that it needs only."""
     bind = np.asarray(binding.bind, np.float64)
     geom = np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
@@ -97,7 +95,7 @@ def prepare_skin(
         order = np.asarray(binding.joints)
         _check_order(order, len(bind))
     influences, report = read_influences(
-        binding.indices, binding.weights, len(order), vertices=vertices, most=most
+        binding.indices, binding.weights, len(order), vertices=vertices
     )
     used, numbers = np.unique(influences.joints, return_inverse=True)
     joints = order[used].astype(np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
 
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
@@ -67,7 +67,6 @@ OwnCharacter = Annotated[
     bool,
     key("In place of a file: the character of this scene, behind its passes.", True),
 ]
-Margin = Annotated[Real, key("Distance that they keep [m].", 0.01)]
 Tolerance = Annotated[
     Real | None,
     key("Of integrators that choose their steps: most error of each.", 1e-5),
@@ -198,12 +197,14 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
     )
 
 
+@with_fields(Contact, "margin", before="mesh")
 class CharacterModel(_MaterialModel):
     """A character in motion that particles run into: capsules of its rig, or a mesh."""
 
     file: CharacterFile = None
     source: OwnCharacter = False
-    margin: Margin = 0.0
+    if TYPE_CHECKING:
+        margin: float
     mesh: Name | None = key(
         "A mesh of its rig in motion, in place of the capsules; `margin` "
         "is half its thickness.",

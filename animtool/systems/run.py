@@ -70,13 +70,13 @@ class EntryRun:
     def bodies(self, restitution: float, friction: float, *, two_way: bool) -> Bodies:
         """Return its bodies as others run into them, and push them if two-way."""
         assert isinstance(self.simulation, RigidSystem)
-        return self.run.watching(
+        return self.run.watched_by(
             Bodies(self.run, self.simulation, restitution, friction, two_way=two_way)
         )
 
     def surface(self) -> Surface:
         """Return its surface, which others run into."""
-        return self.run.watching(Surface(self.run, self.simulation))
+        return self.run.watched_by(Surface(self.run, self.simulation))
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -130,7 +130,7 @@ class SimulationRun(EntryRun):
         # States that who looks at the surface may still ask for, from the latest.
         self._kept: list[Reached[Any]] | None = None
         self._watchers: list[Surface | Bodies] = []
-        self._met: Sequence[MovingBodies] = ()
+        self._pushed_bodies: Sequence[MovingBodies] = ()
         # Who pushes it: when, who, and with what.
         self._pushers: list[Pusher] = []
         self._pushes: list[tuple[float, int, Wrenches]] = []
@@ -157,7 +157,7 @@ class SimulationRun(EntryRun):
     def advance(self, t: float) -> int:
         """Take all whole steps that end at a time [s] or before; return how many."""
         whole = max(math.floor((t - self.begin) / self.step_length + ON_STEP), 0)
-        alone = self._kept is None and not self._met and not self._pushers
+        alone = self._kept is None and not self._pushed_bodies and not self._pushers
         if self._steps is not None and alone and self.state.steps < whole:
             steps, count = self.state.steps, whole - self.state.steps
             step = self.step_length
@@ -175,9 +175,9 @@ class SimulationRun(EntryRun):
             self._begun.clear()
         if self._kept is not None:
             self._kept.append(self.state)
-        for bodies, pushes in zip(self._met, wrenches, strict=False):
+        for bodies, pushes in zip(self._pushed_bodies, wrenches, strict=False):
             bodies.push(until, pushes)
-        for bodies in self._met:
+        for bodies in self._pushed_bodies:
             bodies.forget(until)
 
     def _part(self, state: Reached[Any], t: float) -> Reached[Any]:
@@ -225,9 +225,9 @@ class SimulationRun(EntryRun):
             self._begun[steps] = Reached(steps, pushed)
         return self._begun[steps]
 
-    def meet(self, bodies: Sequence[MovingBodies]) -> None:
+    def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
         """Push bodies of other systems."""
-        self._met = bodies
+        self._pushed_bodies = bodies
         for own in bodies:
             own.pushed_by(self)
 
@@ -236,7 +236,7 @@ class SimulationRun(EntryRun):
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
-    def watching(self, watcher: Watcher) -> Watcher:
+    def watched_by(self, watcher: Watcher) -> Watcher:
         """Keep states from now on, for one who looks back to them."""
         if self._kept is None:
             self._kept = [self.state]

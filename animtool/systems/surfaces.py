@@ -89,7 +89,7 @@ class _Looks(Generic[Seen]):
         return self._known[t]
 
 
-class _Watching:
+class _Watcher:
     """One who looks at a simulation as it is, and was."""
 
     def __init__(self, run: Watched) -> None:
@@ -103,7 +103,7 @@ class _Watching:
             self._run.forget()
 
 
-class Surface(_Watching):
+class Surface(_Watcher):
     """The mesh of a simulation, or what an entry shows of one."""
 
     def __init__(self, run: Watched, view: Any) -> None:
@@ -128,7 +128,7 @@ class Surface(_Watching):
         return self._faces
 
 
-class Bodies(_Watching):
+class Bodies(_Watcher):
     """The rigid bodies of a simulation, as `MovingBodies` says."""
 
     def __init__(

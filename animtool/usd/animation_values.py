@@ -63,18 +63,18 @@ def sampled_values(
         if len(value) != count:
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
             message += f" for {counted(count, of)}"
-            hint = f"{_moment(time)}; UsdSkel falls back to rest"
+            hint = f"{_time_text(time)}; UsdSkel falls back to rest"
             where.at(attr).fail("USD206" if of == "shape" else "USD200", message, hint)
         rows[i] = value
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
-        hint = f"{_moment(when[frame])}, {of} {joint}"
+        hint = f"{_time_text(when[frame])}, {of} {joint}"
         where.at(attr).fail("USD202", message, hint)
     return rows
 
 
-def _moment(time: Any) -> str:
+def _time_text(time: Any) -> str:
     """Return a time in words; the earliest is that of a value that does not change."""
     if time.IsEarliestTime():
         return "the only value"

@@ -115,8 +115,6 @@ def author_curve(
     name: str,
     curves: Curves,
     evaluate: Evaluate,
-    *,
-    start: float = 0.0,
 ) -> CurveReport:
     """Write one curve as a spline on a custom attribute, and measure it.
 
@@ -127,12 +125,10 @@ def author_curve(
         raise ValueError("one curve with a key is needed")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
     pieces = [
-        piece
-        for i in range(len(curves.times) - 1)
-        for piece in _pieces(curves, i, start)
+        piece for i in range(len(curves.times) - 1) for piece in _pieces(curves, i)
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _knots(pieces, curves, start, where):
+        for knot in _knots(pieces, curves, where):
             spline.SetKnot(knot)
         outside = (curves.pre[0], -1), (curves.post[0], 1)
         before, after = (
@@ -145,7 +141,7 @@ def author_curve(
     attr = attribute(spec, name, Sdf.ValueTypeNames.Double)
     attr.custom = True
     attr.SetSpline(spline)
-    difference, seam = _measure(spline, curves, evaluate, start)
+    difference, seam = _measure(spline, curves, evaluate)
     split = len({piece.segment for piece in pieces if piece.part})
     return CurveReport(name, len(spline.GetKnots()), split, difference, seam)
 
@@ -164,9 +160,9 @@ class _Piece:
     points: FloatArray
 
 
-def _pieces(curves: Curves, i: int, start: float) -> list[_Piece]:
+def _pieces(curves: Curves, i: int) -> list[_Piece]:
     kind = SegmentKind(int(curves.kinds[i]))
-    ends = np.stack([curves.times[i : i + 2] + start, curves.values[i : i + 2]], axis=1)
+    ends = np.stack([curves.times[i : i + 2], curves.values[i : i + 2]], axis=1)
     h = float(ends[1, 0] - ends[0, 0])
     out, into = curves.outs[i].copy(), curves.ins[i + 1].copy()
     if kind is SegmentKind.CUBIC:
@@ -229,10 +225,10 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
     ]
 
 
-def _knots(pieces: list[_Piece], curves: Curves, start: float, where: str) -> list[Any]:
+def _knots(pieces: list[_Piece], curves: Curves, where: str) -> list[Any]:
     """Return the knots at the ends of all pieces."""
     ends = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
-    last = (float(curves.times[-1] + start), float(curves.values[-1]), None)
+    last = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []
     before: _Piece | None = None
     for time, value, piece in [*ends, last]:
@@ -273,9 +269,7 @@ def _extrapolation(
     return extrapolation
 
 
-def _measure(
-    spline: Any, curves: Curves, evaluate: Evaluate, start: float
-) -> tuple[float, float]:
+def _measure(spline: Any, curves: Curves, evaluate: Evaluate) -> tuple[float, float]:
     """Return the largest difference, and that at the end of a cycle."""
     times = curves.times
     steps = np.arange(SAMPLES) / SAMPLES
@@ -286,7 +280,7 @@ def _measure(
 
     def apart(when: FloatArray) -> float:
         mine = evaluate(when)
-        theirs = np.array([spline.Eval(float(time)) for time in when + start])
+        theirs = np.array([spline.Eval(float(time)) for time in when])
         return float(np.abs(theirs - mine).max())
 
     last = apart(times[-1:])

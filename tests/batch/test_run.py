@@ -53,7 +53,7 @@ def test_failures_cost_nothing_else(spec: BatchSpec) -> None:
     ],
 )
 def test_so_many_failures_end_it(spec: BatchSpec, most: int, found: list[str]) -> None:
-    assert statuses(run_batch(spec, replace(SERIAL, most_failures=most))) == found
+    assert statuses(run_batch(spec, replace(SERIAL, max_failures=most))) == found
 
 
 def test_only_what_failed(spec: BatchSpec, tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_how_many_are_made_at_a_time(
 
 
 def test_damaged_records_are_told(spec: BatchSpec, tmp_path: Path) -> None:
-    run_batch(spec, replace(SERIAL, most_failures=1))
+    run_batch(spec, replace(SERIAL, max_failures=1))
     path = tmp_path / "out/.animtool/batch-batch.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:-1], b"[" * 100_000, b"\n"]))

@@ -233,14 +233,6 @@ def test_handles_without_length() -> None:
     assert report.difference <= TOLERANCE
 
 
-def test_the_start_shifts_time() -> None:
-    curves = curve(SegmentKind.CUBIC)
-    report, stage = written(curves, start=1001.0)
-    attr = control(stage)
-    assert report.difference <= TOLERANCE * 4
-    assert attr.Get(1005.0) == -0.5
-
-
 @pytest.mark.parametrize("outside", list(Extrapolation))
 @pytest.mark.parametrize("suffix", ["usda", "usdc"])
 def test_a_curve_comes_back(

@@ -38,7 +38,7 @@ from animtool.units import unit_name
 EVEN = 1e-3
 # Frames that rows at uneven times may become, for each of them. More are gaps, and
 # filling these would be inventing motion.
-MOST_FRAMES = 10
+MAX_FRAMES_EACH = 10
 # Of a first frame beyond this number the time is no time of a take.
 LAST_START = 1e9
 
@@ -168,7 +168,7 @@ def _even(
     usual = float(steps[(len(steps) - 1) // 2])
     rate = _rate(path, usual, rounding, 2)
     count = span * float(rate) + 1
-    if count > MOST_FRAMES * len(times):
+    if count > MAX_FRAMES_EACH * len(times):
         message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
         hint = "--source-fps takes the rows as they come"
         raise FormatError(Fault("MOF006", message, path, (), hint))

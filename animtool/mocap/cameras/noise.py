@@ -29,16 +29,16 @@ MEDIAN = 1.1774100225154747
 # point, from 2 on. Measured with cameras around a volume.
 _LEAST = (0.50, 0.20, 0.83, 0.61, 0.91, 0.76, 0.94, 0.83, 0.97)
 # Below, a gate would follow the rounding of pixels [px].
-LEAST_NOISE = 0.05
+MIN_NOISE = 0.05
 # A camera has the noise of all unless its own is this many times as large or small.
 ALIKE = 1.5
 # What the noise of a camera may be at most, against that of all.
-_MOST = 3.0
+_MAX_RATIO = 3.0
 # A camera whose noise is this many times that of all is looked at: it may be stale.
 _SUSPECT = 1.1
 _SUSPECTS = 4
 # Share of points that must be found, if cameras are to agree [1].
-LEAST_FOUND = 0.5
+MIN_FOUND_SHARE = 0.5
 _ROUNDS = 2
 _ANY = 1e6  # a gate that everything passes
 # What the kernel says of an observation.
@@ -87,8 +87,8 @@ def measured_noise(
         middle = np.nanmedian(own) if np.isfinite(own).any() else 1.0
         ratios = np.nan_to_num(own / middle, nan=1.0)
         alike = (ratios < ALIKE) & (ratios > 1 / ALIKE)
-        scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MOST, _MOST))
-        noise = np.maximum(pooled * scaled, LEAST_NOISE)
+        scaled = np.where(alike, 1.0, np.clip(ratios, 1 / _MAX_RATIO, _MAX_RATIO))
+        noise = np.maximum(pooled * scaled, MIN_NOISE)
         left_out = _stale_camera(
             cameras, pixels, trust, noise, active, ratios, settings
         )
@@ -104,7 +104,7 @@ def measured_noise(
     )
     seen = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
     found = int(np.isfinite(points[..., 0]).sum())
-    if found < LEAST_FOUND * seen.sum():
+    if found < MIN_FOUND_SHARE * seen.sum():
         # No two agree, or any two do: all are used, as far as they are apart.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
@@ -112,7 +112,7 @@ def measured_noise(
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         apart = _pooled(lengths, states == _USED)
-        noise[:] = noise if apart is None else max(apart, LEAST_NOISE)
+        noise[:] = noise if apart is None else max(apart, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return Noise(noise, stale)
@@ -167,7 +167,7 @@ def first_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     if not known.any():
         return 1.0
     factors = np.array([*_LEAST, 1.0])[np.clip(counts - 2, 0, len(_LEAST))]
-    return max(float(np.median(least[known] / factors[known])), LEAST_NOISE)
+    return max(float(np.median(least[known] / factors[known])), MIN_NOISE)
 
 
 def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:

@@ -23,9 +23,9 @@ _NEAR, _AGREE = 0.3, 0.06
 # How long a person may be out of sight and be the same [s].
 LOST_SECONDS = 0.5
 # People that are seen shorter are taken for mistakes of the detector [s].
-LEAST_SECONDS = 0.25
+MIN_SECONDS = 0.25
 # Keypoints that two images must share, to be compared.
-LEAST_SHARED = 3
+MIN_SHARED = 3
 # The noise of detectors, against the diagonal of a person [1], and the gate.
 _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 
@@ -75,7 +75,7 @@ def follow_people(
             track.points = np.where(known, points, track.points)
             track.seen = frame
             track.found.update({(frame, c): i for c, i in group.items()})
-    least = min(len(detections), max(1, round(LEAST_SECONDS * rate)))
+    least = min(len(detections), max(1, round(MIN_SECONDS * rate)))
     kept = [t for t in tracks if len({f for f, _ in t.found}) >= least] or tracks
     order = sorted(range(len(kept)), key=lambda k: (-len(kept[k].found), k))
     order = sorted(order[: most or len(order)])
@@ -122,7 +122,7 @@ def _continued(
             for i, person in enumerate(people[c]):
                 off = np.linalg.norm(shown - person[:, :2], axis=-1)
                 known = np.isfinite(off)
-                if known.sum() >= LEAST_SHARED:
+                if known.sum() >= MIN_SHARED:
                     cost = float(np.median(off[known])) / _size(person)
                     costs[t, i] = min(cost, _NEAR)
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
@@ -191,7 +191,7 @@ def _missed(
             sine = np.abs(np.einsum("mi,mi->m", mine, normal))
             sine = sine / np.linalg.norm(normal, axis=1)
         known = np.isfinite(sine)
-        if known.sum() < LEAST_SHARED:
+        if known.sum() < MIN_SHARED:
             return np.inf
         # Lengths are at depth 1 of the camera.
         total = max(total, float(np.median(sine[known])) * camera.focal[0] / scale)
@@ -217,4 +217,4 @@ def _solved(
         detailed=False,
     )[0][0]  # fmt: skip
     found = np.isfinite(points).all(axis=-1)
-    return points if found.sum() >= min(LEAST_SHARED, keypoints) else None
+    return points if found.sum() >= min(MIN_SHARED, keypoints) else None

@@ -13,8 +13,8 @@ from animtool.mocap.cameras.camera import Camera, project
 # Share of outliers from which a camera does not fit its calibration [1].
 MOVED = 0.5
 # How long it must last [s], and how many observations say so.
-LEAST_SECONDS = 0.25
-LEAST_OBSERVATIONS = 20
+MIN_SECONDS = 0.25
+MIN_OBSERVATIONS = 20
 _STEPS = 8
 
 
@@ -69,14 +69,14 @@ def moved_ranges(
         active: Cameras that take part ``(F, C)``.
         rate: Frames a second.
     """
-    window = max(1, min(len(judged), round(LEAST_SECONDS * rate)))
+    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
     best: tuple[int, list[Moved]] | None = None
     most = 0
     for camera in range(judged.shape[1]):
         live = active[:, camera] & (active.sum(axis=1) > 2)
         count = _around(np.where(live, judged[:, camera], 0), window)
         wrong = _around(np.where(live, rejected[:, camera], 0), window)
-        off = live & (wrong > MOVED * count) & (count >= LEAST_OBSERVATIONS)
+        off = live & (wrong > MOVED * count) & (count >= MIN_OBSERVATIONS)
         ranges = [
             Moved(a, b, _share(judged, rejected, camera, a, b))
             for a, b in _runs(off, window)
@@ -130,7 +130,7 @@ def pose_change(
     """
     known = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[known], pixels[known]
-    if len(points) < LEAST_OBSERVATIONS:
+    if len(points) < MIN_OBSERVATIONS:
         return None
     rotation, translation = camera.rotation, camera.translation
     moved = camera
@@ -142,7 +142,7 @@ def pose_change(
         off = project(moved, points) - pixels
         lengths = np.linalg.norm(off, axis=-1)
         usable = np.isfinite(lengths)
-        if usable.sum() < LEAST_OBSERVATIONS:
+        if usable.sum() < MIN_OBSERVATIONS:
             return None
         middle = max(float(np.median(lengths[usable])), 1e-6)
         weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)

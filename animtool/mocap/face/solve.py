@@ -38,7 +38,7 @@ MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
 # Residuals longer than so many deviations of the noise count for less: 3 % of good.
 ROBUST_DEVIATIONS = 3.0
 # Of noise, in shares of the face's size: below, weights are exact to a thousandth.
-LEAST_NOISE = 1e-5
+MIN_NOISE = 1e-5
 # How fast weights of a lively face change [1/s].
 USUAL_SPEED = 3.0
 # Deviation of weights from 0 that is usual: what landmarks do not show stays small.
@@ -291,7 +291,7 @@ class _Fit:
         good = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
         chosen = good[np.linspace(0, len(good) - 1, NOISE_FRAMES).astype(int)]
         chosen = np.unique(chosen)
-        least = LEAST_NOISE * self.face.size * self.unit
+        least = MIN_NOISE * self.face.size * self.unit
         self.rest = (least * 10 / USUAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.unit
         noise = least

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Up to this long a curve through the frames around is as good as anything [s].
 CURVE_SECONDS = 0.05
 # Frames on either side that the curve goes by, and the fewest of one side.
-AROUND, FEWEST = 6, 3
+AROUND, MIN_FRAMES = 6, 3
 DEGREE = 5
 
 
@@ -207,7 +207,7 @@ def _curve(path: FloatArray, seen: BoolArray, gap: slice) -> FloatArray | None:
     """Return a polynomial through the frames around a gap; None where they are few."""
     before = _run(seen, gap.start - 1, -1)
     after = _run(seen, gap.stop, 1)
-    if len(before) < FEWEST or len(after) < FEWEST:
+    if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
         return None
     frames = np.array([*before[::-1], *after])
     middle = 0.5 * (gap.start + gap.stop - 1)

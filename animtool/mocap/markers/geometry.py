@@ -87,13 +87,17 @@ def fitted(
     return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
 
 
-def mean_shape(points: FloatArray, rounds: int = 3) -> FloatArray:
+# Fits of all frames to their median; the shape has settled by then.
+SHAPE_ITERATIONS = 3
+
+
+def mean_shape(points: FloatArray) -> FloatArray:
     """Return the shape that rigid points have in the median ``(K, 3)``.
 
     points: ``(F, K, 3)``, all seen.
     """
     shape = np.median(points - points[:, :1], axis=0)
-    for _ in range(rounds):
+    for _ in range(SHAPE_ITERATIONS):
         rotation, shift = fitted(points, shape)
         shape = np.median(
             np.einsum("fji,fkj->fki", rotation, points - shift[:, None]), axis=0

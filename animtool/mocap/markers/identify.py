@@ -29,7 +29,7 @@ PLAY, PLAY_LEAST, ARTICULATED = 0.35, 0.03, 1.5
 MAX_GROUPS = 400
 # Weights of distances to what is known, all together: fewer name nothing, and more
 # than this are no better.
-LEAST_SHARE, FULL_SHARE = 0.05, 3.0
+MIN_SHARE, FULL_SHARE = 0.05, 3.0
 
 
 def identify(
@@ -152,7 +152,7 @@ def _grown(
             barred[together[run], marker] = True
         mean = total / np.maximum(share, 1e-9)[:, None]
         mean[barred] = np.inf
-        mean[(found >= 0) | (share <= LEAST_SHARE)] = np.inf
+        mean[(found >= 0) | (share <= MIN_SHARE)] = np.inf
         order = np.sort(mean, axis=1)
         finite = np.isfinite(order[:, 0])
         rival = np.minimum(order[:, 1], order[:, 0] + WORST, where=finite,

@@ -28,7 +28,7 @@ from animtool.rig.limits import BallLimit
 SWIVELS = np.radians(np.arange(-60.0, 60.1, 15.0))
 NEARBY = np.radians([-10.0, -5.0, 0.0, 5.0, 10.0])
 # What going round costs, over what limits take from a joint.
-SPARED = 0.05
+SWIVEL_COST = 0.05
 # Knees go round, and hips rise, within about these times [s].
 SWIVEL_TIME, RISE_TIME = 0.1, 0.2
 # How often hips rise at most, and how deep feet may stay, over the skeleton's size.
@@ -68,7 +68,7 @@ class _Leg:
         for steps in (SWIVELS, NEARBY):
             tried = best + steps[:, None]
             costs = [
-                self._excess(turns, way, off, angles) + (SPARED * angles) ** 2
+                self._excess(turns, way, off, angles) + (SWIVEL_COST * angles) ** 2
                 for angles in tried
             ]
             best = tried[np.argmin(costs, axis=0), np.arange(len(off))]

@@ -51,7 +51,7 @@ _CONTROLS = {
 # A prefix is common from this share of the names on.
 _SHARED = 0.6
 # Names of a convention that a skeleton must have to be of it.
-_FEWEST = 6
+_MIN_NAMES = 6
 # The entry of the presets that is none: words of many conventions.
 WORDS = "words"
 # What a word weighs that many conventions have, and what it means in any other one.
@@ -244,7 +244,7 @@ def best_preset(names: Sequence[str], read: Sequence[ReadName]) -> Preset | None
         for name, preset in presets().items()
     }
     name = max(scores, key=lambda each: scores[each])
-    return presets()[name] if scores[name][0] >= _FEWEST else None
+    return presets()[name] if scores[name][0] >= _MIN_NAMES else None
 
 
 def role_votes(

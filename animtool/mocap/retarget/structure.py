@@ -31,7 +31,7 @@ _ALIKE = 0.15
 # A pair of limbs reaches over at least this share of the skeleton.
 _LIMB = 0.2
 # Joints of a limb that are told apart; the time it takes grows with the fourth power.
-_MOST = 16
+_MAX_LIMB_JOINTS = 16
 # Cosine between trunk and legs of a person who stands, at most.
 _UPRIGHT = -0.7
 # Cosine from which a leaf lies along its sibling's bone, as a twist joint does.
@@ -220,7 +220,7 @@ def _pairs(body: Body) -> list[Pair]:
             for c in below
             if body.counts[c] > 1 and body.extent(c) >= _LIMB * body.size
         ]
-        for a, b in combinations(sorted(long, key=body.extent)[-_MOST:], 2):
+        for a, b in combinations(sorted(long, key=body.extent)[-_MAX_LIMB_JOINTS:], 2):
             low, high = sorted((body.extent(a), body.extent(b)))
             fewer, more = sorted((body.counts[a], body.counts[b]))
             if high - low <= _ALIKE * high and more <= 1.2 * fewer + 2:
@@ -323,7 +323,7 @@ def split_limb(
         limb: What it is.
         branch: The joint where the end begins, where the tree shows it.
     """
-    beyond, way = way[_MOST:], way[:_MOST]
+    beyond, way = way[_MAX_LIMB_JOINTS:], way[:_MAX_LIMB_JOINTS]
     n = len(way)
     at = np.cumsum([0.0, *body.lengths[way[1:]], body.tips[way[-1]]])
     best, best_score = [""] * n, -np.inf

@@ -12,7 +12,7 @@ from animtool.mocap.solve.model import MIN_MARKERS
 from animtool.mocap.solve.sampling import ROBUST
 
 # Share of a frame's markers that must fit for it not to be poor.
-MOST = 0.5
+MIN_FITTED_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class SolveScore:
             self.total = float(np.sqrt(squares.sum() / fits.sum()))
         counts = has.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        lost = fits.sum(axis=1) < MOST * counts
+        lost = fits.sum(axis=1) < MIN_FITTED_SHARE * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & lost)
         self.searched = np.flatnonzero(self._begun)
         self.markers = [

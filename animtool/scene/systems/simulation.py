@@ -30,14 +30,14 @@ class SystemProgress:
 
 
 @dataclass
-class Opening:
-    """What systems that are opened may ask for."""
+class BuildContext:
+    """What systems ask for while they are built."""
 
     last: float  # the last time that will be asked for [s]
     # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
-    # Systems that are open, by name.
-    opened: dict[str, EntryRun] = field(default_factory=dict)
+    # Systems that are built, by name.
+    built: dict[str, EntryRun] = field(default_factory=dict)
     # Where they tell how far they are; None where nobody looks.
     progress: SystemProgress | None = None
 
@@ -69,9 +69,11 @@ def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
         raise ToleranceError(list(map(put, error.faults))) from error
 
 
-def open_entries(members: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
+def build_entries(
+    members: Sequence[SceneSystem], context: BuildContext
+) -> list[EntryRun]:
     """Return what is simulated as one, each entry at its beginning."""
-    run = run_entries(members, opening)
+    run = run_entries(members, context)
     for member in members:
         if member.setup.resume is not None:
             _resume(run, member)
@@ -107,7 +109,7 @@ def clocked(member: SceneSystem, run: SimulationRun) -> Clocked:
 
 def run_entries(
     members: Sequence[SceneSystem],
-    opening: Opening,
+    context: BuildContext,
     changes: Mapping[str, Any] | None = None,
     budget: int | None = None,
 ) -> SimulationRun:
@@ -122,27 +124,27 @@ def run_entries(
     spec = setups[0].spec.model_copy(update={**stated, **(changes or {})})
     begin = -spec.preroll
     around = Surroundings.of([setup.around for setup in setups])
-    colliders = around.built(opening.characters, opening.opened)
+    colliders = around.built(context.characters, context.built)
     build = cast(
         Callable[[SystemSpec, SimContext], Simulation[Any]],
         load_object(SYSTEM_KINDS[members[0].kind].build),
     )
-    context = SimContext(
+    sim_context = SimContext(
         begin,
-        opening.last,
+        context.last,
         colliders,
         setups[0].parts,
-        lambda carrier: carrier.poses(opening.characters),
+        lambda carrier: carrier.poses(context.characters),
         budget,
         [member_of(member) for member in members],
-        lambda: opening.clock(begin),
-        opening.phase,
+        lambda: context.clock(begin),
+        context.phase,
     )
-    simulation = build(spec, context)
+    simulation = build(spec, sim_context)
     name = " + ".join(member.name for member in members)
     step = getattr(simulation, "step_length", spec.step)
     run = SimulationRun(name, simulation, begin, step)
-    run.meet(colliders.bodies)
+    run.collide_with(colliders.bodies)
     return run
 
 
@@ -156,20 +158,22 @@ def open_systems(
 
     ``last`` [s].
     """
-    opening = Opening(last, characters_with(own), progress=progress)
-    return opened_with(systems, opening)
+    context = BuildContext(last, characters_with(own), progress=progress)
+    return build_systems(systems, context)
 
 
-def opened_with(systems: Sequence[SceneSystem], opening: Opening) -> list[EntryRun]:
-    """Return systems at their beginnings, of which the opening takes note."""
+def build_systems(
+    systems: Sequence[SceneSystem], context: BuildContext
+) -> list[EntryRun]:
+    """Return systems at their beginnings, and record them in the context by name."""
     found: dict[int, EntryRun] = {}
     for group in in_order(systems):
         members = [systems[i] for i in group]
         with located_systems(members):
-            made = open_entries(members, opening)
+            made = build_entries(members, context)
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
-        opening.opened |= {member.name: one for member, one in named}
+        context.built |= {member.name: one for member, one in named}
     return [found[i] for i in range(len(systems))]
 
 

@@ -16,10 +16,10 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import in_order, needed
 from animtool.scene.systems.simulation import (
-    Opening,
+    BuildContext,
+    build_systems,
     characters_with,
     located_systems,
-    opened_with,
     run_entries,
 )
 from animtool.sim.integrators import INTEGRATORS, find_integrator
@@ -67,10 +67,10 @@ def system_trials(
         members = [systems[i] for i in group]
         others = [systems[i] for i in needed(systems, group)]
 
-        def rebuild(others: Sequence[SceneSystem] = others) -> Opening:
-            opening = Opening(last, characters)
-            opened_with(others, opening)
-            return opening
+        def rebuild(others: Sequence[SceneSystem] = others) -> BuildContext:
+            context = BuildContext(last, characters)
+            build_systems(others, context)
+            return context
 
         with located_systems(members):
             found.append((members[0], _trial(members, rebuild, times)))
@@ -78,7 +78,9 @@ def system_trials(
 
 
 def _trial(
-    members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
+    members: Sequence[SceneSystem],
+    rebuild: Callable[[], BuildContext],
+    times: FloatArray,
 ) -> Trial:
     """Return what is simulated as one in the way of its file, and in others.
 

@@ -157,7 +157,7 @@ class Colliders(Sequence[Collider]):
         return len(self._colliders)
 
     @property
-    def meet(self) -> bool:
+    def active(self) -> bool:
         """Whether there is anything to run into."""
         return bool(self.rigid or self.sheets)
 
@@ -268,7 +268,7 @@ def collide(
     start = as_floats(before, (2, len(places), 3), "before")
     sizes = np.ascontiguousarray(np.broadcast_to(radii, len(places)), np.float64)
     late = np.zeros(len(places)) if begins is None else np.subtract(begins, t0)
-    held = _met(ready, start, after, (t0, t1), sizes, late)
+    held = _hold_at_sheets(ready, start, after, (t0, t1), sizes, late)
     state, touches, normals = _kernels.collide_particles(
         ready.arrays(t0, t1), start, after, sizes, late, t1 - t0
     )
@@ -279,7 +279,7 @@ def collide(
     return Collided(state[0], state[1], Contacts(contacts, touched, normals))
 
 
-def _met(
+def _hold_at_sheets(
     ready: Colliders,
     start: FloatArray,
     after: FloatArray,

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from animtool._types import ArrayLike, FloatArray
+from animtool.options import OF_ENTRY, Range, range_faults
 
 Vector: TypeAlias = Sequence[float]
+Radius = Annotated[float, Range("above 0", "SIM020", 0.0, reached=False, finite=True)]
 ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -51,7 +53,7 @@ class Sphere:
         centre: In its frame [m].
     """
 
-    radius: float
+    radius: Radius
     centre: Vector = ORIGIN
 
     def sizes(self) -> FloatArray:
@@ -64,7 +66,7 @@ class Sphere:
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
-        return _size_faults("radius", [self.radius]) + _point_faults(self.centre)
+        return _range_faults(self) + _point_faults(self.centre)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +80,8 @@ class Capsule:
         centre: Of the segment, in its frame [m].
     """
 
-    radius: float
-    length: float
+    radius: Radius
+    length: Annotated[float, Range("0 or more", "SIM020", 0.0, finite=True)]
     axis: Vector = (0.0, 1.0, 0.0)
     centre: Vector = ORIGIN
 
@@ -95,9 +97,7 @@ class Capsule:
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
-        faults = _size_faults("radius", [self.radius]) + _point_faults(self.centre)
-        if not 0 <= self.length < np.inf:
-            faults.append(f"its length must be 0 or more, not {self.length:g}")
+        faults = _range_faults(self) + _point_faults(self.centre)
         return faults + _direction_faults("axis", self.axis)
 
 
@@ -124,7 +124,7 @@ class Box:
         """Return what makes no sense."""
         if len(self.size) != 3:
             return [f"its size must be three numbers, not {len(self.size)}"]
-        return _size_faults("size", self.size)
+        return _size_faults(self.size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +211,7 @@ class HeightField:
         """Return what makes no sense."""
         if len(self.size) != 2:
             return [f"its size must be two numbers, not {len(self.size)}"]
-        return _size_faults("size", self.size)
+        return _size_faults(self.size)
 
     @staticmethod
     def height_faults(heights: ArrayLike) -> list[str]:
@@ -256,9 +256,13 @@ def _unit(direction: Vector) -> FloatArray:
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
 
 
-def _size_faults(name: str, values: Sequence[float]) -> list[str]:
+def _range_faults(shape: Any) -> list[str]:
+    return [fault.message for fault in range_faults(shape, OF_ENTRY)]
+
+
+def _size_faults(values: Sequence[float]) -> list[str]:
     odd = [value for value in values if not 0 < value < np.inf]
-    return [f"its {name} must be above 0, not {value:g}" for value in odd[:1]]
+    return [f"its size must be above 0, not {value:g}" for value in odd[:1]]
 
 
 def _point_faults(point: Vector) -> list[str]:

@@ -27,7 +27,7 @@ from animtool.sim.trials.trial import (
 )
 
 # A motion that halving the steps does not bring nearer by a power of this is sensitive.
-LEAST_ORDER = 0.5
+MIN_ORDER = 0.5
 # Beside the size of a motion, distances that rounding makes, and those that nobody
 # sees: such make no motion sensitive.
 ROUNDING, UNSEEN = 1e-13, 1e-6
@@ -177,7 +177,7 @@ def _judged(setting: Setting, outcomes: list[Outcome]) -> Reference:
     coarse, fine = (gap.with_reach(reach) for gap in gaps[-2:])
     extent = extent_of(outcomes[-1].shots) + reach
     order = order_seen(coarse, fine) if fine > ROUNDING * extent else None
-    sensitive = order is not None and order < LEAST_ORDER and fine > UNSEEN * extent
+    sensitive = order is not None and order < MIN_ORDER and fine > UNSEEN * extent
     share = 1.0 if order is None else max(2**order - 1, 1.0)
     return Reference(setting, gaps[-1].scaled(1 / share), order, sensitive)
 

@@ -77,7 +77,7 @@ class Actor:
         make = StrandStepper if network.strands else SheetStepper
         self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
         self._span = span
-        capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
+        capsules = Capsules.of(rig) if settings.options.colliders else Capsules.none()
         bound = body.network.points
         depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
         self._contacts = CapsuleContacts(
@@ -85,7 +85,7 @@ class Actor:
             capsules.sizes(first.world),
             depths,
             settings.radius,
-            settings.friction,
+            settings.options.friction,
         )
         self.target = body.targets(first)[0]
         self.lost = lost_links(network, self.target)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 
 from animtool.errors import Fault, OptionError
 from animtool.keyed import Interpolation, Weight, chosen, weights_at
-from animtool.options import Range, ranges_of
+from animtool.options import LARGEST, range_faults, ranges_of, within
 from animtool.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.units import parse_length
@@ -40,15 +40,6 @@ class Lead(StrEnum):
     EXTRAPOLATE = "extrapolate"
 
 
-def _number(
-    least: float = -math.inf, most: float = 1e9, *, reached: bool = True
-) -> Range:
-    """Return the range of an option, in both directions up to the most."""
-    bound = f"{least:g} or more" if reached else f"more than {least:g}"
-    bound = bound if math.isfinite(least) else "finite"
-    return Range(bound, "SIM004", least, most, reached, finite=True)
-
-
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
     """What moves by itself, and how."""
@@ -56,50 +47,50 @@ class SimulateOptions:
     what: tuple[str, ...] = ()  # names of the rig's attachments
     # How fast they swing back to the animated pose [Hz]; 0 does not draw them there.
     # None is 2 for chains and strands, and 0 for cloth.
-    frequency: Annotated[float | None, _number(0.0)] = None
+    frequency: Annotated[float | None, within(0.0, "SIM004")] = None
     # Of that, 1 comes back without swinging over [1].
-    damping: Annotated[float, _number(0.0)] = 0.3
+    damping: Annotated[float, within(0.0, "SIM004")] = 0.3
     # How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
-    bend: Annotated[float | None, _number(0.0)] = None
+    bend: Annotated[float | None, within(0.0, "SIM004")] = None
     # How fast cloth that is drawn askew springs back [Hz].
-    shear: Annotated[float, _number(0.0)] = 20.0
+    shear: Annotated[float, within(0.0, "SIM004")] = 20.0
     # How much longer than at rest springs may become [1]. None is 0.01 for chains, and
     # 0.05 for others.
-    stretch: Annotated[float | None, _number(0.0, reached=False)] = None
+    stretch: Annotated[float | None, within(0.0, "SIM004", reached=False)] = None
     # Downwards along the rig's up axis [m/s²]. 0 leaves a still character's attachments
     # where they are.
-    gravity: Annotated[float, _number()] = 9.81
+    gravity: Annotated[float, within(-LARGEST, "SIM004")] = 9.81
     # How fast the air takes speed [1/s]; of cloth, the coefficient of drag of its faces
     # [1].
-    drag: Annotated[float, _number(0.0)] = 0.5
+    drag: Annotated[float, within(0.0, "SIM004")] = 0.5
     # Velocity of the air ``[x, y, z]`` [m/s].
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
     colliders: bool = True  # keep out of the rig's capsules
     radius: str = "5mm"  # distance kept from them, such as ``5mm``
     # On them, and between layers, Coulomb's coefficient [1].
-    friction: Annotated[float, _number(0.0)] = 0.2
+    friction: Annotated[float, within(0.0, "SIM004")] = 0.2
     # Distance that cloth keeps from itself, such as ``5mm``; None lets it go through
     # itself.
     thickness: str | None = None
     # Time in the first pose before anything moves [s].
-    settle: Annotated[float, _number(0.0, 600.0)] = 1.0
+    settle: Annotated[float, within(0.0, "SIM004", 600.0)] = 1.0
     # Time of the way into the first frame, behind ``settle`` [s].
-    preroll: Annotated[float, _number(0.0, 600.0)] = 0.0
+    preroll: Annotated[float, within(0.0, "SIM004", 600.0)] = 0.0
     lead: Lead = Lead.HOLD  # how that way goes
     loop: bool = False  # the take is a cycle, whose first pose follows on its last
     # The cycle is repeated until nothing differs from the repeat before by more, such
     # as ``0.1mm``.
     loop_tolerance: str = "0.1mm"
-    loop_repeats: Annotated[int, _number(1.0, 10_000.0)] = 20  # most repeats
+    loop_repeats: Annotated[int, within(1.0, "SIM004", 10_000.0)] = 20  # most repeats
     # Share of the simulation, one number or ``[[frame, weight], …]`` [1].
     weight: Weight = 1.0
     # How weights run from key to key.
     interpolation: Interpolation = Interpolation.LINEAR
     # What carries an attachment jumps where it would be faster [m/s]; 0 never does.
-    teleport_speed: Annotated[float, _number(0.0)] = 50.0
+    teleport_speed: Annotated[float, within(0.0, "SIM004")] = 50.0
     teleports: tuple[float, ...] = ()  # frames that begin with a jump
     # Least steps a second; None is as many as ``stretch`` needs.
-    rate: Annotated[float | None, _number(0.0, 1e6, reached=False)] = None
+    rate: Annotated[float | None, within(0.0, "SIM004", 1e6, reached=False)] = None
     # File (``.npz``) for the states at the frames of ``save_at``, beside the scene.
     save: str = ""
     save_at: tuple[float, ...] = ()  # frames
@@ -114,58 +105,45 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What of the options one attachment needs, in SI units."""
+    """The options as one kind of attachment has them: defaults and SI units."""
 
+    options: SimulateOptions  # all that is the same for every kind
     frequency: float  # angular, of the draw to the animated pose [rad/s]
-    damping: float  # its damping ratio [1]
     bend: float  # angular, of folds [rad/s]
     shear: float  # angular, of diagonals [rad/s]
     stretch: float  # aimed at [1]
-    gravity: float  # [m/s²]
-    drag: float  # [1/s], or [1] of cloth
-    wind: tuple[float, float, float]  # [m/s]
     radius: float  # distance kept from colliders [m]
-    friction: float  # [1]
     thickness: float  # distance that cloth keeps from itself [m]; 0 does not ask
-    colliders: bool  # keep out of the rig's capsules
-    rate: float | None  # least steps a second; None is by ``stretch``
 
 
 def settings_for(options: SimulateOptions, kind: str) -> Settings:
     """Return what the options come to for an attachment of a kind."""
     known = AttachKind(kind)
-    frequency, bend = options.frequency, options.bend
+    frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
         frequency = _FREQUENCIES.get(known, 0.0)
     if bend is None:
         bend = _BENDS.get(known, 0.0)
-    stretch = options.stretch
     if stretch is None:
         stretch = _STRETCHES.get(known, STRETCH)
     thickness = 0.0
     if options.thickness is not None and known is AttachKind.CLOTH:
         thickness = parse_length(options.thickness)
     return Settings(
+        options,
         2 * math.pi * frequency,
-        options.damping,
         2 * math.pi * bend,
         2 * math.pi * options.shear,
         stretch,
-        options.gravity,
-        options.drag,
-        options.wind,
         parse_length(options.radius),
-        options.friction,
         thickness,
-        options.colliders,
-        options.rate,
     )
 
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
     """Return what can be checked of the options before there is a take."""
     checks: dict[str, Callable[[], object]] = {
-        name: partial(_check_number, options, name)
+        name: partial(_check_range, options, name)
         for name in ranges_of(SimulateOptions)
     }
     checks |= {
@@ -197,15 +175,10 @@ def _check_what(options: SimulateOptions) -> None:
         raise OptionError(Fault("SIM030", message))
 
 
-def _check_number(options: SimulateOptions, name: str) -> None:
-    value, allowed = getattr(options, name), ranges_of(SimulateOptions)[name]
-    if value is None or (allowed.holds(value) and abs(value) <= allowed.most):
-        return
-    bound = allowed.bound
-    if replace(allowed, most=math.inf).holds(value):
-        bound = f"{allowed.most:g} or less"
-    message = f"{name} is {value:g}; it must be {bound}"
-    raise OptionError(Fault(allowed.code, message))
+def _check_range(options: SimulateOptions, name: str) -> None:
+    faults = [fault for fault in range_faults(options) if fault.where == name]
+    if faults:
+        raise OptionError(faults)
 
 
 def _check_finite(values: tuple[float, ...], name: str) -> None:

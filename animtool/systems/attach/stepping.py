@@ -38,7 +38,7 @@ MAX_STEPS = 20_000.0
 STIFF = 1e6
 # Cloth [kg/m²], and the least mass of a particle among the others' [1].
 CLOTH_WEIGHT = 0.3
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 # Half the density of air [kg/m³].
 AIR = 0.6
 # Even parts of a frame, between which what is animated goes straight.
@@ -108,8 +108,8 @@ def steps_wanted(network: Network, settings: Settings) -> float:
     them; a step moves it by its share of what a step of acceleration a moves, so that
     its stretch is n a h² over its length at rest.
     """
-    if settings.rate is not None:
-        return settings.rate
+    if settings.options.rate is not None:
+        return settings.options.rate
     if network.strands:
         wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
         return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
@@ -171,18 +171,18 @@ class SheetStepper:
         draws = Draws(
             drawn,
             masses[drawn] * settings.frequency**2,
-            masses[drawn] * (2 * settings.damping * settings.frequency),
+            masses[drawn] * (2 * settings.options.damping * settings.frequency),
         )
         # Cloth feels the air by its triangles, other things by their speed alone.
-        self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
-        slowing = 0.0 if cloth else settings.drag
-        pressure = AIR * settings.drag if cloth else 0.0
+        self._wind, cloth = np.array(settings.options.wind), len(network.triangles) > 0
+        slowing = 0.0 if cloth else settings.options.drag
+        pressure = AIR * settings.options.drag if cloth else 0.0
         self._loads = Loads(
             inverse,
             np.full(network.count, slowing),
             _springs(network, settings, masses, inverse),
             network.triangles,
-            settings.gravity * down + slowing * self._wind,
+            settings.options.gravity * down + slowing * self._wind,
             (pressure, pressure / 2),
             network.held,
             draws,
@@ -199,7 +199,9 @@ class SheetStepper:
         both = np.stack([state.positions, state.velocities])
         network = self._led(motions, span)
         if self._settings.thickness and self._layers is None:
-            contact = SelfContact(self._settings.thickness, self._settings.friction)
+            contact = SelfContact(
+                self._settings.thickness, self._settings.options.friction
+            )
             self._layers = spring_layers(network, contact, self.network.points)
         outputs = _kernels.project_springs(
             network, both, self._torn, 0.0, 0, span / cells, cells,
@@ -247,7 +249,7 @@ def masses_of(network: Network) -> FloatArray:
     thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
     masses = np.bincount(corners.ravel(), thirds, network.count)
     # Faces without area leave some particles none.
-    least = LEAST_SHARE * float(masses.max(initial=0.0))
+    least = MIN_SHARE * float(masses.max(initial=0.0))
     return np.maximum(masses, least if least > 0 else 1.0)
 
 

@@ -47,17 +47,18 @@ class StrandStepper:
         """Make what kernels take; down is the direction of gravity ``(3,)``."""
         self.tally = tally
         length = network.count // network.strands
-        field = settings.gravity * down + settings.drag * np.array(settings.wind)
+        options = settings.options
+        field = options.gravity * down + options.drag * np.array(options.wind)
         draw = settings.frequency
         self._strands = _kernels.SpringStrands(
             _rests(network.stiff, network.strands, length - 1),
             _rests(network.folds, network.strands, max(length - 2, 0)),
             gravity=field,
-            drag=settings.drag,
+            drag=options.drag,
             stiffness=STIFF**2,
             fold_stiffness=settings.bend**2,
             draw_stiffness=draw**2,
-            draw_damping=2 * settings.damping * draw,
+            draw_damping=2 * options.damping * draw,
             stretch=settings.stretch,
         )
 

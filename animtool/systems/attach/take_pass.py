@@ -32,7 +32,7 @@ from animtool.take import TakeStream
 # Springs may be this much longer than aimed at before it is worth a warning [1].
 PARDON = 1.5
 # A joint turned by less than this moves nothing that would be missed [rad].
-LEAST_SWING = math.radians(0.1)
+MIN_SWING = math.radians(0.1)
 # Of particles and triangles of any cloth.
 MAX_INDEX = 1 << 31
 
@@ -168,7 +168,7 @@ def _of_start(actor: Actor) -> list[Fault]:
 def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
     """Return a warning where the last joint of a chain turns, and moves nothing."""
     angle = simulation.swung.get(chain.name, 0.0)
-    if angle < LEAST_SWING:
+    if angle < MIN_SWING:
         return []
     joint = simulation.rig.joints[chain.joints[-1]].name
     message = (

@@ -40,7 +40,7 @@ PASSING, LONG = 0.09, 0.35
 # A foot that lands within this last part of its cycle does not lift any more.
 LAST = 0.95
 # How far a landing is looked ahead [rad] where a body turns.
-MOST_TURN = 1.0
+MAX_TURN = 1.0
 
 
 class Heights(Protocol):
@@ -303,7 +303,7 @@ class Bodies:
             up = state.swings[:, k] >= 0
             share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
             left = (1 - (state.phases - 0.5 * k) % 1.0) / blend.rate
-            turn = np.clip(state.paces[:, 1] * left, -MOST_TURN, MOST_TURN)
+            turn = np.clip(state.paces[:, 1] * left, -MAX_TURN, MAX_TURN)
             then = going.points + going.velocities * left[:, None]
             next_ = self._placed(k, blend, then, going.headings + turn, state.places)
             from_ = state.places[:, k]

@@ -155,7 +155,7 @@ class FlockForces(SecondOrder):
     ) -> FloatArray:
         """Return where speeds and colliders let a step end."""
         x, v = after[0], kept_speeds(self.members, after[1])
-        if self.colliders.meet:
+        if self.colliders.active:
             radii = self.members.radii
             done = collide(x, v, before, self.colliders, t - h, t, radii)
             x, v = done.points, done.velocities

@@ -182,9 +182,9 @@ def check_species(spec: FlocksModel) -> None:
                 message = f"no species is named {excerpt(name)}"
                 refuse("SIM060", message, "species", hint)
         speed = species.speed
-        if not speed.least <= speed.cruise <= most_speed(species):
+        if not speed.least <= speed.cruise <= max_speed(species):
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
-            message += f"between {speed.least:g} and {most_speed(species):g}"
+            message += f"between {speed.least:g} and {max_speed(species):g}"
             refuse("SIM060", message, "species")
     shown = [species.shows is not None for species in spec.species]
     if any(shown) and not all(shown):
@@ -207,7 +207,7 @@ def _check_domain(spec: FlocksModel, domain: DomainModel) -> None:
             refuse("SIM060", message, "domain", "a larger domain, or a smaller radius")
 
 
-def most_speed(species: SpeciesModel) -> float:
+def max_speed(species: SpeciesModel) -> float:
     """Return how fast members may be [m/s]."""
     speed = species.speed
     return 2 * speed.cruise if speed.most is None else speed.most

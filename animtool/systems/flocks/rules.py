@@ -18,7 +18,7 @@ from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 Indices: TypeAlias = npt.NDArray[np.int32]
 # Distances that are looked at for one member, on average, and in all: beyond both a
 # flock takes minutes a step, as where thousands see each other.
-MOST_EACH, MOST_ALL = 20_000, 2_000_000_000
+MAX_PAIRS_EACH, MAX_PAIRS = 20_000, 2_000_000_000
 _NEVER = (0.0, 0.0)
 
 
@@ -118,7 +118,7 @@ def flocking(
     total = np.zeros_like(x)
     for rule in rules:
         size = len(x) if rule.members is None else len(rule.members)
-        most = max(MOST_EACH * size, MOST_ALL)
+        most = max(MAX_PAIRS_EACH * size, MAX_PAIRS)
         found, _, looked = _kernels.flock_accelerations(
             x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
             np.array(rule.attraction), np.array(rule.alignment),

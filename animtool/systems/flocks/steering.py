@@ -6,7 +6,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.colliders import Colliders
-from animtool.systems.flocks.members import Members, most_speed
+from animtool.systems.flocks.members import Members, max_speed
 from animtool.systems.flocks.spec import PathModel
 
 # Members whose ways are looked at together, so that their distances stay in the cache.
@@ -130,7 +130,7 @@ def limited(values: FloatArray, most: float) -> FloatArray:
 def kept_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities within the speeds of each species ``(N, 3)`` [m/s]."""
     least = members.each([one.speed.least for one in members.species])
-    most = members.each([most_speed(one) for one in members.species])
+    most = members.each([max_speed(one) for one in members.species])
     speeds = np.linalg.norm(v, axis=1)
     odd = (speeds > most) | ((speeds < least) & (speeds > _TINY))
     if not odd.any():

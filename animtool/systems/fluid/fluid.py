@@ -41,7 +41,7 @@ GROWTH = 0.05
 # Parts are doubled as long as this much less dense results.
 HELPS = 0.8
 # A step that must be this many times shorter is not the cause.
-MOST_SHORTER = 1000
+MAX_SHORTENING = 1000
 _NONE = np.zeros((2, 0, 3))
 
 
@@ -164,11 +164,9 @@ class Fluid:
     ) -> tuple[FluidState, Sequence[Wrenches]]:
         """Return the end of a step, in as many parts as keep it from being dense."""
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
-        most_pull = float(np.linalg.norm(pull, axis=1).max())
-        fastest = float(speeds.max()) + most_pull * dt
-        sound = self._substeps.sound(
-            state.sound, state.pressures, speeds, most_pull, dt
-        )
+        max_pull = float(np.linalg.norm(pull, axis=1).max())
+        fastest = float(speeds.max()) + max_pull * dt
+        sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
         wanted = self._substeps.parts(dt, fastest, sound)
         if wanted > self._substeps.most:
             self._stop_long(t + dt, dt, fastest, wanted)
@@ -278,7 +276,7 @@ class Fluid:
         message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
         message += f"{dt:g} s takes more than {most} parts"
         hint = "weaker forces, a larger spacing, or colliders that move less fast"
-        if wanted < MOST_SHORTER * most:
+        if wanted < MAX_SHORTENING * most:
             hint = f"step: {dt * most / wanted:.2g}, or {hint}"
         self._stop("SIM102", t, message, hint)
 

@@ -31,7 +31,7 @@ _BATH = 2000
 # Share of the box that an atom may go through in a step.
 FARTHEST = 0.25
 # Neighbours of an atom that are listed, on average: atoms are as dense in no matter.
-MOST_EACH = 5000
+MAX_NEIGHBOURS = 5000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Interactions:
             ToleranceError: They are so dense that lists would fill the memory (SIM102).
         """
         if self._listed is None or self._listed[0] is not reference:
-            most = MOST_EACH * len(x)
+            most = MAX_NEIGHBOURS * len(x)
             try:
                 pairs = _kernels.molecule_pairs(
                     reference, self._box.size, self._cutoff + self._skin, most

@@ -41,7 +41,7 @@ class _Living:
         state: FloatArray,
     ) -> None:
         self.setup, self.particles = setup, particles
-        self.settles = colliders.meet
+        self.settles = colliders.active
         self.contacts: Contacts | None = None
         # What bodies were pushed by so far, those of each system.
         self.wrenches = [Wrenches.none(own.count) for own in colliders.bodies]
@@ -201,7 +201,7 @@ def spawned(
     ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
     """
     done = _moved_classically(setup, particles, born, t1 - particles.births)
-    if not colliders.meet:
+    if not colliders.active:
         return done
     found = collide(
         done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births

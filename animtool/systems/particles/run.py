@@ -235,7 +235,7 @@ class ParticleSimulation:
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
         system, forces = self._system(state), self.setup.forces
-        if isinstance(system, ParticleFlow) or self.colliders.meet:
+        if isinstance(system, ParticleFlow) or self.colliders.active:
             return None
         damping = (force.damping(state.state[1], state.particles) for force in forces)
         return None if any(damping) else system.energy(t, state.state)

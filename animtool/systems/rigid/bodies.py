@@ -22,7 +22,7 @@ from animtool.systems.rigid.cores import (
     shown,
 )
 from animtool.systems.rigid.kind import (
-    MOST,
+    MAX_BODIES,
     Kind,
     check_moved,
     copies,
@@ -91,8 +91,8 @@ class Bodies:
                 of.append(number)
                 moved.append(not model.kinematic)
                 poses.append(placed_on(own, point, turn))
-        if len(names) > MOST:
-            message = f"there are {len(names)} bodies, and {MOST} at most"
+        if len(names) > MAX_BODIES:
+            message = f"there are {len(names)} bodies, and {MAX_BODIES} at most"
             refuse("SIM061", message, "bodies")
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin

@@ -30,7 +30,7 @@ ROUNDING = 1e-9
 # What is beside the diagonal and less than this share of the sum is rounding.
 ALIKE = 1e-12
 # Bodies of a system; more take gigabytes.
-MOST = 1_000_000
+MAX_BODIES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -208,8 +208,10 @@ def copies(model: BodyModel, parts: Mapping[str, Any]) -> tuple[FloatArray, Floa
                 "SIM061", f"{model.name!r} has a grid and points", "points", "keep one"
             )
         counts = np.array(model.grid.count)
-        if counts.prod() > MOST:
-            refuse("SIM061", f"{model.name!r} has more than {MOST} copies", "grid")
+        if counts.prod() > MAX_BODIES:
+            refuse(
+                "SIM061", f"{model.name!r} has more than {MAX_BODIES} copies", "grid"
+            )
         x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
         cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
         cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)

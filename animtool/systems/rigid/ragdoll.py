@@ -17,7 +17,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.options import Range
+from animtool.options import LARGEST, within
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -33,13 +33,6 @@ _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
     JointType.PRISMATIC: 3,
 }  # fmt: skip
-LARGE = 1e9  # what no number is beyond
-
-
-def _number(least: float, most: float = LARGE, *, reached: bool = True) -> Range:
-    bound = f"{least:g} or more" if reached else f"more than {least:g}"
-    bound += f" and at most {most:g}" if most < LARGE else ""
-    return Range(bound, "SIM062", least, most, reached, finite=True)
 
 
 class _Entry:
@@ -60,20 +53,21 @@ class RagdollOptions:
     start: float | None = None  # frame that it begins in; None is the first
     end: float | None = None  # frame from which the take comes back; None is never
     # Frames over which it takes over, and the take behind `end` [frames].
-    blend: Annotated[float, _number(0.0, 1e6)] = 4.0
-    mass: Annotated[float | None, _number(0.0, reached=False)] = None  # of all [kg]
+    blend: Annotated[float, within(0.0, "SIM062", 1e6)] = 4.0
+    # Of all [kg].
+    mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
     # Where no mass is given [kg/m³].
-    density: Annotated[float, _number(0.0, reached=False)] = 1000.0
+    density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
     # How strongly joints are drawn to the pose of the take [N m/rad]; 0 is limp.
-    stiffness: Annotated[float, _number(0.0)] = 0.0
+    stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
     # What slows joints [N m s/rad].
-    damping: Annotated[float, _number(0.0)] = 0.5
+    damping: Annotated[float, within(0.0, "SIM062")] = 0.5
     # Downwards along the rig's up axis [m/s²].
-    gravity: Annotated[float, _number(-1e9)] = 9.81
-    friction: Annotated[float, _number(0.0)] = 0.6  # Coulomb's coefficient [1]
+    gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
+    friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # Coulomb's coefficient [1]
     colliders: Entries = ()  # what it falls onto
-    step: Annotated[float, _number(0.0, 1.0, reached=False)] = 0.005  # [s]
-    substeps: Annotated[int, _number(1.0, 1000.0)] = 8  # small steps in each
+    step: Annotated[float, within(0.0, "SIM062", 1.0, reached=False)] = 0.005  # [s]
+    substeps: Annotated[int, within(1.0, "SIM062", 1000.0)] = 8  # small steps in each
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from animtool.systems.springs.spec import (
 )
 
 # Particles of a system, at most: their springs fit into memory.
-MOST = 10_000_000
+MAX_PARTICLES = 10_000_000
 # The least mass of a system, or of a particle that has one of its own [kg].
 LIGHTEST = 1e-30
 
@@ -92,8 +92,8 @@ class BodyEntry:
 
 def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
     """Return a rope; None where what is noted leaves none."""
-    if not 2 <= model.count <= MOST:
-        message = f"a rope has 2 to {MOST} particles, not {model.count}"
+    if not 2 <= model.count <= MAX_PARTICLES:
+        message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
         entry.note("SIM050", message, "count")
     if model.start == model.end:
         message = "it begins and ends at one place"
@@ -328,10 +328,12 @@ def _share_out(
 
 def _check_grid(entry: BodyEntry, what: str, resolution: Sequence[int]) -> None:
     """Note a grid of too few particles some way, or of too many."""
-    if min(resolution) < 2 or math.prod(resolution) > MOST:
+    if min(resolution) < 2 or math.prod(resolution) > MAX_PARTICLES:
         *first, last = resolution
         given = f"{listed(first)} and {last}"
-        message = f"{what} has 2 particles or more each way, and {MOST} at most"
+        message = (
+            f"{what} has 2 particles or more each way, and {MAX_PARTICLES} at most"
+        )
         message += f", not {given}"
         entry.note("SIM050", message, "resolution")
 

@@ -16,7 +16,7 @@ from animtool.maths.faces import sides
 from animtool.systems.springs.body import Springs
 
 # What keeps a turn as small as it may be where neighbours leave it open.
-LEAST_TURN = 1e-9
+MIN_TURN = 1e-9
 # Over which points that no particle carries alone are looked at for their speed [s].
 EPSILON_TIME = 1e-4
 
@@ -355,7 +355,7 @@ def _middle(runs: Sequence[_Run], places: FloatArray, at: FloatArray) -> _Middle
 
 def least_turns(spreads: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return turns ``(..., 3, 3)`` by covariances of that shape, of some sizes."""
-    small = LEAST_TURN * sizes[..., None, None] * np.eye(3)
+    small = MIN_TURN * sizes[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(spreads + small)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
     turns: FloatArray = u @ v

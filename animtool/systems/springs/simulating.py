@@ -196,7 +196,7 @@ class SpringRun:
         self._begun = self.grid = self.kept = grid
         # What rigid bodies of others were pushed by in the last cells.
         self.wrenches: list[Wrenches] = []
-        self.most_substeps = grid.state.substeps
+        self.max_substeps = grid.state.substeps
         self.status = Status.OK
         self.sign = ""
         # Where bodies are pushed, they feel it before the next cell.
@@ -254,7 +254,7 @@ class SpringRun:
     @property
     def shortest(self) -> float:
         """The shortest step so far [s]."""
-        return self.grid.cell / self.most_substeps
+        return self.grid.cell / self.max_substeps
 
     def stats(self, reached: float) -> Stats:
         """Return what it took to reach a time [s]."""
@@ -296,7 +296,7 @@ class SpringRun:
         with np.errstate(all="ignore"):
             self.grid = advance(self.system, self._options, begun, cells)
             t, state = self.grid.time, self.grid.state
-            self.most_substeps = max(self.most_substeps, state.substeps)
+            self.max_substeps = max(self.max_substeps, state.substeps)
             self._leave_out_torn()
             self.sign = self._watch.sign(t, state.motion)
             if begun.solver is Solver.XPBD:

@@ -230,7 +230,7 @@ class SpringSimulation:
         system = self.system
         slowing = [system.drags, system.body.springs.damping, system.draws.damping]
         slowing.append(np.array(system.pressures))
-        return system.colliders.meet or any(values.any() for values in slowing)
+        return system.colliders.active or any(values.any() for values in slowing)
 
     def ways(self) -> Ways:
         """Return solvers in several steps, about those that each takes itself."""

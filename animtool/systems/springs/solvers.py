@@ -179,7 +179,7 @@ def cell_colliders(
     colliders: Colliders, radius: float, grid: Grid, cells: int
 ) -> CellColliders:
     """Return what kernels take of colliders for some cells; None without any."""
-    if not colliders.meet:
+    if not colliders.active:
         return None
     steps = grid.index + np.arange(cells + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
@@ -247,7 +247,7 @@ def _projected(
     cells: int,
     met: CellColliders,
     layers: _kernels.SpringLayers | None,
-    most_stretch: float,
+    max_stretch: float,
 ) -> Grid:
     state = grid.state
     most = max(state.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
@@ -256,15 +256,15 @@ def _projected(
         pushes,
     ) = _kernels.project_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
-        state.substeps, state.calm, state.least, most, most_stretch, met, layers,
+        state.substeps, state.calm, state.least, most, max_stretch, met, layers,
         state.passages,
     )  # fmt: skip
     made = SpringState(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
     crossed = grid.crossed(cells, made, steps, steps, inside, pushes)
-    most_through = grid.through.with_more(Through(*through))
-    return replace(crossed, through=most_through, stretch=max(grid.stretch, stretch))
+    max_through = grid.through.with_more(Through(*through))
+    return replace(crossed, through=max_through, stretch=max(grid.stretch, stretch))
 
 
 def _implicit(

@@ -159,8 +159,8 @@ class SpringSystem(SecondOrder):
         given = None if self_contact is None else self_contact.rest
         rest = body.positions if given is None else given
         self._rest = np.ascontiguousarray(rest, np.float64)
-        self._meets = self.colliders.meet or self_contact is not None
-        self.settles = self._pins_move or self._meets or len(self.jumps) > 0
+        self._collides = self.colliders.active or self_contact is not None
+        self.settles = self._pins_move or self._collides or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
@@ -353,7 +353,7 @@ class SpringSystem(SecondOrder):
         if self.layers is not None:
             network = self.network(self.jumps.stage(t))
             moved = _kernels.part_springs(network, self.layers, before[0], moved, h)
-        if self.colliders.meet:
+        if self.colliders.active:
             met = collide(
                 moved[0], moved[1], before, self.colliders, t - h, t, self.radius
             )
@@ -371,7 +371,7 @@ class SpringSystem(SecondOrder):
 
     def native(self, method: str) -> Native | None:
         """Return what takes many steps at once, of symplectic_euler."""
-        if method != "symplectic_euler" or self._meets or len(self.jumps):
+        if method != "symplectic_euler" or self._collides or len(self.jumps):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:

@@ -100,10 +100,10 @@ def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
 
 
 # A smaller difference to the motion around is seen as a part of it [rad].
-LEAST_TURN = math.radians(18.5)
+MIN_TURN = math.radians(18.5)
 # The same of moves, of the rig's size: of a joint against its parent, where rigs that
 # slide and stretch do so on purpose; and of a root, which is seen sooner [1].
-LEAST_SHIFT, LEAST_ROOT_SHIFT = 0.2, 0.02
+MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
 # No motion at the rates in use turns a joint so far in one frame [rad].
 FLIP = math.radians(120.0)
 # A pop is as many times rougher than the motion around: kicks, claps and landings at
@@ -154,14 +154,14 @@ class _Pops:
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the joints below the roots that jump in one frame (MOT202)."""
     hint = "correct the frames around it; a cut that is meant has interp: step"
-    pops = _pops(subject, LEAST_SHIFT, roots=False)
+    pops = _pops(subject, MIN_SHIFT, roots=False)
     yield from _reported(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the roots that jump in one frame: the whole character does (MOT203)."""
     hint = "correct the frames around it, or cut the take there"
-    pops = _pops(subject, LEAST_ROOT_SHIFT, roots=True)
+    pops = _pops(subject, MIN_ROOT_SHIFT, roots=True)
     yield from _reported(subject, "MOT203", pops, hint)
 
 
@@ -211,10 +211,10 @@ def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
         return _no_pops(joints)
     turns = subject.turns[:, columns]
     amounts = surprises(turns, _ignored(subject))
-    flags = _stands_out(subject, amounts, LEAST_TURN, TURN_NOISE)
+    flags = _stands_out(subject, amounts, MIN_TURN, TURN_NOISE)
     # Where every other step is one, none is above what is around it.
     flips = np.linalg.norm(turns, axis=2) > FLIP
-    flags |= flips & (amounts > LEAST_TURN + 2.0 * np.median(amounts, axis=0))
+    flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
     return _Pops(joints, flags, amounts, "rad")
 
 

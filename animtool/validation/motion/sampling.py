@@ -91,7 +91,7 @@ ASTRAY = 0.25
 # disturbs; they may be so much less uneven than the step [1].
 REACH, GAP, UNEVEN = 10, 3, 0.4
 # Of the usual step: less shows no loss, and is no motion that stops [1].
-LEAST_PACE = 0.3
+MIN_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
 MAX_JOINTS = 0.7
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
@@ -176,7 +176,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     ratio = along.sum(axis=1) / np.maximum(total, tiny)
     astray = 1.0 - along.sum(axis=1) ** 2 / np.maximum(total * own, tiny)
     pace = np.sqrt(total)
-    fast = pace > LEAST_PACE * np.median(pace)
+    fast = pace > MIN_PACE * np.median(pace)
     unlike = np.where(fast, np.abs(ratio - 1.0), 0.0)
     doubled = fast & (ratio > DOUBLE) & (ratio < MAX_LOST) & (astray < ASTRAY)
     doubled &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
@@ -228,7 +228,7 @@ def _abrupt(speeds: FloatArray, usual: float, first: int, last: int) -> bool:
     """Return whether motion stops at once before a run of steps and goes on after."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    return bool(min(speeds[first - 1], speeds[last + 1]) > LEAST_PACE * usual)
+    return bool(min(speeds[first - 1], speeds[last + 1]) > MIN_PACE * usual)
 
 
 def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:

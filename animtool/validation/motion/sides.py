@@ -154,7 +154,7 @@ MOSTLY = 0.9
 AHEAD = 0.01
 # Joints that change places turn by this much at least, and all of them together by
 # more [rad].
-LEAST_EXCHANGE, LEAST_IN_ALL = math.radians(8.0), math.radians(30.0)
+MIN_EXCHANGE, MIN_TOTAL_EXCHANGE = math.radians(8.0), math.radians(30.0)
 # Fewer frames do not show that both sides move before and after.
 MIN_STEPS = 5
 # Fewer pairs that change places at once are a pose of their own.
@@ -259,9 +259,9 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     own = np.minimum(own, so3.angle_between(right[1:], right[:-1]))
     across = so3.angle_between(left[1:], right[:-1])
     across = np.maximum(across, so3.angle_between(right[1:], left[:-1]))
-    swaps = (own > LEAST_EXCHANGE) & (across < EXCHANGED * own)
+    swaps = (own > MIN_EXCHANGE) & (across < EXCHANGED * own)
     swaps &= _neighbor_moves(own, EXCHANGED * own) & ~subject.cuts()[:, None]
-    far = np.where(swaps, own, 0.0).sum(axis=1) > LEAST_IN_ALL
+    far = np.where(swaps, own, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
     many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
     swaps &= (far & many)[:, None]
     steps = np.flatnonzero(swaps.any(axis=1))

@@ -98,7 +98,7 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
         one, two = goals[first], goals[i]
         kinds = [kind for kind in one.goal.kinds if kind in two.goal.kinds]
         parts = [kind.name for kind in kinds]
-        if not parts or not _meet(one.during, two.during):
+        if not parts or not _overlap(one.during, two.during):
             continue
         if all(_equal(one.values, two.values, part) for part in parts):
             message = f"asks the {listed(parts)} of {two.name!r} a second time"
@@ -110,7 +110,7 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
         yield subject.fault("TGT202", ("goals", i, "effector"), message, hint)
 
 
-def _meet(one: Sequence[Span], two: Sequence[Span]) -> bool:
+def _overlap(one: Sequence[Span], two: Sequence[Span]) -> bool:
     """Return whether spans have frames in common; none are all frames."""
     if not one or not two:
         return True
@@ -155,7 +155,7 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield held spans in which nothing is asked (TGT204)."""
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
-            if not _meet([span], goal.during):
+            if not _overlap([span], goal.during):
                 first, last = span
                 message = f"{goal.name!r} is held from {first:g} to {last:g}, where it "
                 message += "is not asked for"
