@@ -37,7 +37,7 @@ LEAST_OF_ALL, LEAST_OF_PACKAGE = 0.9, 0.8
 
 def main() -> int:
     """Do what the command line asks for; return 1 where too many survive."""
-    given = _parser().parse_args()
+    given = _parser().parse_intermixed_args()
     given.state.mkdir(parents=True, exist_ok=True)
     # Two at once would plant in each other's copies.
     lock = FileLock(given.state / "lock", timeout=0)
