@@ -12,6 +12,7 @@ from typing import Any
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import MAX_TEXT_BYTES, note_input, read_input
 from animtool.rates import LARGEST_FRAME
+from animtool.toml_text import parse_toml
 
 # What tools of version control keep at the top of a checkout.
 VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
@@ -62,20 +63,16 @@ def _table(path: Path) -> dict[str, Any]:
     except FormatError as error:
         fault = replace(error.faults[0], code="CFG001")
         raise OptionError(fault) from error
-    except (ValueError, RecursionError) as error:
-        deep = isinstance(error, RecursionError)
-        reason = "it nests too deeply" if deep else error
+    except ValueError as error:
         raise OptionError(
-            Fault("CFG001", f"cannot be read: {reason}", str(path))
+            Fault("CFG001", f"cannot be read: {error}", str(path))
         ) from error
 
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> dict[str, Any]:
     """Return what a text of TOML says; files of a project share their settings."""
-    import tomllib
-
-    return tomllib.loads(text)
+    return parse_toml(text)
 
 
 def _config(path: Path, table: Any) -> Config:

@@ -281,9 +281,24 @@ def too_large(path: Path, size: int, limit: int) -> FormatError:
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:
-    kind = stat.S_IFMT(status.st_mode)
-    if kind != stat.S_IFREG:
-        raise unreadable(path, _KINDS.get(kind, "is a device, not a file"))
+    if not stat.S_ISREG(status.st_mode):
+        raise unreadable(path, _kind(status))
+
+
+def _kind(status: os.stat_result) -> str:
+    """Return what is no file."""
+    return _KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
+
+
+def why_no_file(path: Path) -> str | None:
+    """Return why a path leads to no file, in words; None where it leads to one."""
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return "does not exist"
+    except OSError as error:
+        return error.strerror or "cannot be looked at"
+    return None if stat.S_ISREG(status.st_mode) else _kind(status)
 
 
 def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.errors import Fault, OptionError
-from animtool.files import is_there, unreadable
+from animtool.files import unreadable, why_no_file
 from animtool.plugins import load_object, load_plugin, plugin_points
 
 PLUGIN_GROUP = "animtool.readers"
@@ -163,9 +163,8 @@ def find_reader(path: Path) -> Reader:
     point = points.get(suffix.removeprefix("."))
     if point is not None:
         return load_plugin(point, Reader)
-    there = is_there(path)
-    if not (there and path.is_file()):
-        reason = "is a folder" if there else "does not exist"
+    reason = why_no_file(path)
+    if reason is not None:
         raise unreadable(path, reason)
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"

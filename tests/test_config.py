@@ -44,6 +44,7 @@ def test_no_settings(tmp_path: Path) -> None:
         ("start = -1000000001", "CFG003"),
         pytest.param(f"start = {'9' * 400}", "CFG003", id="many-digits"),
         pytest.param(f"start = {'[' * 100_000}", "CFG001", id="deep"),
+        pytest.param(f"{'.'.join('a' * 20_000)} = 1", "CFG001", id="long key"),
         ("roots = '../library'", "CFG003"),
         ("roots = [1]", "CFG003"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from dataclasses import fields
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
@@ -16,6 +17,20 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.sources import SourceOptions, open_source
 
 DISTINCT = sorted(set(READERS.values()), key=lambda reader: reader.about)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_what_is_no_file_is_called_what_it_is(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for name, kind in (
+        ("pipe", "is a pipe, not a file"),
+        (os.devnull, "is a device, not a file"),
+        (".", "is a folder"),
+        ("none", "does not exist"),
+    ):
+        with pytest.raises(FormatError, match=kind) as caught:
+            find_reader(tmp_path / name)
+        assert caught.value.code == "IO001"
 
 
 @pytest.mark.parametrize("reader", DISTINCT, ids=lambda reader: reader.about)

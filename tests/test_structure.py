@@ -37,6 +37,7 @@ LAYERS = [
         "similar",
         "scores",
         "spool",
+        "toml_text",
     },
     {"options", "plugins", "ranges", "shot"},
     {"readers"},

@@ -18,7 +18,7 @@ from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import missing_hint, referred, split_reference
 from animtool.errors import AnimtoolError, Fault, OptionError, counted
-from animtool.files import is_there
+from animtool.files import why_no_file
 from animtool.ik.schema import ValueModel
 from animtool.maths import so3
 from animtool.readers import find_reader
@@ -324,9 +324,8 @@ class ValueReader:
             return None
         place = (*at, "file")
         path = referred(self.document, place, model.file, self.roots)
-        there = path is not None and is_there(path)
-        if path is not None and not (there and path.is_file()):
-            wrong = "is a folder" if there else "does not exist"
+        wrong = None if path is None else why_no_file(path)
+        if wrong is not None:
             hint = missing_hint(self.document, model.file)
             self.document.add("DOC015", place, f"{model.file!r} {wrong}", hint)
             return None

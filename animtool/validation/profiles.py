@@ -12,6 +12,7 @@ from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.rules import all_rules, current_codes
+from animtool.toml_text import parse_toml
 
 # By code or its beginning; None leaves a code out.
 Levels = Mapping[str, Severity | None]
@@ -120,10 +121,8 @@ def _document(path: Path) -> Mapping[str, Any]:
 
 def _toml(path: Path) -> Mapping[str, Any]:
     """Return a TOML file, or of project settings the part on severities."""
-    import tomllib
-
     try:
-        table = tomllib.loads(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
+        table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
         raise _malformed(error.faults[0].message, str(path)) from error
     except ValueError as error:

@@ -212,10 +212,11 @@ def test_a_profile_that_there_is_none_of(stage: Path) -> None:
     assert error.value.code == "VAL009"
     assert "vendor" in str(error.value)
     toml = stage.with_name("studio.toml")
-    toml.write_text("= 1", "utf-8")
-    with pytest.raises(OptionError) as broken:
-        load_profile(str(toml))
-    assert broken.value.code == "VAL008"
+    for text in ("= 1", f"a = {'[' * 10_000}"):
+        toml.write_text(text, "utf-8")
+        with pytest.raises(OptionError) as broken:
+            load_profile(str(toml))
+        assert broken.value.code == "VAL008"
 
 
 def test_the_command_takes_one_and_prints_repeats_once(stage: Path) -> None:

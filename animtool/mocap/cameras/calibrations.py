@@ -9,7 +9,6 @@ References:
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location, document_of, read_text
-from animtool.errors import Fault, FormatError, listed
+from animtool.documents.fields import MAX_NUMBER
+from animtool.errors import Fault, FormatError, excerpt, listed
 from animtool.maths.so3 import exp, to_matrix
 from animtool.mocap.cameras.camera import (
     UNNAMED,
@@ -27,6 +27,7 @@ from animtool.mocap.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
+from animtool.toml_text import parse_toml
 from animtool.units import LengthUnit, UpAxis
 
 # What programs call a value, the first that a camera has.
@@ -72,8 +73,8 @@ def read_any(path: Path) -> Document:
 
 def _toml(text: str, path: Path) -> Document:
     try:
-        value = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        value = parse_toml(text)
+    except ValueError as error:
         found = re.search(r"at line (\d+)", str(error))
         lines = (int(found[1]),) if found else ()
         message = f"invalid TOML: {str(error).split(' (at ')[0]}"
@@ -109,10 +110,7 @@ def calibration_of(
             missing or wrong (CAM003), a rotation is none (CAM001), or a name stands
             twice (CAM002).
     """
-    stated = document.value.get("units")
-    if unit is None and stated in set(LengthUnit):
-        unit = LengthUnit(stated)
-    scale = (unit or LengthUnit.M).meters
+    scale = (unit or _unit(document)).meters
     entries = list(_entries(document.value))
     if not entries:
         message = "holds no cameras"
@@ -130,6 +128,21 @@ def calibration_of(
     document.check()
     notices = tuple(document.notices)
     return Cameras(tuple(found), up or UpAxis.Y, str(document.path), notices)
+
+
+def _unit(document: Document) -> LengthUnit:
+    """Return the unit that a document states; one that is none is noted."""
+    location: Location = ("units",)
+    stated = document.value.get("units")
+    if isinstance(stated, dict) and "length" in stated:
+        stated, location = stated["length"], ("units", "length")
+    if stated is None or isinstance(stated, dict):
+        return LengthUnit.M
+    if isinstance(stated, str) and stated in set(LengthUnit):
+        return LengthUnit(stated)
+    hint = f"allowed: {', '.join(LengthUnit)}"
+    document.add("CAM003", location, f"{excerpt(str(stated))} is no unit", hint)
+    return LengthUnit.M
 
 
 def _entries(value: dict[str, Any]) -> Iterator[tuple[Location, str, dict[str, Any]]]:
@@ -218,6 +231,8 @@ class _Entry:
         message = ""
         if numbers.ndim == 0 or not np.isfinite(numbers).all():
             message = f"{key} is not a list of finite numbers"
+        elif numbers.size and np.abs(numbers).max() > MAX_NUMBER:
+            message = f"{key} has a number beyond {MAX_NUMBER:g}"
         elif shape is not None and numbers.shape != shape:
             message = f"{key} has shape {numbers.shape}, not {shape}"
         if message:

@@ -12,6 +12,8 @@ from annotated_types import Le
 from animtool.options import Key, Range, above
 
 _AMOUNT = Range("above 0", "SIM021", 0.0, reached=False, finite=True)
+# As light as particles of springs may be: less divides forces into infinity.
+_MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 _FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 
@@ -80,7 +82,7 @@ class Emission:
     radius_spread: Annotated[
         float, _SPREAD, Key("Most that it differs by [m].", 0.005)
     ] = 0.0
-    mass: Annotated[float, _AMOUNT, Key("Their mass [kg].", 0.1)] = 0.001
+    mass: Annotated[float, _MASS, Key("Their mass [kg].", 0.1)] = 0.001
     charge: Annotated[float, _FINITE, Key("Their charge [C].", 1e-6)] = 0.0
     seed: Annotated[int, Key("Of what is random about them.", 7)] = 0
 

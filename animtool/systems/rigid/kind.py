@@ -27,6 +27,9 @@ from animtool.systems.rigid.spec import BodyModel
 
 # What moments of inertia may break the triangle inequality by, of their sum: rounding.
 ROUNDING = 1e-9
+# Less divides impulses into infinity.
+LIGHTEST = 1e-30  # [kg]
+LEAST_MOMENT = 1e-100  # [kg m²]
 # What is beside the diagonal and less than this share of the sum is rounding.
 ALIKE = 1e-12
 # Bodies of a system; more take gigabytes.
@@ -124,6 +127,12 @@ def _weighed(
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
     own = [each.density or model.density for each in model.shapes] or [model.density]
+    weight = sum(
+        each.volume * density for each, density in zip(solids, own, strict=True)
+    )
+    if min(weight, weight if model.mass is None else model.mass) < LIGHTEST:
+        message = f"{model.name!r} must weigh {LIGHTEST:g} kg or more"
+        refuse("SIM061", message, hint="is it in metres?")
     whole = together(solids, own)
     mass = whole.volume if model.mass is None else model.mass
     inertia = whole.inertia * (mass / whole.volume)
@@ -144,6 +153,9 @@ def _weighed(
             refuse("SIM061", message, "inertia", "a rod has one of 0")
         turn = so3.to_matrix(_turn(model.inertia_axes, model.name, "inertia_axes"))
         inertia = turn @ np.diag(moments) @ turn.T
+    if np.trace(inertia) < LEAST_MOMENT:
+        message = f"{model.name!r} must have moments of {LEAST_MOMENT:g} kg m² or more"
+        refuse("SIM061", message, hint="is it in metres?")
     return mass, centre, inertia
 
 

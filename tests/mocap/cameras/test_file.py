@@ -162,10 +162,12 @@ def spoil(entry: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("R", None, "CAM003"),
         ("R", np.diag([1, 1, -1]).tolist(), "CAM001"),
         ("R", np.diag([1, 1, 1.1]).tolist(), "CAM001"),
-        ("R", [[1e300] * 3] * 3, "CAM001"),
+        ("R", [[1e300] * 3] * 3, "CAM003"),
         ("R", [1, 2], "CAM001"),
         ("t", [1, 2], "CAM003"),
         ("t", [1, 2, float("inf")], "CAM003"),
+        ("t", [1, 2, 1e300], "CAM003"),
+        ("R", [1e308, 1e308, 0], "CAM003"),
         ("t", [1, 2, 10**400], "DOC001"),
         ("dist", [0.1], None),
         ("dist", [0] * 12, None),
@@ -196,6 +198,26 @@ def test_faults_of_others(
     assert caught.value.faults[0].path == str(path)
 
 
+@pytest.mark.parametrize(
+    ("units", "ahead"),
+    [("mm", 0.004), ({"length": "cm"}, 0.04), (None, 4), (["mm"], None), ("ell", None)],
+)
+def test_units_of_a_calibration(
+    tmp_path: Path, units: Any, ahead: float | None
+) -> None:
+    camera = STAGE.cameras[0]
+    entry = {"K": matrix(camera), "R": camera.rotation.tolist(), "t": [0, 0, 4]}
+    text = json.dumps({"units": units, "cameras": [entry]})
+    path = written(tmp_path / "a.json", text)
+    if ahead is not None:
+        (found,) = load_cameras(path).cameras
+        assert found.translation[2] == pytest.approx(ahead)
+        return
+    with pytest.raises(FormatError) as caught:
+        load_cameras(path)
+    assert caught.value.code == "CAM003"
+
+
 def test_what_is_no_calibration(tmp_path: Path) -> None:
     for name, text, code in (
         ("a.toml", "[cam\n", "CAM003"),
@@ -204,6 +226,7 @@ def test_what_is_no_calibration(tmp_path: Path) -> None:
         ("d.json", '{"cameras": []}', "CAM003"),
         ("e.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n", "CAM003"),
         ("f.json", "[1, 2]", "DOC007"),
+        ("deep.toml", f"{'.'.join('a' * 20_000)} = 1", "CAM003"),
     ):
         with pytest.raises(FormatError) as caught:
             load_cameras(written(tmp_path / name, text))

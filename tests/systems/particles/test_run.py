@@ -284,6 +284,7 @@ def codes(setup: Particles) -> list[str]:
         {"bursts": [(np.nan, 1)]},
         {"place": Disc(-1)},
         {"radius": 0.01, "radius_spread": 0.02},
+        {"mass": 1e-320},
     ],
 )
 def test_emitters_that_make_no_sense(wrong: dict[str, object]) -> None:
