@@ -313,3 +313,13 @@ def test_a_folder_is_for_batch(
     done = animtool("bake", source)
     assert done.code == ExitCode.MALFORMED
     assert "IO001 cannot be read: is a folder, animtool batch" in done.stderr
+
+
+def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:
+    source = tmp_path / "a.bvh"
+    source.write_text(small_bvh(random_rows(3)), "utf-8")
+    (tmp_path / "out").mkdir()
+    done = animtool("bake", source, "-o", tmp_path / "out")
+    assert done.code == ExitCode.USAGE
+    assert "OUT004 is a folder" in done.stderr
+    assert "out/shot.usdc" in done.stderr
