@@ -170,6 +170,7 @@ class UsdTake:
     source_name: str = ""  # what the source of a library's take is called
     # Things beside the rig, gathered while the blocks are drawn; None is none.
     props: PropSamples | None = None
+    reduced: bool = False  # whether samples are left out that others give back
 
 
 @dataclass(slots=True)
