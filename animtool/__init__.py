@@ -8,6 +8,7 @@ from animtool.errors import NAMING
 from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
+    __version__: str
     from animtool import edit as edit
     from animtool import ik as ik
     from animtool import sim as sim
@@ -88,10 +89,19 @@ def _as_arguments(text: str) -> str:
     from animtool.scene.options import BakeOptions
     from animtool.scene.sources import SourceOptions
 
+    text = text.replace(", --skip-existing leaves it", "")  # of commands alone
     return as_arguments(text, BakeOptions, SourceOptions, TakeOptions)
 
 
 NAMING.arguments = _as_arguments
 
 if not TYPE_CHECKING:  # type checkers know the names that are imported, and no others
-    __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
+    _lazy, __dir__ = lazy_names(__name__, _PUBLIC)
+
+    def __getattr__(name):
+        """Import a public name, or look up the version, when it is first used."""
+        if name != "__version__":
+            return _lazy(name)
+        from importlib.metadata import version
+
+        return version(__name__)

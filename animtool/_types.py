@@ -23,17 +23,21 @@ def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> Flo
         name: What to call the array in the message.
 
     Raises:
-        ValueError: The shape is another one.
+        ValueError: The shape is another one, or the values are not numbers.
 
     >>> as_floats([[0, 1, 2]], ("F", 3), "positions").dtype
     dtype('float64')
     """
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    expected = ", ".join(map(str, shape))
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        # Texts, and lists of different lengths.
+        raise ValueError(f"{name} must be numbers of shape ({expected})") from error
     fits = array.ndim == len(shape) and all(
         isinstance(want, str) or want == got
         for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        expected = ", ".join(map(str, shape))
         raise ValueError(f"{name} must have shape ({expected}), not {array.shape}")
     return array

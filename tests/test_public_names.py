@@ -5,10 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+import animtool
 
 FACES = ("animtool", "animtool.edit", "animtool.ik", "animtool.sim", "animtool.usd")
 NAMESPACES = {"edit", "ik", "sim", "usd"}
@@ -21,6 +24,10 @@ def test_public_names_alone_are_listed_and_exist(face: str) -> None:
     assert all(hasattr(module, name) for name in module.__all__)
     with pytest.raises(AttributeError, match="no attribute 'maltese'"):
         _ = module.maltese
+
+
+def test_the_package_has_a_version() -> None:
+    assert animtool.__version__ == version("animtool")
 
 
 @pytest.mark.parametrize("face", FACES)

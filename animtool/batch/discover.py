@@ -26,7 +26,7 @@ from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.documents.names import check_given, is_named
 from animtool.errors import Fault, NothingFoundError, OptionError, Severity, listed
-from animtool.files import MatchedFile, Places, files_meant
+from animtool.files import MatchedFile, Places, files_meant, nearest_file
 from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
@@ -135,7 +135,7 @@ class Batch:
     named: tuple[Path, ...] = ()  # files that all items are made with, such as a scene
     # What the first item is baked from, where all are of one scene.
     sample: Source | None = None
-    # What is to be said of a timeline that items are of.
+    # Warnings about the timeline, the inputs and the overrides.
     notices: tuple[Fault, ...] = ()
 
     @property
@@ -200,7 +200,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in given if path is not None),
         sample,
-        (*cuts.notices, *own.notices),
+        (*cuts.notices, *_unmatched(spec), *own.notices),
     )
 
 
@@ -217,7 +217,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
         raise OptionError(faults)
     # Other names at the end may bring a suffix.
     if not pattern.replace("{stem}", "stem").endswith("}"):
-        check_suffix(Path(pattern))
+        check_suffix(Path(pattern), folders=True)
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
@@ -384,6 +384,21 @@ def _found(spec: BatchSpec) -> tuple[list[MatchedFile], Callable[[Path], bool]]:
             files.setdefault(where, file)
     ordered = [files[path] for path in sorted(files, key=os.fspath)]
     return ordered, lambda path: place(path) in left_out
+
+
+def _unmatched(spec: BatchSpec) -> Iterator[Fault]:
+    """Yield a warning for each entry of the inputs that matches no file."""
+    suffixes = _suffixes(spec)
+    path = None if spec.path is None else str(spec.path)
+    for i, text in enumerate(spec.inputs):
+        if any(_meant(spec.folder, [text], suffixes)):
+            continue
+        hint = nearest_file(Path(text), spec.folder)
+        if hint is None and (spec.folder / text).is_dir():
+            hint = f"folders are searched for {', '.join(suffixes)}"
+        where = None if path is None else f"inputs[{i}]"
+        message = f"no file matches {text!r}"
+        yield Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 
 def _nothing(spec: BatchSpec) -> NothingFoundError:

@@ -21,6 +21,8 @@ from animtool.cli.options import (
     stacked,
 )
 from animtool.documents.names import check_given, is_named
+from animtool.errors import Fault, FormatError
+from animtool.files import is_there
 from animtool.options import options_of
 from animtool.scene.options import BakeOptions
 
@@ -36,6 +38,10 @@ def opened_sources(
     opened: list[Path | Scene] = []
     used: set[str] = set()
     for source in sources:
+        if is_there(source) and source.is_dir():
+            hint = "animtool batch FOLDER -o out/ bakes what is in it"
+            message = "cannot be read: is a folder"
+            raise FormatError(Fault("IO001", message, str(source), (), hint))
         if not is_named(source, "scene"):
             opened.append(source)
             continue

@@ -214,7 +214,8 @@ def _prim_lines(prims: Sequence[PointPrim]) -> list[str]:
 def _prim_line(prim: PointPrim) -> str:
     parts = [_range(*prim.points, "point")]
     if prim.pieces:
-        parts.append(_range(*prim.piece_count, prim.pieces.removesuffix("s")))
+        noun = "mesh" if prim.pieces == "meshes" else prim.pieces.removesuffix("s")
+        parts.append(_range(*prim.piece_count, noun, prim.pieces))
     moves = "never move"
     if prim.first is not None and prim.last is not None:
         span = f"time codes {span_label(prim.first, prim.last)}"
@@ -232,8 +233,9 @@ def _prim_line(prim: PointPrim) -> str:
     return f"  {kind:<9} {prim.path}: {', '.join(parts)}"
 
 
-def _range(least: int, most: int, noun: str) -> str:
-    return counted(most, noun) if least == most else f"{least} to {most} {noun}s"
+def _range(least: int, most: int, noun: str, plural: str = "") -> str:
+    text = counted(most, noun, plural)
+    return text if least == most else f"{least} to {text}"
 
 
 def _corners(bounds: tuple[list[float], list[float]]) -> str:

@@ -198,6 +198,9 @@ def _report(console: Console, error: BaseException) -> int:
             if isinstance(error, StrictError):
                 console.say("warnings are errors under --strict: nothing was written")
             code = int(error.exit_code)
+        case click.exceptions.NoArgsIsHelpError() if not console.json_log:
+            error.show(sys.stderr)
+            code = int(ExitCode.USAGE)
         case click.ClickException():
             _usage(console, error)
             code = int(ExitCode.USAGE)

@@ -22,16 +22,30 @@ from animtool.rates import rate_label
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from animtool.scene.convert import ConvertReport
     from animtool.scene.prims import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
+
+
+# A stage in three files names all; chunks can be thousands.
+MAX_FILES = 3
+
+
+def _files_text(files: Sequence[Path]) -> str:
+    """Return the files of an output, or the one to open and the number of the rest."""
+    if len(files) <= MAX_FILES:
+        return ", ".join(map(str, files)) or "stdout"
+    return f"{files[-1]} and {len(files) - 1} more files"
 
 
 def bake_text(report: BakeReport) -> list[str]:
     """Return the lines of a summary."""
     result, total = report.result, report.seconds["total"]
     speed = report.source_bytes / total
-    files = ", ".join(map(str, result.outputs)) or "stdout"
+    files = _files_text(result.outputs)
     unit = unit_name(report.meters_per_unit)
     unstated = any(take.unit_assumed for take in report.takes)
     assumed = "; the source taken to be in cm (--units)" if unstated else ""

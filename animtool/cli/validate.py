@@ -52,13 +52,15 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     Ends with 1 where there are errors, 3 where a file cannot be read, 5 where there
     is none to check.
     """
-    from animtool.validation.run import find_files
+    from animtool.validation.run import find_files, unmatched
 
     options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
     choices = ReportOptions(**read_values(ReportOptions, params))
     for message in clashes(choices):
         raise click.UsageError(f"{message}.")
-    files = find_files(listed_paths(paths))
+    meant = list(listed_paths(paths))
+    files = find_files(meant)
+    console.faults(unmatched(meant))
     if choices.diff:
         _show_difference(console, files, options, choices)
         return

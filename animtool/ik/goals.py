@@ -317,11 +317,18 @@ def _shaped(
     """Return the targets of one part, or None where there are none of that shape."""
     if values is None:
         return None
-    array = np.asarray(values, np.float64)
     width = place.stop - place.start
+    expected = f"(B, {goals}, {width})"
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        # Texts, and lists of different lengths.
+        message = f"{name} must be numbers of shape {expected}"
+        faults.append(Fault("IK010", message))
+        return None
     if array.ndim == 3 and array.shape[1:] == (goals, width):
         return array
-    message = f"{name} must have shape (B, {goals}, {width}), not {array.shape}"
+    message = f"{name} must have shape {expected}, not {array.shape}"
     faults.append(Fault("IK010", message))
     return None
 

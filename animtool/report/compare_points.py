@@ -99,7 +99,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         prims=len(both),
         samples=samples,
         mismatches=mismatches,
-        notes=_notes(one, two),
+        notes=[*_notes(one, two), *_start_notes(one, two, both)],
     )
 
 
@@ -183,6 +183,16 @@ def _apart(a: PointSample, b: PointSample) -> dict[str, tuple[FloatArray, IntArr
         sizes = np.abs(a.scales[mine] - b.scales[theirs])
         distances["scales"] = sizes.max(axis=1, initial=0.0), ids
     return distances
+
+
+def _start_notes(one: PointSource, two: PointSource, names: list[str]) -> list[str]:
+    """Return a note where the samples of a prim begin at other time codes."""
+    starts = [(one.codes(name)[:1], two.codes(name)[:1]) for name in names]
+    for mine, theirs in starts:
+        if mine and theirs and mine != theirs:
+            codes = f"{mine[0]:g} against {theirs[0]:g}"
+            return [f"first time code {codes}; compared from there"]
+    return []
 
 
 def _notes(one: PointSource, two: PointSource) -> list[str]:

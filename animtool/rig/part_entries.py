@@ -281,10 +281,10 @@ class PartReader:
         self, at: Location, model: ControlModel, shapes: Collection[str]
     ) -> Control:
         name = model.name
-        taken = name in FUNCTIONS or name == "pi" or keyword.iskeyword(name)
-        if not name.isidentifier() or taken:
-            message = f"{name!r} cannot name a control in an expression"
-            hint = "letters, digits and underscores, no word of Python, no function"
+        reason = _name_problem(name)
+        if reason:
+            message = f"{name!r} cannot name a control in an expression: {reason}"
+            hint = "rename it: letters, digits and underscores"
             self.document.add("RIG025", (*at, "name"), message, hint)
         low, high = model.range or (None, None)
         sure = not self.document.doubtful((*at, "range"))
@@ -398,3 +398,14 @@ class PartReader:
                 return True
             place = joints[place].parent
         return place >= 0
+
+
+def _name_problem(name: str) -> str:
+    """Return why an expression cannot read a name; empty where it can."""
+    if not name.isidentifier():
+        return "an expression would not read it as one word"
+    if keyword.iskeyword(name):
+        return "it is a keyword of Python"
+    if name in FUNCTIONS:
+        return "it is a function of expressions"
+    return "it is a constant of expressions" if name == "pi" else ""

@@ -176,10 +176,11 @@ class Rig:
         <Rig 'arm': 2 joints, in m, Y up>
         """
         parts = [counted(len(self.joints), "joint")]
-        for name in ("meshes", "shapes", "controls"):
+        nouns = {"meshes": "mesh", "shapes": "shape", "controls": "control"}
+        for name, noun in nouns.items():
             count = len(getattr(self, name))
             if count:
-                parts.append(f"{count} {name}")
+                parts.append(counted(count, noun, name))
         unit = unit_name(self.meters_per_unit)
         return f"<Rig {self.name!r}: {', '.join(parts)}, in {unit}, {self.up} up>"
 

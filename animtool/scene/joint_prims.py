@@ -157,6 +157,7 @@ class _JointTake:
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
+            reduced=self._thinned is not None,
         )
         return take, blocks
 

@@ -157,14 +157,18 @@ def _author_take(
             written.last,
         )
     if job.form is Form.LAYER and job.names.originals:
-        _author_names(layer.GetPrimAtPath(paths.animation), job.names.originals)
+        # For a reader that has no rig: names of joints in their source.
+        _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
+    if take.reduced:
+        _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
     return _Part(writer, written, take.curves)
 
 
-def _author_names(animation: Any, originals: Mapping[str, str]) -> None:
-    """State names of joints in their source, for a reader that has no rig."""
+def _author_data(animation: Any, key: str, value: Mapping[str, str] | bool) -> None:
+    """State something of a SkelAnimation that USD has no place for."""
     held = dict(animation.GetInfo("customData") or {})
-    data = {**held.get("animtool", {}), "names": dict(originals)}
+    stated = value if isinstance(value, bool) else dict(value)
+    data = {**held.get("animtool", {}), key: stated}
     animation.SetInfo("customData", {**held, "animtool": data})
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.errors import Fault, OptionError
+from animtool.files import is_there
 from animtool.output import is_text
 
 if TYPE_CHECKING:
@@ -57,8 +58,13 @@ def output_paths(output: Path, form: Form) -> list[Path]:
     ]
 
 
-def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
-    """Refuse a path that is not that of a USD file."""
+def check_suffix(
+    path: Path, source: Path | str = "SOURCE", *, folders: bool = False
+) -> None:
+    """Refuse a path that is not that of a USD file.
+
+    With ``folders`` the hint says how to name a folder.
+    """
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         if not is_text(str(path.absolute())):
@@ -68,6 +74,11 @@ def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
     kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
     message = f"{kind} is not a USD extension"
     hint = f"allowed: {', '.join(SUFFIXES)}"
+    if not suffix and folders:
+        hint += f"; {path}/ names a folder"
+    elif not suffix and path.name and is_there(path) and path.is_dir():
+        message = "is a folder, not a USD file"
+        hint = f"name a file in it, such as {path / 'shot.usdc'}"
     if suffix in CONVERTED:
         hint = f"write it with: animtool convert {source} {path}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
@@ -159,6 +170,7 @@ class UsdTake:
     source_name: str = ""  # what the source of a library's take is called
     # Things beside the rig, gathered while the blocks are drawn; None is none.
     props: PropSamples | None = None
+    reduced: bool = False  # whether samples are left out that others give back
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ from animtool.errors import (
     Severity,
     excerpt,
 )
-from animtool.files import files_meant
+from animtool.files import files_meant, nearest_file
 from animtool.rules import Rule, all_rules, current_codes
 from animtool.signals import without_interrupts
 from animtool.supervisor import follow_parent, has_crashed, without_main
@@ -45,6 +45,21 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NothingFoundError(Fault("VAL006", message, hint=hint))
     return files
+
+
+def unmatched(paths: Iterable[Path | str]) -> list[Fault]:
+    """Return a warning for each glob or folder that matches no file to check."""
+    given = [text for path in paths if (text := str(path))]
+    return [
+        Fault(
+            "VAL010",
+            f"no file to check in {text!r}",
+            hint=nearest_file(Path(text)),
+            severity=Severity.WARNING,
+        )
+        for text in given
+        if not any(files_meant(text, SUFFIXES))
+    ]
 
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")

@@ -11,7 +11,7 @@ from support.batch import take_files
 from animtool.batch.discover import find_batch
 from animtool.batch.plan import check_places
 from animtool.batch.spec import BatchSpec
-from animtool.errors import FormatError, NothingFoundError, OptionError
+from animtool.errors import FormatError, NothingFoundError, OptionError, Severity
 from animtool.scene.options import BakeOptions
 
 SCENE = "scene: animtool/1\nsource:\n  file: ${input}\n"
@@ -68,7 +68,10 @@ def test_outputs_of_no_kind_are_refused_before_the_work(
 ) -> None:
     with pytest.raises(OptionError) as error:
         made(takes, "takes", output=pattern)
-    assert error.value.code == "OUT004"
+    (fault,) = error.value.faults
+    assert fault.code == "OUT004"
+    names_folder = f"{pattern}/ names a folder" in (fault.hint or "")
+    assert names_folder == (pattern != "{stem}.bvh")
 
 
 def test_each_input_once_less_what_is_excluded(takes: Path) -> None:
@@ -92,6 +95,26 @@ def test_there_must_be_an_input(takes: Path) -> None:
     with pytest.raises(NothingFoundError) as error:
         made(takes, "takes", exclude=("takes",))
     assert error.value.code == "BAT005"
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("takez/*.bvh", "did you mean the folder 'takes'?"),
+        ("takes/run_*.bvh", None),
+        ("empty", "folders are searched for .bvh"),
+    ],
+)
+def test_an_input_that_matches_no_file_is_named(
+    takes: Path, text: str, hint: str | None
+) -> None:
+    (takes / "empty").mkdir()
+    batch = find_batch(BatchSpec(("takes", text), folder=takes))
+    assert len(batch.items) == len(made(takes, "takes"))
+    (notice,) = batch.notices
+    assert (notice.code, notice.severity) == ("BAT067", Severity.WARNING)
+    assert notice.message == f"no file matches {text!r}"
+    assert notice.hint == hint or (hint and str(notice.hint).startswith(hint))
 
 
 def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:

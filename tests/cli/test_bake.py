@@ -15,6 +15,7 @@ from support.cli import animtool, animtool_process
 
 from animtool.cli.bake import bake
 from animtool.cli.bake_options import bake_options_record
+from animtool.errors import ExitCode
 from animtool.scene.options import BakeOptions
 
 
@@ -301,3 +302,24 @@ def test_a_stopped_simulation_keeps_its_frames_and_the_exit_code(
     assert (done.code, output.exists()) == (4, True)
     assert [fault["code"] for fault in found["stopped"]][-1] == "SIM193"
     assert f"before frame {found['end'] + 1:g}" in done.stderr
+
+
+@pytest.mark.parametrize("source", [".", "/", "", "takes"])
+def test_a_folder_is_for_batch(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "takes").mkdir()
+    done = animtool("bake", source)
+    assert done.code == ExitCode.MALFORMED
+    assert "IO001 cannot be read: is a folder, animtool batch" in done.stderr
+
+
+def test_a_folder_as_the_output_is_named(tmp_path: Path) -> None:
+    source = tmp_path / "a.bvh"
+    source.write_text(small_bvh(random_rows(3)), "utf-8")
+    (tmp_path / "out").mkdir()
+    done = animtool("bake", source, "-o", tmp_path / "out")
+    assert done.code == ExitCode.USAGE
+    assert "OUT004 is a folder" in done.stderr
+    assert "out/shot.usdc" in done.stderr

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd
+from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 from support.clips import hero, write_clip
 from support.usd import open_stage, skeleton_query, validation_errors
@@ -234,3 +235,24 @@ def test_a_table_of_samples_in_words(walk: Path) -> None:
     assert lines[0].split()[:2] == ["setting", "count"]
     exact = next(line for line in lines if line.startswith("rate     30 fps"))
     assert float(exact.split()[6]) < 1e-3
+
+
+def test_samples_left_out_are_not_lost_ones(tmp_path: Path) -> None:
+    rows = random_rows(60)
+    rows[30:34] = rows[30]
+    (tmp_path / "take.bvh").write_text(small_bvh(rows), "utf-8")
+    output = tmp_path / "take.usda"
+    assert (
+        animtool("bake", tmp_path / "take.bvh", "-o", output, "--reduce", "1mm").code
+        == 0
+    )
+    stage = open_stage(output)
+    rotations = stage.GetAttributeAtPath("/take/Rig/Anim.rotations")
+    assert 50 < len(rotations.GetTimeSamples()) < 60
+    assert "MOT205" not in animtool("validate", output).stdout
+    # Of a file that states nothing, the same samples are lost.
+    other = tmp_path / "other.usda"
+    other.write_text(
+        output.read_text("utf-8").replace("bool reduced", "bool own"), "utf-8"
+    )
+    assert "MOT205" in animtool("validate", other).stdout

@@ -59,6 +59,14 @@ def test_usage_errors(arguments: list[str], said: str) -> None:
     assert done.stdout == ""
 
 
+@pytest.mark.parametrize("group", [(), ("mocap",)], ids=["animtool", "mocap"])
+def test_a_command_left_out_prints_the_help(group: tuple[str, ...]) -> None:
+    done = animtool(*group)
+    assert done.code == ExitCode.USAGE
+    assert done.stdout == ""
+    assert done.stderr == animtool(*group, "--help").stdout
+
+
 @pytest.mark.parametrize(
     ("error", "code"),
     [

@@ -264,3 +264,15 @@ def test_a_report_of_a_name_that_is_no_text(tmp_path: Path) -> None:
             "validate", ".", "--format", form, "--output-file", "report", cwd=tmp_path
         )
         assert "DOC020" in (tmp_path / "report").read_text("utf-8")
+
+
+def test_a_glob_that_matches_no_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "rigs").mkdir()
+    (tmp_path / "rigs/a.rig.yaml").write_text(
+        "rig: animtool/1\nname: a\njoints: [{name: a, type: free}]\n", "utf-8"
+    )
+    done = animtool("validate", "rigz/*.rig.yaml", "rigs", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "warning: VAL010 no file to check in 'rigz/*.rig.yaml'" in done.stderr
+    assert "did you mean the folder 'rigs'?" in done.stderr
+    assert "VAL010" not in animtool("validate", "rigs", cwd=tmp_path).stderr

@@ -79,3 +79,10 @@ def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None
     with pytest.raises(OptionError) as caught:
         pack(Targets(positions, rotations, aims, None, weights), GOALS)
     assert caught.value.code == "TGT007"
+
+
+@pytest.mark.parametrize("values", ["abc", [[[0, 1, 2]], [[0, 1]]], [[[0, 1, "x"]]]])
+def test_targets_that_are_no_numbers_are_refused_by_name(values: object) -> None:
+    with pytest.raises(OptionError, match="positions must be numbers of shape") as e:
+        pack(Targets(positions=values), (Goal("a"),))  # type: ignore[arg-type]
+    assert e.value.code == "IK010"

@@ -118,6 +118,14 @@ def test_nothing_is_left_where_a_bake_fails(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_the_summary_names_the_file_to_open(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    options = ("pair.clip.yaml", "-o", "o.usdc", "--deform", "--chunk", "2")
+    done = animtool("bake", *options, cwd=tmp_path)
+    files = len([*tmp_path.glob("o.*usd*")])
+    assert f"o.usdc and {files - 1} more files: " in done.stdout + done.stderr
+
+
 def test_files_that_exist_are_found_before_the_work(tmp_path: Path) -> None:
     write_pair(tmp_path)
     (tmp_path / "o.points.0007.usdc").touch()

@@ -76,6 +76,15 @@ def test_other_spaces_and_files_are_the_same(baked: Path) -> None:
         assert len(found.notes) == (2 if name == "other" else 0)
 
 
+def test_other_first_samples_are_noted(baked: Path) -> None:
+    scene = baked.with_name("shot.scene.yaml")
+    scene.write_text(SCENE.replace("[1, 9]", "[12, 20]"), "utf-8")
+    found = compare_points(baked, bake(baked.parent, "late"))
+    assert found is not None
+    assert found.within(1e-9, 1e-9)
+    assert found.notes == ["first time code 1 against 12; compared from there"]
+
+
 def test_points_are_matched_by_their_ids(baked: Path) -> None:
     turned = edited(
         baked,

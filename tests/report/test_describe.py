@@ -120,6 +120,18 @@ def test_a_chunk_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert [prim.points for prim in found.prims][1:] == [(12, 12), (5, 5)]
 
 
+def test_one_mesh_of_copies_is_one_mesh(tmp_path: Path) -> None:
+    scene = tmp_path / "crate.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nrange: [1, 2]\nsystems:\n- rigid: {name: crates, bodies: "
+        "[{name: crate, shape: {box: {size: [1, 1, 1]}}}]}\n",
+        "utf-8",
+    )
+    assert animtool("bake", scene).code == 0
+    done = animtool("info", tmp_path / "crate.usdc")
+    assert "crates: 1 point, 1 mesh, 2 samples" in done.stdout
+
+
 def test_info_of_points(tmp_path: Path) -> None:
     path = baked(tmp_path, "--chunk", 4)
     done = animtool("info", path)

@@ -283,6 +283,21 @@ def test_a_fault(yard: Path, old: str, new: str, code: str, line: int) -> None:
     assert len(found) <= 3
 
 
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("lambda", "it is a keyword of Python"),
+        ("clamp", "it is a function of expressions"),
+        ("pi", "it is a constant of expressions"),
+        ("we-ar", "an expression would not read it as one word"),
+    ],
+)
+def test_a_name_that_no_control_can_have(yard: Path, name: str, reason: str) -> None:
+    found = faults(yard, CRANE.replace("name: wear", f"name: {name}", 1))
+    (fault,) = [fault for fault in found if fault.code == "RIG025"]
+    assert fault.message.endswith(reason)
+
+
 def test_a_value_of_an_array_is_named_with_its_place(yard: Path) -> None:
     [fault] = faults(yard, CRANE.replace("indices: hull.npz", "indices: hull.npz#far"))
     assert fault.message == "'hull.npz#far' holds 2 at [0, 1], not 0 to 1"

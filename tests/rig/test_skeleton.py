@@ -39,3 +39,5 @@ def test_a_short_repr() -> None:
     joints = tuple(Joint(f"j{i}", i - 1) for i in range(1000))
     rig = Rig("rope", joints, 0.01, controls=(Control("bend"), Control("sway")))
     assert repr(rig) == "<Rig 'rope': 1000 joints, 2 controls, in cm, Y up>"
+    one = Rig("rope", joints[:1], controls=(Control("bend"),))
+    assert repr(one) == "<Rig 'rope': 1 joint, 1 control, in m, Y up>"

@@ -53,6 +53,7 @@ class AnimationTake:
     influencing: frozenset[str] | None
     bind: FloatArray | None  # joint positions of the bind pose, world ``(J, 3)`` [m]
     shown_rate: float | None  # framesPerSecond, where it is stated
+    reduced: bool  # whether samples were left out on purpose
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +177,7 @@ def _take(
         _influencing(skeleton, of_rig, shared) if skeleton else None,
         _bind(skeleton, rig) if skeleton else None,
         _shown_rate(subject.stage),
+        bool(stored_data(animation.GetPrim()).get("reduced")),
     )
 
 

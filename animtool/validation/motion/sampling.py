@@ -128,7 +128,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 def _holes(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the holes between the time codes of samples."""
-    if subject.codes is None or subject.frames < MIN_FRAMES:
+    if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
     usual = float(np.median(gaps))

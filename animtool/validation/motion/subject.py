@@ -47,6 +47,8 @@ class MotionSubject:
     bind: FloatArray | None = None
     # Frames a second that the file states beside its time codes.
     shown_rate: float | None = None
+    # Whether samples were left out on purpose, which others give back.
+    reduced: bool = False
 
     def fault(
         self, code: str, joint: int | None, frame: int | None, message: str, hint: str

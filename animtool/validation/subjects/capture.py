@@ -100,4 +100,5 @@ def _subject(path: Path, take: AnimationTake) -> MotionSubject:
         influencing=take.influencing,
         bind=take.bind,
         shown_rate=take.shown_rate,
+        reduced=take.reduced,
     )
