@@ -94,7 +94,6 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     shape.core.finish();
     rigid::Body& body = world_.bodies[shape.body];
     body.reach = std::max(body.reach, shape.core.reach);
-    body.least = std::max(body.least, shape.core.least);
   }
   read_joints(joints, joint_numbers);
   check::shape("apart", apart, {check::ANY, 2});

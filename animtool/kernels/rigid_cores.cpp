@@ -376,10 +376,6 @@ void Core::finish() {
   reach = 0;
   for (Vec p : points) reach = std::max(reach, length(p));
   reach += radius;
-  least = FAR;
-  for (std::size_t f = 0; f < normals.size(); ++f)
-    least = std::min(least, offsets[f] - dot(normals[f], centre));
-  least = (normals.empty() ? 0 : std::max(least, 0.0)) + radius;
   find_box();
 }
 

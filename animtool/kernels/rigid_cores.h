@@ -32,7 +32,6 @@ struct Core {
   bool box = false;  // faces are those of a box, in pairs along axes at right angles
   double half[3] = {0, 0, 0};  // of its sides
   double reach = 0;  // of the farthest point from the origin, with the radius
-  double least = 0;  // of the largest ball about the centre that it holds
   Vec centre;
 
   std::size_t faces() const { return normals.size(); }

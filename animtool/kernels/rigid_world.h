@@ -22,7 +22,6 @@ struct Body {
   double ease = 0;  // 1 / mass
   Ease turning{};   // 1 / moments of inertia, of principal axes
   double reach = 0;
-  double least = 0;  // of the largest ball in any of its shapes
 };
 
 struct Shape {

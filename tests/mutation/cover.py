@@ -107,6 +107,10 @@ class Recording:
             self._files[path] = self.data.contexts_by_lineno(str(self.root / path))
         return self._files[path]
 
+    def near(self, path: str) -> set[str]:
+        """Return the tests in the folder that mirrors that of a file."""
+        return {test for test in self.seconds if test.startswith(mirrored(path))}
+
     def tests(self, path: str, text: str, wanted: Iterable[int]) -> set[str]:
         """Return the tests that run any of some lines of a file.
 
@@ -122,6 +126,9 @@ class Recording:
             for context in there.get(line, ())
         }
         tests = found & self.seconds.keys()
+        if "" in found:
+            # It ran outside of tests too, as modules were imported.
+            tests |= self.near(path)
         for context in found:
             if context.startswith(FIXTURE):
                 tests |= self.users.get(context, set())
@@ -199,13 +206,12 @@ class Cover:
             found = self.ran(mutant.path, [line])
             first = max(node.lineno for node in around)
             return found or self.ran(mutant.path, range(first, line + 1))
-        near = mirrored(mutant.path)
-        found = {test for test in self.seconds if test.startswith(near)}
+        near = set().union(*(one.near(mutant.path) for one in self.recordings))
         if functions:
-            return found | self.ran(mutant.path, _body_lines(functions))
+            return near | self.ran(mutant.path, _body_lines(functions))
         outer = [node for node in tree.body if node in around]
         names = set().union(*map(_bound, outer))
-        found |= self.ran(mutant.path, _body_lines(outer))
+        found = near | self.ran(mutant.path, _body_lines(outer))
         if not names:
             return found
         pattern = re.compile(rf"\b(?:{'|'.join(map(re.escape, sorted(names)))})\b")
