@@ -25,6 +25,8 @@ from animtool.errors import FormatError
 from animtool.files import open_input, read_input
 
 _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
+# A name that `new_temporary` gives.
+TEMPORARY = re.compile(rf"{_OWNER.pattern}[0-9a-f]{{12}}(\.\w+)?")
 _JOURNAL = ".set"
 # A longer suffix is no file type, and would make the temporary name too long.
 _LONGEST_SUFFIX = 16

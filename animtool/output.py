@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from animtool.errors import Fault, OptionError, OutputError
+from animtool.errors import Fault, OptionError, OutputError, counted
 from animtool.files import check_inputs, recorded_inputs
 from animtool.leftovers import new_temporary, take_back
 from animtool.placing import Target, Whole, output_error, place_files, target
@@ -104,6 +104,10 @@ def inside(path: Path, folder: Path) -> bool:
 _free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())
 
 
+# Of more outputs that exist, the first is named, with the number of the others.
+MAX_NAMED = 3
+
+
 def check_outputs(
     outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
@@ -133,9 +137,12 @@ def check_outputs(
         hint = "--overwrite replaces it"
         if len(there) == len(outputs):
             hint += ", --skip-existing leaves it"
-        raise OptionError(
-            [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
-        )
+        message, named = "already exists", there
+        if len(there) > MAX_NAMED:
+            others = counted(len(there) - 1, "other output")
+            message, named = f"already exists, and so do {others}", there[:1]
+            hint = hint.replace("s it", "s them")
+        raise OptionError([Fault("OUT001", message, str(p), (), hint) for p in named])
     finals = {place.final for place in targets}
     _free.set(_free.get() - finals if overwrite else _free.get() | finals)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError, OutputError
-from animtool.leftovers import Journal, PlacedFile, new_temporary
+from animtool.leftovers import TEMPORARY, Journal, PlacedFile, new_temporary
 
 # What systems say of a disk without hard links.
 _NO_LINKS = frozenset(
@@ -25,6 +25,7 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
     reason = error if isinstance(error, str) else str(error)
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
+    reason = TEMPORARY.sub(lambda _: path.name, reason)
     hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
     return OutputError(
         Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)

@@ -229,7 +229,8 @@ def find_rule(code: str) -> Rule:
     rules, _ = all_rules()
     if name not in rules:
         message = f"{code!r} is no code of a rule"
-        hint = nearest(name, sorted(rules))
+        padded = re.sub(r"\d+$", lambda number: f"{int(number[0]):03d}", name[:20])
+        hint = nearest(padded, [padded] if padded in rules else sorted(rules))
         if hint.startswith("allowed"):
             hint = "animtool explain lists them"
         raise OptionError(Fault("VAL005", message, hint=hint))

@@ -9,7 +9,7 @@ import pytest
 
 from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.files import note_input
-from animtool.leftovers import remove_leftovers, temporary_prefix
+from animtool.leftovers import new_temporary, remove_leftovers, temporary_prefix
 from animtool.output import (
     check_outputs,
     once_named,
@@ -18,6 +18,8 @@ from animtool.output import (
     sparing_inputs,
     together,
 )
+from animtool.placing import output_error
+from animtool.usd.jobs import check_suffix
 
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:
@@ -44,6 +46,33 @@ def test_a_failure_leaves_what_was(tmp_path: Path, error: type[BaseException]) -
         fail()
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_many_outputs_that_exist_are_one_fault(tmp_path: Path) -> None:
+    outputs = [tmp_path / f"a.{k:03d}.usdc" for k in range(5)]
+    for path in outputs:
+        path.touch()
+    with pytest.raises(OptionError, match="and so do 4 other outputs") as caught:
+        check_outputs(outputs, [], overwrite=False)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("OUT001", str(outputs[0]))
+    assert fault.hint == "--overwrite replaces them, --skip-existing leaves them"
+
+
+def test_a_temporary_file_is_not_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.usdc"
+    (fault,) = output_error(path, f"no room for '{new_temporary(path)}': full").faults
+    assert fault.message == f"cannot be written: no room for '{path}': full"
+
+
+def test_a_source_is_not_converted_onto_itself(tmp_path: Path) -> None:
+    source = tmp_path / "a.clip.yaml"
+    with pytest.raises(OptionError) as caught:
+        check_suffix(source, source)
+    assert "convert" not in str(caught.value.faults[0].hint)
+    with pytest.raises(OptionError) as caught:
+        check_suffix(tmp_path / "b.clip.yaml", source)
+    assert "animtool convert" in str(caught.value.faults[0].hint)
 
 
 def test_nothing_written_is_an_error(tmp_path: Path) -> None:

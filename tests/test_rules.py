@@ -95,6 +95,8 @@ def test_a_code_that_there_is_none_of() -> None:
     with pytest.raises(OptionError, match="RIG001") as error:
         find_rule("RIG0001")
     assert error.value.code == "VAL005"
+    with pytest.raises(OptionError, match="did you mean 'RIG025'"):
+        find_rule("rig25")
 
 
 GOOD = Rule("STU001", "a joint without a prefix", kind=own_rules()["RIG201"].kind,

@@ -25,7 +25,14 @@ from animtool.batch.overrides import Overridden, overridden
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.documents.names import check_given, is_named
-from animtool.errors import Fault, NothingFoundError, OptionError, Severity, listed
+from animtool.errors import (
+    Fault,
+    NothingFoundError,
+    OptionError,
+    Severity,
+    listed,
+    refuse_warnings,
+)
 from animtool.files import MatchedFile, Places, files_meant, nearest_file
 from animtool.output import inside
 from animtool.readers import BVH, DOCUMENT, READERS
@@ -154,7 +161,11 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, in the order of their names, or of a timeline."""
+    """Return the items of a batch, in the order of their names, or of a timeline.
+
+    Raises:
+        StrictError: Warnings are errors, and there is one of the batch itself.
+    """
     spec = _with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
@@ -188,6 +199,8 @@ def find_batch(spec: BatchSpec) -> Batch:
     items = _Items(spec, item_task, shots, sample, own).made()
     _check_roots(spec, items)
     options = spec.options
+    notices = (*cuts.notices, *unmatched_inputs(spec), *own.notices)
+    refuse_warnings(notices, strict=options.strict)
     table = None if spec.variants is None else spec.variants.path
     given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
     given.append(table)
@@ -200,7 +213,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in given if path is not None),
         sample,
-        (*cuts.notices, *_unmatched(spec), *own.notices),
+        notices,
     )
 
 
@@ -386,7 +399,7 @@ def _found(spec: BatchSpec) -> tuple[list[MatchedFile], Callable[[Path], bool]]:
     return ordered, lambda path: place(path) in left_out
 
 
-def _unmatched(spec: BatchSpec) -> Iterator[Fault]:
+def unmatched_inputs(spec: BatchSpec) -> Iterator[Fault]:
     """Yield a warning for each entry of the inputs that matches no file."""
     suffixes = _suffixes(spec)
     path = None if spec.path is None else str(spec.path)

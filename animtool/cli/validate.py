@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from animtool.options import clashes
 from animtool.validation.options import ReportOptions, ValidateOptions
 
 if TYPE_CHECKING:
+    from animtool.errors import ExitCode, Fault
     from animtool.validation.run import Report
 
 
@@ -60,9 +62,10 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
         raise click.UsageError(f"{message}.")
     meant = list(listed_paths(paths))
     files = find_files(meant)
-    console.faults(unmatched(meant))
+    missing = [options.of(f) for f in unmatched(meant) if options.counts(f.code)]
+    console.faults(missing)
     if choices.diff:
-        _show_difference(console, files, options, choices)
+        _show_difference(console, files, options, choices, missing)
         return
     if choices.output_file is not None:
         from animtool.output import check_outputs
@@ -72,7 +75,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
         report = _fixed(console, files, options, choices)
     else:
         report = _checked(files, options)
-    _say(console, report, choices)
+    _say(console, report, choices, missing)
 
 
 def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
@@ -116,6 +119,7 @@ def _show_difference(
     files: Sequence[Path],
     options: ValidateOptions,
     choices: ReportOptions,
+    missing: Sequence[Fault],
 ) -> None:
     """Print what `--fix` would change; ends with 1 where that is something."""
     from animtool.errors import ExitCode
@@ -125,7 +129,7 @@ def _show_difference(
 
     report = validate_files(files, options)
     console.faults(report.broken)
-    code = report.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)
+    code = _exit_code(report, choices, missing)
     for plan in plan_files(report, options):
         if not plan.mended:
             continue
@@ -138,7 +142,9 @@ def _show_difference(
     click.get_current_context().exit(int(code))
 
 
-def _say(console: Console, report: Report, choices: ReportOptions) -> None:
+def _say(
+    console: Console, report: Report, choices: ReportOptions, missing: Sequence[Fault]
+) -> None:
     """Write the report where it is wanted, and end as it says."""
     from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
@@ -154,5 +160,13 @@ def _say(console: Console, report: Report, choices: ReportOptions) -> None:
         write_parts(choices.output_file, [text.encode("utf-8", "replace")])
     if choices.output_file is not None or choices.report_format != "text":
         console.say(summary(report))
-    code = report.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)
+    code = _exit_code(report, choices, missing)
     click.get_current_context().exit(int(code))
+
+
+def _exit_code(
+    report: Report, choices: ReportOptions, missing: Sequence[Fault]
+) -> ExitCode:
+    """Return the code of the process; missing: what is said of paths, not of files."""
+    whole = replace(report, findings=(*report.findings, *missing))
+    return whole.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)

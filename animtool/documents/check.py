@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
@@ -173,7 +174,7 @@ class _Faults:
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         if not self._of_another_kind(location):
-            hint = _entry_hint(location, faults[0])
+            hint = _entry_hint(location, faults[0]) or _choice_hint(faults)
             self.document.add("DOC022", location, "; or ".join(texts), hint)
         self._stand_in(location)
 
@@ -229,6 +230,10 @@ def _lacking(last: int | str, value: Any) -> str:
     return f"{counted(len(value), 'item')} where {_are(last + 1)} wanted"
 
 
+# Faults of values that are none of a few.
+_CHOICES = {"literal_error", "enum", "union_tag_invalid"}
+
+
 def _words(fault: Any) -> str:
     """Return what is wrong, with the value."""
     given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
@@ -241,7 +246,7 @@ def _words(fault: Any) -> str:
         return _lacking(fault["loc"][-1], given)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
-    if kind in {"literal_error", "enum", "union_tag_invalid"}:
+    if kind in _CHOICES:
         allowed = context.get("expected", context.get("expected_tags"))
         tag = excerpt(str(context["tag"])) if "tag" in context else shown
         return f"{tag} is not one of {allowed}"
@@ -261,6 +266,19 @@ def _told(shown: str, fault: Any) -> str:
     if kind == "value_error":
         return str(context["error"])
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _choice_hint(faults: list[Any]) -> str | None:
+    """Return the value that one of a few was meant to be, where it is nearly one."""
+    for fault in faults:
+        context = fault.get("ctx", {})
+        given = context.get("tag", fault["input"])
+        allowed = context.get("expected", context.get("expected_tags"))
+        if fault["type"] in _CHOICES and isinstance(given, str):
+            meant = similar(given, re.findall(r"'([^']*)'", str(allowed)))
+            if meant is not None:
+                return f"did you mean {meant!r}?"
+    return None
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:

@@ -14,7 +14,7 @@ from animtool.clock import Clock
 from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
 from animtool.edit.travel import even_places, nearby_places
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, Severity
 from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion import Channel, Motion
 from animtool.passes import (
@@ -76,7 +76,9 @@ def _trimmed(
             f"no frame is from {_shown(options.first, start)} to {options.last:g}"
         )
     moved = stream.start if low == 0 else start + low * stream.step
-    return replace(stream, start=moved, blocks=_kept(stream, low, high, start))
+    return replace(
+        stream, start=moved, blocks=_kept(stream, low, high, start, in_shot=in_shot)
+    )
 
 
 def _trim_checks(options: TrimOptions) -> OptionChecks:
@@ -88,7 +90,7 @@ def _shown(frame: float | None, start: Fraction) -> str:
 
 
 def _kept(
-    stream: TakeStream, low: int, high: int | None, start: Fraction
+    stream: TakeStream, low: int, high: int | None, start: Fraction, *, in_shot: bool
 ) -> Iterator[Motion]:
     count = 0
     # The source is read to its end, as its notices are complete only then.
@@ -104,6 +106,11 @@ def _kept(
             f"the first frame to keep is {float(start + low * stream.step):g}, and "
             f"the take has {float(start):g}-{float(last):g}"
         )
+    if high is not None and high >= count and not in_shot:
+        last = start + (count - 1) * stream.step
+        asked = float(start + high * stream.step)
+        message = f"last is {asked:g}, and the take ends at {float(last):g}"
+        stream.notices.append(Fault("SCN013", message, severity=Severity.NOTE))
 
 
 TRIM = Pass(

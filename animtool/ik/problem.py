@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, as_floats
-from animtool.errors import Fault, OptionError, listed
+from animtool.errors import Fault, OptionError, counted, listed
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
 from animtool.ik.goals import FARTHEST, Goal, goal_faults
@@ -47,6 +47,15 @@ class Problem:
     rest_weight: float
     chain: Chain = field(repr=False)
     limbs: tuple[Limb, ...] = field(default=(), repr=False)
+
+    def __repr__(self) -> str:
+        """Return whose it is, and how much there is of what."""
+        goals = counted(len(self.goals), "goal")
+        joints = counted(len(self.joints), "joint")
+        degrees = "degree" if self.degrees == 1 else "degrees"
+        name = self.rig.name
+        freedom = f"{self.degrees} {degrees} of freedom"
+        return f"<Problem of {name!r}: {goals}, {joints}, {freedom}>"
 
     @cached_property
     def coordinates(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
 from animtool.quantities import angle_text, length_text
+from animtool.rig.skeleton import JointType
 from animtool.units import parse_length
 
 # A goal that is off by more is missed, where nothing else is asked [m], [rad].
@@ -171,6 +173,24 @@ def _advice(solved: TakeIk, report: GoalReport) -> str | None:
     if any(span.status is IkStatus.BUDGET for span in report.spans):
         hint = "steps or time ran out: give a larger --time-budget, or none, or a "
         return f"{hint}start that is nearer"
+    if any(span.status is IkStatus.CONFLICT for span in report.spans):
+        return _unbounded(solved)
+    return None
+
+
+def _unbounded(solved: TakeIk) -> str | None:
+    """Return a hint of a free joint that a goal without a root moves below others."""
+    rig, goals = solved.take.rig, [track.goal for track in solved.tracks.goals]
+    chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
+    for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
+        if goal.root is not None:
+            continue
+        for below, joint in pairwise(chain):
+            others = any(joint in own for k, own in enumerate(chains) if k != e)
+            if others and rig.joints[joint].type is JointType.FREE:
+                message = f"the free joint {rig.names[joint]!r} moves for "
+                message += f"{solved.tracks.goals[e].name!r} and carries other goals "
+                return f"{message}along: 'root: {rig.names[below]}' keeps it still"
     return None
 
 

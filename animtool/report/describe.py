@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.errors import Fault, OptionError
 from animtool.mocap.facts import CaptureFacts, capture_facts
+from animtool.mocap.standing import lying_notice
 from animtool.quantities import Description
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
@@ -88,6 +89,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     clock = take.clock
     capture = capture_facts(take)
     channels = stream.details.get("channels")
+    if stream.details.get("format") == "BVH" and (options is None or not options.up):
+        stream.notices.extend(lying_notice(Path(path), rig, motion))
     takes = stream.details.get("takes")
     return TakeDescription(
         str(path),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -334,11 +335,21 @@ class PartReader:
         try:
             expression = parse_expression(text)
         except ValueError as error:
-            self.document.add("RIG013", at, str(error))
+            if not self._reads_misnamed(text):
+                self.document.add("RIG013", at, str(error))
             return None
-        for name in expression.names:
-            self._known(at, name, self.names, "control")
+        if self.names.keys() >= set(expression.names) or not self._reads_misnamed(text):
+            for name in expression.names:
+                self._known(at, name, self.names, "control")
         return expression
+
+    def _reads_misnamed(self, text: str) -> bool:
+        """Return whether a control is in it whose name has its own fault (RIG025)."""
+        return any(
+            re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
+            for name in self.names
+            if name and _name_problem(name)
+        )
 
     def _target(
         self, at: Location, kind: str, model: DriveModel, shapes: Collection[str]

@@ -193,13 +193,16 @@ class BakeOptions:
         "frame",
         "--start",
         scene=Key(
-            "Time code of the first frame. Not given: the rig layer's, the "
-            "source's, the project's, or 1.",
+            "Time code of the first frame; of systems alone that of 0 s, and `range` "
+            "keeps its numbers. Not given: the rig layer's, the source's, the "
+            "project's, or 1; of systems alone the first of the range.",
             1001,
         ),
         batch=Key("Time code of the first frame. Not given: as `bake` has it.", 1001),
-        help="Time code of the first frame.  [default: the rig layer's, the project's, "
-        "1; of a shot the timeline's, the project's, 1001]",
+        help="Time code of the first frame; in a scene of systems alone, that of 0 s, "
+        "where the simulation begins: the frames of the range keep their numbers.  "
+        "[default: the rig layer's, the project's, 1; of a shot the timeline's, the "
+        "project's, 1001; of systems alone the first of the range]",
     )
     samples: tuple[Fraction, ...] = option(
         (),

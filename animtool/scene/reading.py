@@ -82,7 +82,12 @@ class Reading:
                 own = fitting_options(options.source, path, self.files)
                 shot = options.shot or own.shot
                 own = replace(own, force_fit=options.force_fit, shot=shot)
-                streams.append(opener(path, own, progress=shown))
+                stream = opener(path, own, progress=shown)
+                if stream.details.get("format") == "BVH" and own.up is None:
+                    from animtool.mocap.standing import with_lying_notice
+
+                    stream = with_lying_notice(path, stream)
+                streams.append(stream)
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:

@@ -79,7 +79,9 @@ def check_suffix(
     elif not suffix and path.name and is_there(path) and path.is_dir():
         message = "is a folder, not a USD file"
         hint = f"name a file in it, such as {path / 'shot.usdc'}"
-    if suffix in CONVERTED:
+    if suffix in CONVERTED and path == Path(source):
+        hint = f"it is the source; {hint}"
+    elif suffix in CONVERTED:
         hint = f"write it with: animtool convert {source} {path}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 

@@ -11,8 +11,15 @@ from support.batch import take_files
 from animtool.batch.discover import find_batch
 from animtool.batch.plan import check_places
 from animtool.batch.spec import BatchSpec
-from animtool.errors import FormatError, NothingFoundError, OptionError, Severity
+from animtool.errors import (
+    FormatError,
+    NothingFoundError,
+    OptionError,
+    Severity,
+    StrictError,
+)
 from animtool.scene.options import BakeOptions
+from animtool.validation.run import validate
 
 SCENE = "scene: animtool/1\nsource:\n  file: ${input}\n"
 
@@ -115,6 +122,20 @@ def test_an_input_that_matches_no_file_is_named(
     assert (notice.code, notice.severity) == ("BAT067", Severity.WARNING)
     assert notice.message == f"no file matches {text!r}"
     assert notice.hint == hint or (hint and str(notice.hint).startswith(hint))
+
+
+def test_strict_counts_inputs_that_match_no_file(takes: Path) -> None:
+    spec = BatchSpec(("takes", "nope/*.bvh"), folder=takes)
+    with pytest.raises(StrictError) as caught:
+        find_batch(replace(spec, options=replace(spec.options, strict=True)))
+    assert [fault.code for fault in caught.value.faults] == ["BAT067"]
+
+
+def test_validate_names_inputs_that_match_no_file(takes: Path) -> None:
+    path = takes / "all.batch.yaml"
+    path.write_text("batch: animtool/1\ninputs: [takes, 'nope/*.bvh']\n")
+    (finding,) = validate(path)
+    assert (finding.code, finding.where) == ("BAT067", "inputs[1]")
 
 
 def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:

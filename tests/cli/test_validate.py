@@ -276,3 +276,7 @@ def test_a_glob_that_matches_no_file_is_named(tmp_path: Path) -> None:
     assert "warning: VAL010 no file to check in 'rigz/*.rig.yaml'" in done.stderr
     assert "did you mean the folder 'rigs'?" in done.stderr
     assert "VAL010" not in animtool("validate", "rigs", cwd=tmp_path).stderr
+    given = ("validate", "rigs", "rigz/*.rig.yaml")
+    assert animtool(*given, cwd=tmp_path).code == 0
+    assert animtool(*given, "--strict", cwd=tmp_path).code == 1
+    assert animtool(*given, "--strict", "--ignore", "VAL010", cwd=tmp_path).code == 0

@@ -63,7 +63,7 @@ def test_a_sound_document(tmp_path: Path) -> None:
         ("named: [1]", "DOC022", 2, "is not a mapping of keys"),
         ("items:\n- 5", "DOC022", 3, "5"),
         ("items:\n- {side: 1}", "DOC022", 3, "type"),
-        ("items:\n- {type: squar, side: 1}", "DOC022", 3, "squar"),
+        ("items:\n- {type: squar, side: 1}", "DOC022", 3, "did you mean 'square'?"),
         ("items:\n- {type: square, side: x}", "DOC022", 3, "'x' is not a number"),
         ("items:\n- {type: square, side: '1'}", "DOC022", 3, "not a number"),
         ("items:\n- {type: square, side: [1]}", "DOC022", 3, "1 item where 2"),

@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small, with_tracks
 
+from animtool.edit.retiming import trim
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
@@ -338,3 +339,12 @@ def moved_away(take: Take, turn: np.ndarray, away: np.ndarray) -> Take:
         rotations=Channel.from_dense(turns),
     )
     return replace(take, motion=motion)
+
+
+@pytest.mark.parametrize(("last", "codes"), [(9, []), (12, ["SCN013"])])
+def test_a_range_that_goes_past_the_end_is_noted(last: int, codes: list[str]) -> None:
+    take = small(9)
+    end = float(take.clock.times[-1])
+    found = trim(take, last=end + last - 9)
+    assert found.motion.frames == 9
+    assert [notice.code for notice in found.notices] == codes

@@ -160,3 +160,10 @@ def test_there_must_be_goals() -> None:
     with pytest.raises(OptionError) as caught:
         build(limb(), [], rest_weight=-1.0)
     assert codes(caught) == ["IK006", "IK014"]
+
+
+def test_its_repr_is_one_short_line() -> None:
+    problem = build(mixed_rig(), [Goal("elbow", (0.1, 0.0, 0.0)), Goal("spine")])
+    name, degrees = mixed_rig().name, problem.degrees
+    expected = f"<Problem of {name!r}: 2 goals, 3 joints, {degrees} degrees of freedom>"
+    assert repr(problem) == expected

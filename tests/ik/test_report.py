@@ -65,6 +65,23 @@ def test_notices_name_goal_frames_and_distance(solved: TakeIk) -> None:
     assert "'leg_l' is not reached at frames 11 to 21: 2." in notice.message
 
 
+@pytest.mark.parametrize("root", ["", "root: hip_l, "])
+def test_a_conflict_through_free_hips_names_them_and_root(
+    tmp_path: Path, root: str
+) -> None:
+    goals = (
+        f"- {{effector: ankle_l, {root}position: [3, 0.2, 0]}}\n"
+        "- {effector: ankle_r, root: hip_r, position: [-3, 0.2, 0]}\n"
+    )
+    take = walk_of(legs(), count=2)
+    found = solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
+    hints = [notice.hint for notice in missed_notices(found, goal_reports(found))]
+    assert len(hints) == 2
+    named = "the free joint 'hips' moves for 'ankle_l' and carries other goals along: "
+    named += "'root: hip_l' keeps it still"
+    assert hints == ([None] * 2 if root else [named] * 2)
+
+
 def test_counts(solved: TakeIk) -> None:
     counts = status_counts(solved)
     assert sum(counts.values()) == 40

@@ -296,6 +296,9 @@ def test_a_name_that_no_control_can_have(yard: Path, name: str, reason: str) -> 
     found = faults(yard, CRANE.replace("name: wear", f"name: {name}", 1))
     (fault,) = [fault for fault in found if fault.code == "RIG025"]
     assert fault.message.endswith(reason)
+    # What uses the name says nothing more of it.
+    used = faults(yard, CRANE.replace("wear", name))
+    assert {fault.code for fault in used} == {"RIG025"}
 
 
 def test_a_value_of_an_array_is_named_with_its_place(yard: Path) -> None:

@@ -11,7 +11,8 @@ from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts
 from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_limb
-from animtool.mocap.retarget.transfer import STANDS, Person, Transfer
+from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.standing import STANDS
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
 from animtool.units import UpAxis

@@ -19,7 +19,7 @@ from animtool.mocap.retarget.motion import Retargeting, transfer_of
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import scores_of
-from animtool.mocap.retarget.transfer import STANDS, Person
+from animtool.mocap.standing import stands_along
 from animtool.motion import Motion
 from animtool.options import with_written
 from animtool.passes import (
@@ -34,7 +34,6 @@ from animtool.passes import (
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
-from animtool.units import UpAxis
 
 
 @with_written(RetargetOptions)
@@ -83,7 +82,7 @@ def onto_rig(
     )
     notices = list(found.notices)
     source = stream.rig
-    stands = _stands_along(source, first, found)
+    stands = stands_along(source, first, found.source.roles)
     if stands is not None:
         message = f"the take stands along {stands}, though its up axis is {source.up}; "
         message += f"it is taken as {stands} up"
@@ -105,27 +104,6 @@ def onto_rig(
         hint = "is the take of a person with legs, and longer than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
     return made, found, notices
-
-
-def _stands_along(rig: Rig, motion: Motion, found: JointMap) -> UpAxis | None:
-    """Return the axis that a person stands along all the time, if it is not the rig's.
-
-    BVH files do not say which it is.
-    """
-    person = Person.of(rig, found.source.roles)
-    low, high = person.first("hips"), person.first("head")
-    if min(low, high) < 0:
-        return None
-    places = forward(rig, motion.translations.dense(), motion.rotations.dense())
-    ways = places.positions[:, high] - places.positions[:, low]
-    ways = ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-12)[:, None]
-    other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-    along = ways[:, 1 if other is UpAxis.Y else 2]
-    return other if float(np.quantile(along, STANDING)) > STANDS else None
-
-
-# In all but this share of frames a person stands.
-STANDING = 0.1
 
 
 def _rest(

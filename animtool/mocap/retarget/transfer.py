@@ -11,6 +11,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import base_role
+from animtool.mocap.standing import STANDS
 from animtool.rig.kinematics import forward, rest_world
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, up_from_up
@@ -377,8 +378,6 @@ def _heading(
     return so3.from_axis_angle(up, angle)
 
 
-# Cosine of the angle to the vertical up to which a person stands.
-STANDS = 0.8
 # Roles whose way from the hips says how large a person is, whatever its arms are.
 BODY = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGERS = {"thumb", "index", "middle", "ring", "pinky"}

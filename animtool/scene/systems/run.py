@@ -184,7 +184,8 @@ class SystemRun:
             reached = run.time(run.state.steps)
             if run.state.steps and times[0] < reached - ON_STEP * run.step_length:
                 frame = float(codes[0]) + (reached - times[0]) * float(fps)
-                message = f"its state is of frame {frame:g}, and frame "
+                message = f"its state is of frame {frame:g}, "
+                message += _step_end(frame, run.step_length, fps) + "and frame "
                 message += f"{float(codes[0]):g} is asked for"
                 hint = f"--range {math.ceil(frame - ON_STEP)}-{float(codes[-1]):g}"
                 faults.append(system.place.fault("SIM035", message, hint))
@@ -275,6 +276,16 @@ def _before(code: Fraction, error: ToleranceError) -> list[Fault]:
     *others, last = error.faults
     message = f"{last.message}, before frame {float(code):g}"
     return [*others, replace(last, message=message)]
+
+
+def _step_end(frame: float, length: float, fps: Fraction) -> str:
+    """Return why a state is of no whole frame; empty where it is of one."""
+    if abs(frame - round(frame)) < 1e-6 or length * float(fps) > 1:
+        return ""
+    return (
+        f"the end of its last step before frame {math.ceil(frame)} (of "
+        f"{length:.4g} s, which does not divide a frame), "
+    )
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:

@@ -29,9 +29,11 @@ from animtool.validation.subjects.subject import CheckedFile
 
 def open_batch(document: Document) -> CheckedFile:
     """Return what a batch file asks for."""
+    from animtool.batch.discover import unmatched_inputs
     from animtool.batch.file import batch_of_document
 
-    return CheckedFile(Kind.BATCH, [], batch_of_document(document))
+    batch = batch_of_document(document)
+    return CheckedFile(Kind.BATCH, list(unmatched_inputs(batch)), batch)
 
 
 def open_map(document: Document) -> CheckedFile:

@@ -103,6 +103,17 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert "--range 7-12" in done.stderr
 
 
+def test_a_state_between_frames_names_the_frame_that_was_asked_for(
+    tmp_path: Path,
+) -> None:
+    given = "save: half.npz\n    save_at: 7\n    step: 0.013"
+    assert bake(tmp_path, "one", given).code == 0
+    done = bake(tmp_path, "two", "resume: half.npz\n    step: 0.013")
+    assert done.code == 3
+    words = "the end of its last step before frame 7 (of 0.013 s, which does not divide"
+    assert words in done.stderr
+
+
 def test_a_frame_that_is_not_written_is_said(tmp_path: Path) -> None:
     done = bake(tmp_path, "one", "save: late.npz\n    save_at: 40")
     assert (done.code, "SIM185" in done.stderr) == (0, True)
