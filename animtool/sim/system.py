@@ -159,7 +159,7 @@ Jacobian: TypeAlias = Callable[[float, FloatArray], Matrix]
 Jacobians: TypeAlias = Callable[[float, FloatArray, FloatArray], tuple[Matrix, Matrix]]
 
 
-class _Known:
+class _StateFunctions:
     """What of a system is given as functions and values."""
 
     def __init__(
@@ -187,7 +187,7 @@ class _Known:
         return self._frequencies
 
 
-class RateSystem(_Known, FirstOrder):
+class RateSystem(_StateFunctions, FirstOrder):
     """A function of time and state to the state's rate; a velocity field, say.
 
     Args:
@@ -224,7 +224,7 @@ class RateSystem(_Known, FirstOrder):
         return None if self._jacobian is None else self._jacobian(t, y)
 
 
-class ForceSystem(_Known, SecondOrder):
+class ForceSystem(_StateFunctions, SecondOrder):
     """A function of time, positions and velocities to accelerations.
 
     Args:
