@@ -47,8 +47,11 @@ class Energy:
 class System(Protocol):
     """What has a state over time.
 
+    In all methods ``t`` is a time [s] and ``state`` has the shape of the one that it
+    starts with: any of `FirstOrder`, ``(2, N, d)`` of `SecondOrder`.
+
     Attributes:
-        settles: Whether `settle` does anything.
+        settles: Whether `settle` does anything; False by default.
     """
 
     settles: bool = False
@@ -131,14 +134,20 @@ class SecondOrder(System, Protocol):
         fixed: Particles of infinite mass ``(N,)``: whatever their acceleration, they
             keep their velocity. None where there are none.
         velocity_dependent: Whether accelerations depend on velocities. Where they do
-            not, methods may evaluate them less often.
+            not, methods may evaluate them less often. True by default.
     """
 
     fixed: BoolArray | None = None
     velocity_dependent: bool = True
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, d)`` [m/s²] at positions and velocities."""
+        """Return accelerations ``(N, d)`` [m/s²] at positions and velocities.
+
+        Args:
+            t: Time [s].
+            x: Positions ``(N, d)`` [m].
+            v: Velocities ``(N, d)`` [m/s].
+        """
         ...
 
     def jacobians(
