@@ -54,10 +54,13 @@ class Interpolation(StrEnum):
 def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
     """Return times and values of pairs ``[time, value]``, each ``(K,)``, or SCN015."""
     rows = list(keys)
-    if not rows or any(isinstance(r, (int, float)) or len(r) != 2 for r in rows):
+    try:
+        table = np.array(rows, np.float64)
+    except (TypeError, ValueError):
+        table = np.zeros(0)
+    if table.ndim != 2 or table.shape[1] != 2:
         message = f"{name} must be a list of pairs such as [[1, 0], [10, 1]]"
         raise OptionError(Fault("SCN015", f"{message}, not {rows!r:.80}"))
-    table = np.array(rows, np.float64)
     if not np.isfinite(table).all():
         raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
     falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)

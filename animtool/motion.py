@@ -56,7 +56,12 @@ class Channel:
         return values
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
-        """Return the channel with other values of some joints, ascending."""
+        """Return the channel with other values of some joints.
+
+        Args:
+            joints: Their indices, ascending ``(A,)``.
+            values: Of each frame ``(F, A, K)``.
+        """
         moves = np.zeros(len(self.rest), np.bool_)
         moves[self.animated] = moves[joints] = True
         animated = np.flatnonzero(moves)

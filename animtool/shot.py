@@ -97,6 +97,12 @@ class Shot:
     def recut(self, cut_in: int, cut_out: int, head: int, tail: int) -> Shot:
         """Return the shot with another cut; its frames show the same media.
 
+        Args:
+            cut_in: First frame of the cut.
+            cut_out: Last frame of the cut.
+            head: Frames before the cut.
+            tail: Frames after it.
+
         >>> shot = Shot(1001, 1024, fps=Fraction(24), media_in=Fraction(2))
         >>> shot.recut(1013, 1020, 4, 4).media_in
         Fraction(5, 2)

@@ -190,7 +190,7 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
     from rich.table import Table
     from rich.text import Text
 
-    class Shown(Listener):
+    class ProgressListener(Listener):
         """Knows how much is done, what failed, and what is being made since when."""
 
         due = ended_items = failed = 0
@@ -215,7 +215,7 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
             if lines:
                 _write(report)
 
-    shown = Shown()
+    shown = ProgressListener()
 
     def drawn() -> RenderableType:
         if not shown.due:

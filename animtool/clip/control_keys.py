@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.coordinates import JointMotion, Same, wanted_of_joints
+from animtool.clip.coordinates import JointMotion, Same, requested_of_joints
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
 from animtool.clip.sample import sample_values
@@ -58,7 +58,7 @@ def solved_controls(
         reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
         start = keyed_values(controls, reached)
     near = evaluate_controls(controls, start).targets
-    goals, keyed = wanted_of_joints(rig, joints, set(near), near, same)
+    goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
     shapes = own_weights_of(take, rig)
     for shape, value in shapes.items():
         if f"shape/{shape}" in near:

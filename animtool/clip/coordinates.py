@@ -143,7 +143,7 @@ def _on_turn(
     return replace(own, coordinate=own.coordinate + 2 * np.pi * turns)
 
 
-def wanted_of_joints(
+def requested_of_joints(
     rig: Rig,
     motions: Sequence[JointMotion],
     targets: Set[str],

@@ -137,15 +137,15 @@ class Document:
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Note a warning at a location, as `add` notes a fault."""
-        self._odd(Severity.WARNING, code, location, message, hint)
+        self._notice(Severity.WARNING, code, location, message, hint)
 
     def note(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Note what is odd but no fault, at a location."""
-        self._odd(Severity.NOTE, code, location, message, hint)
+        self._notice(Severity.NOTE, code, location, message, hint)
 
-    def _odd(
+    def _notice(
         self,
         severity: Severity,
         code: str,

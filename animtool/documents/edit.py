@@ -31,7 +31,7 @@ class EditError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Put:
+class Replace:
     """Another text in place of one."""
 
     location: Location
@@ -62,7 +62,7 @@ class Remove:
     location: Location
 
 
-Edit = Put | Rename | Add | Remove
+Edit = Replace | Rename | Add | Remove
 
 
 def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
@@ -110,7 +110,7 @@ def _apply(value: Any, edit: Edit) -> None:
     match edit:
         case Add():
             node[edit.key] = edit.value
-        case Put():
+        case Replace():
             node[edit.location[-1]] = edit.value
         case Remove():
             del node[edit.location[-1]]
@@ -139,7 +139,7 @@ class _Page:
     def splice(self, edit: Edit) -> Splice:
         """Return which part of the text becomes what."""
         match edit:
-            case Put(location, value):
+            case Replace(location, value):
                 return self._written(self._node(location), value)
             case Rename((*outer, key), name):
                 return self._written(self._pair(tuple(outer), str(key))[0], name)

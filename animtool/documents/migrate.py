@@ -116,7 +116,7 @@ def _with_new_keys(plan: Migration) -> Migration:
     except EditError as error:
         message = f"its keys cannot be renamed: {error}"
         hint = f"rename {listed([spelled(edit.location) for edit in edits])} by hand"
-        raise FormatError(Fault("DOC102", message, str(plan.path), (), hint)) from error
+        raise FormatError(Fault("DOC026", message, str(plan.path), (), hint)) from error
 
 
 def migrate(

@@ -17,6 +17,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.clock import Clock
 from animtool.edit.frames import frame_index
+from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import place_of, rest_rotation, traveller, twist
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
@@ -55,13 +56,16 @@ class Cycle:
         return self.apart / self.moved
 
 
+_DEFAULTS = LoopOptions()
+
+
 def find_cycle(
     take: Take,
     first: float | None = None,
     last: float | None = None,
     *,
-    shortest: float = 0.25,
-    longest: float = 10.0,
+    shortest: float = _DEFAULTS.shortest,
+    longest: float = _DEFAULTS.longest,
 ) -> Cycle:
     """Return the cycle of a take whose ends agree best, for how far it moves.
 

@@ -69,10 +69,19 @@ def blend(
     The result lasts from the first frame of ``take`` to the end of the later of
     the two; each is held at its ends. The other starts ``delay`` later.
 
+    Args:
+        take: F frames, whose clock the result has.
+        other: K frames on the same rig, at any rate.
+        weight: Of the other take, 0 to 1 [1]: a number, or pairs of a time code and
+            a weight.
+        interpolation: How a weight curve runs from pair to pair.
+        delay: By how much the other take starts later [time codes].
+
     Raises:
-        OptionError: A weight is not finite or not from 0 to 1 (SCN014), its curve
-            malformed (SCN015), the rigs differ (SCN017), or there would be too many
-            frames (SCN021).
+        OptionError: The delay is not finite (SCN013), a weight is not finite or not
+            from 0 to 1 (SCN014), its curve malformed (SCN015), the rigs differ
+            (SCN017), there would be too many frames (SCN021), or there is no such
+            interpolation (SCN025).
     """
     check_same_rig(take.rig, other.rig)
     clock = take.clock
@@ -255,15 +264,29 @@ def layer(
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
-    """Return a take with another on top, see `LayerOptions`.
+    """Return a take with another on top.
 
     The result has the frames of ``take``. The other take starts with it, ``delay``
     later, is resampled to its rate and held at its own ends.
 
+    Args:
+        take: F frames, whose clock and rig the result has.
+        other: K frames on the same rig, at any rate.
+        mode: ``override`` blends towards ``other``; ``additive`` adds it, and it must
+            come from `difference`.
+        weight: Of the other take [1], 0 to 1 for ``override`` and any for
+            ``additive``: a number, or pairs of a time code and a weight.
+        interpolation: How a weight curve runs from pair to pair.
+        joints: Names or patterns of the joints that change; empty is all of them,
+            and shapes and controls too.
+        children: Change what is below these joints too.
+        delay: By how much the other take starts later [time codes].
+
     Raises:
-        OptionError: A joint is not in the rig (SCN012), a weight is not finite or
-            out of bounds (SCN014), its curve malformed (SCN015), the rigs differ
-            (SCN017), or a mode or interpolation is none (SCN025).
+        OptionError: A joint is not in the rig (SCN012), the delay is not finite
+            (SCN013), a weight is not finite or out of bounds (SCN014), its curve
+            malformed (SCN015), the rigs differ (SCN017), or there is no such mode
+            or interpolation (SCN025).
     """
     plan = _Plan(
         other,

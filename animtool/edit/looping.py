@@ -193,13 +193,16 @@ def gridded(track: Track, known: Transforms) -> Track:
 POOR_SEAM = 0.2
 
 
+_DEFAULTS = LoopOptions()
+
+
 def loop(
     take: Take,
     first: float | None = None,
     last: float | None = None,
     *,
-    repeats: int = 1,
-    blend: int = 10,
+    repeats: int = _DEFAULTS.repeats,
+    blend: int = _DEFAULTS.blend,
 ) -> Take:
     """Return a cycle of the take, repeated; `find_cycle` looks for one.
 
@@ -211,6 +214,14 @@ def loop(
     from where the one before it ended. That is a root, or the topmost joint that
     travels below a root that stands still. Tracks keep their own travel likewise. A
     take of one frame stays as it is.
+
+    Args:
+        take: F frames.
+        first: First time code of the cycle; None is that of the take.
+        last: Time code that shows the first pose again; None is the last of the
+            take.
+        repeats: How often the cycle is shown, at least 1.
+        blend: Frames before the seam that change, at least 0.
 
     Raises:
         OptionError: A frame is outside the take (SCN013), there is no cycle or
@@ -345,7 +356,7 @@ class _Cycling:
 
 
 def _check_least(number: int, least: int, name: str) -> None:
-    if number < least:
+    if not number >= least:  # NaN too
         message = f"{name} is {number}; it must be {least} or more"
         raise OptionError(Fault("SCN018", message))
 

@@ -176,6 +176,12 @@ def mirror(
     either, by as much. Scales that differ by axis keep their meaning, and come back,
     only where partners' axes are parallel or at right angles in the mirror.
 
+    Args:
+        take: F frames.
+        axis: Normal of the mirror's plane, an axis of the world.
+        pairs: Pairs of names of joints that change places; others are found by what
+            the rig states, then by names.
+
     Raises:
         OptionError: A pair names no joint (SCN012), or partners do not hang from
             partners (SCN019), or there is no such axis (SCN025).

@@ -50,6 +50,11 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
     Frames stay as they are and keep their time codes; where a time code lies
     between two frames, the range begins behind it or ends before it.
 
+    Args:
+        take: F frames.
+        first: First time code to keep; None is that of the take.
+        last: Last time code to keep; None is that of the take.
+
     Raises:
         OptionError: The take has no frame in the range (SCN013).
     """
@@ -144,6 +149,11 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take.
     The speed is taken as the decimal it is written as, so that frames which
     coincide are the source's exactly.
+
+    Args:
+        take: F frames.
+        speed: Factor [1]: 2 is twice as fast, a negative one plays backwards.
+        pivot: Time code that stays where it is; None is the first.
 
     Raises:
         OptionError: The speed is 0 or not finite (SCN016), no frame of the grid is

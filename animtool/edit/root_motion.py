@@ -64,6 +64,15 @@ def extract_root(
     added right above the hips. What is below keeps its world transforms. The yaw is
     undefined where the hips are upside down.
 
+    Args:
+        take: F frames.
+        root: Name of the joint that takes the travel.
+        axes: World axes of the position that it takes, such as ``xz``; empty is the
+            ground.
+        yaw: It takes the rotation about the up axis too.
+        hips: Joint whose travel it takes; empty is the topmost that travels, below
+            ``root`` where the rig has that, else the first.
+
     Raises:
         OptionError: No joint is named so (SCN012); an axis is none, the root joint
             is not above the hips, its scale does not allow it, or the rig has no

@@ -16,7 +16,7 @@ from animtool.ik.options import IkMethod
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.sub_rig import following
-from animtool.ik.two_bone import fits, misfit, solve_limb, wanted
+from animtool.ik.two_bone import active_goals, fits, misfit, solve_limb
 from animtool.rig.skeleton import JointType
 
 # Numbers of the methods in the kernel.
@@ -277,7 +277,7 @@ def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Solved:
         closed_form.reports[rest] = other.reports
         closed_form.seconds[rest] = other.seconds
     if options.warm:
-        _stay(closed_form, ~np.logical_or(*wanted(problem, asked.targets)))
+        _stay(closed_form, ~np.logical_or(*active_goals(problem, asked.targets)))
     return closed_form
 
 

@@ -99,7 +99,7 @@ def solve_limb(
     upper, lower = _bones(chain, scales)
     q = starts.copy()
     # A pole by itself is no matter of reach: another solver turns the limb to it.
-    placed, poled = wanted(problem, targets)
+    placed, poled = active_goals(problem, targets)
     towards = sought[:, 0, :3] - base
     distance = np.linalg.norm(towards, axis=1)
     lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
@@ -121,7 +121,7 @@ def solve_limb(
     return LimbSolution(q, misses, np.where(placed, valid, ~poled))
 
 
-def wanted(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
+def active_goals(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Return where the limb's position and its pole are asked for ``(B,)`` each."""
     goal = problem.goals[0]
     placed, poled = (targets[:, 0, WEIGHT[part]] for part in ("position", "pole"))

@@ -187,11 +187,14 @@ def _roughness(signal: FloatArray) -> FloatArray:
     return np.asarray(np.median(windows, axis=-1)[np.clip(middle, 0, len(windows) - 1)])
 
 
+_DEFAULTS = CleanOptions()
+
+
 def clean(
     take: Take,
     *,
-    spikes: int = 3,
-    keep_noise: bool = False,
+    spikes: int = _DEFAULTS.spikes,
+    keep_noise: bool = _DEFAULTS.keep_noise,
     cutoff: float | None = None,
 ) -> Take:
     """Return a take without spikes, each joint filtered as its noise asks for.

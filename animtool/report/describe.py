@@ -64,6 +64,10 @@ class TakeDescription(Description):
 def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:
     """Read a file and describe its take.
 
+    Args:
+        path: A file that `open_source` reads.
+        options: How to read it; None is the defaults.
+
     Raises:
         FormatError: It cannot be read or is malformed.
         OptionError: Its suffix is none that animtool reads.

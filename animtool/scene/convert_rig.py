@@ -49,7 +49,23 @@ def convert_rig(
     overwrite: bool = False,
     strict: bool = False,
 ) -> RigReport:
-    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it."""
+    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it.
+
+    Args:
+        source: A file that holds a rig, such as a rig file or a USD file.
+        output: ``.rig.yaml``, ``.usd``, ``.usda`` or ``.usdc``.
+        prim_path: The character, where a stage has several.
+        physics: Of USD: write joint types and limits to a layer of their own.
+        overwrite: Replace files that exist.
+        strict: Treat warnings as errors.
+
+    Raises:
+        FormatError: The source is malformed.
+        OptionError: The output holds no rig (OUT004) or exists, or physics is asked
+            of a rig file (CLI004).
+        OutputError: A file cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
     source, output = Path(source), Path(output)
     if is_named(output, "rig"):
         if physics:

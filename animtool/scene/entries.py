@@ -162,7 +162,7 @@ class SystemSetup:
     resume: Path | None = None  # file of a state to go on from
 
     @property
-    def _told(self) -> SystemSpec | EntryRecord:
+    def _shown_record(self) -> SystemSpec | EntryRecord:
         """What says of it what it is."""
         return self.spec if self.record is None else self.record
 
@@ -187,14 +187,14 @@ class SystemSetup:
     @property
     def reads(self) -> tuple[str, ...]:
         """What acts on it, in words."""
-        return (*self._told.reads, *self.around.reads)
+        return (*self._shown_record.reads, *self.around.reads)
 
     @property
     def makes(self) -> str:
         """What results from it, in words."""
         by = "" if self.method == STEPS else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
-        return f"{self._told.title},{by}{steps}"
+        return f"{self._shown_record.title},{by}{steps}"
 
     @property
     def method(self) -> str:
@@ -204,7 +204,7 @@ class SystemSetup:
     @property
     def facts(self) -> SystemFacts:
         """What it is made of, in numbers."""
-        counts, step = self._told.counts, self.spec.step
+        counts, step = self._shown_record.counts, self.spec.step
         return SystemFacts(counts, self.method, step, self.around.count)
 
 

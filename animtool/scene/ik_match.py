@@ -71,7 +71,7 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         FormatError: A file is malformed.
         OptionError: The rig has no chains (TGT019) or none of a name (TGT001), the take
             is of another rig (TGT017), lacks the frame (SCN013) or is scaled (TGT016),
-            the output exists or is no targets file.
+            the output exists or is no targets file (OUT004).
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """

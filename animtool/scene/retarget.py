@@ -90,7 +90,8 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
     Raises:
         FormatError: A file is malformed, or a map names joints that there are not.
         OptionError: Nothing maps (MAP004), the rest frame is none of the take's
-            (MAP006), an output exists, or its name is of no format.
+            (MAP006), the source is a folder (IO001), an output exists, or its name
+            is of no format (OUT004).
         OutputError: An output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """

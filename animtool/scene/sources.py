@@ -286,6 +286,11 @@ def open_source(
 ) -> TakeStream:
     """Open a BVH, a USD file or a clip as a stream of blocks.
 
+    Args:
+        path: A file of any format that animtool reads, but no scene.
+        options: How to read it; None is the defaults.
+        progress: Called with the share done, 0 to 1.
+
     Raises:
         FormatError: It cannot be read or is malformed; the blocks may raise it too.
         OptionError: Its suffix is none that animtool reads, or an option does not

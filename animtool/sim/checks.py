@@ -195,8 +195,8 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
         held = equations.second.fixed
         if held is not None and held.shape != state.shape[1:2]:
             return [f"fixed must have shape {state.shape[1:2]}, not {held.shape}"]
-        return _odd_ones("particle", state.swapaxes(0, 1))
-    return _odd_ones("component", state)
+        return _non_finite_rows("particle", state.swapaxes(0, 1))
+    return _non_finite_rows("component", state)
 
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
@@ -208,10 +208,10 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
         what, whose = "the rate", "the rate of component"
     if np.shape(rate) != expected:
         return [f"{what} must have shape {expected}, not {np.shape(rate)}"]
-    return _odd_ones(whose, rate)
+    return _non_finite_rows(whose, rate)
 
 
-def _odd_ones(what: str, values: FloatArray) -> list[str]:
+def _non_finite_rows(what: str, values: FloatArray) -> list[str]:
     """Return a message for each row that is not finite at the start."""
     finite = np.isfinite(np.atleast_1d(values))
     odd = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))

@@ -38,7 +38,7 @@ def advance(run: Run, target: float) -> Status:
         failure = _stepped(solver)
         if failure:
             run.time = before
-            return run.stop(Status.STEP_TOO_SMALL, _told(run, failure))
+            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
         h = float(solver.t - before)
         run.memory, run.state = held, solver.y.reshape(shape)
         go = run.count(float(solver.t), h, 1)
@@ -46,7 +46,7 @@ def advance(run: Run, target: float) -> Status:
             return go
         if h < run.options.floor and solver.t < run.end:
             failure = f"the tolerance asks for a step of {plain(h)} s"
-            return run.stop(Status.STEP_TOO_SMALL, _told(run, failure))
+            return run.stop(Status.STEP_TOO_SMALL, _with_suspect(run, failure))
     run.time, run.state = target, _value(held, target).reshape(shape)
     return Status.OK
 
@@ -69,7 +69,7 @@ def _stepped(solver: Any) -> str:
     return str(message or (caught[-1].message if caught else "its solver gave up"))
 
 
-def _told(run: Run, failure: str) -> str:
+def _with_suspect(run: Run, failure: str) -> str:
     suspect = run.equations.system.suspect(run.time, run.state)
     return f"{failure}; {suspect}" if suspect else failure
 

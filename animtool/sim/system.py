@@ -47,8 +47,11 @@ class Energy:
 class System(Protocol):
     """What has a state over time.
 
+    In all methods ``t`` is a time [s] and ``state`` has the shape of the one that it
+    starts with: any of `FirstOrder`, ``(2, N, d)`` of `SecondOrder`.
+
     Attributes:
-        settles: Whether `settle` does anything.
+        settles: Whether `settle` does anything; False by default.
     """
 
     settles: bool = False
@@ -131,14 +134,20 @@ class SecondOrder(System, Protocol):
         fixed: Particles of infinite mass ``(N,)``: whatever their acceleration, they
             keep their velocity. None where there are none.
         velocity_dependent: Whether accelerations depend on velocities. Where they do
-            not, methods may evaluate them less often.
+            not, methods may evaluate them less often. True by default.
     """
 
     fixed: BoolArray | None = None
     velocity_dependent: bool = True
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, d)`` [m/s²] at positions and velocities."""
+        """Return accelerations ``(N, d)`` [m/s²] at positions and velocities.
+
+        Args:
+            t: Time [s].
+            x: Positions ``(N, d)`` [m].
+            v: Velocities ``(N, d)`` [m/s].
+        """
         ...
 
     def jacobians(
@@ -159,7 +168,7 @@ Jacobian: TypeAlias = Callable[[float, FloatArray], Matrix]
 Jacobians: TypeAlias = Callable[[float, FloatArray, FloatArray], tuple[Matrix, Matrix]]
 
 
-class _Known:
+class _StateFunctions:
     """What of a system is given as functions and values."""
 
     def __init__(
@@ -187,7 +196,7 @@ class _Known:
         return self._frequencies
 
 
-class RateSystem(_Known, FirstOrder):
+class RateSystem(_StateFunctions, FirstOrder):
     """A function of time and state to the state's rate; a velocity field, say.
 
     Args:
@@ -224,7 +233,7 @@ class RateSystem(_Known, FirstOrder):
         return None if self._jacobian is None else self._jacobian(t, y)
 
 
-class ForceSystem(_Known, SecondOrder):
+class ForceSystem(_StateFunctions, SecondOrder):
     """A function of time, positions and velocities to accelerations.
 
     Args:

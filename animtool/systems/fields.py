@@ -292,7 +292,7 @@ class SystemSpec(FileModel):
         exact: The integrator that others are compared with, in finer steps; empty is
             that of the file.
         method_key: The key that names the method, if there is one.
-        tried: Whether its simulation says itself in what `Ways` it can be simulated.
+        tried: Whether its simulation gives its own `TrialSettings`.
         made_of: Keys whose entries are counted as what it is made of.
         acted_on: Likewise, as what acts on it.
         code: Of the faults that `problems` are; SIM032 is options that do not go

@@ -202,13 +202,13 @@ class Interacting(ABC, Generic[State, Sums]):
 
     def _in_play(self, state: State, now: Energy) -> float:  # noqa: ARG002
         """Return the energy that may come and go, beside that of the beginning."""
-        return abs(self._given(state))
+        return abs(self._bath_energy(state))
 
     @abstractmethod
     def _advised(self, state: State, t: float) -> float:
         """Return a step that is short enough [s]."""
 
-    def _given(self, state: State) -> float:  # noqa: ARG002
+    def _bath_energy(self, state: State) -> float:  # noqa: ARG002
         """Return the energy that a bath gave so far."""
         return 0.0
 
@@ -275,7 +275,7 @@ class Interacting(ABC, Generic[State, Sums]):
 
     def _gained(self, state: State, now: Energy) -> float:
         """Return the energy that came from nowhere."""
-        return now.total - self._given(state) - self._begun.total
+        return now.total - self._bath_energy(state) - self._begun.total
 
     def _drift(self, state: State, now: Energy) -> float:
         """Return that over what there was at the beginning [1]."""
@@ -319,5 +319,5 @@ class Interacting(ABC, Generic[State, Sums]):
     def diagnostics(self, state: State, t: float) -> Diagnostics:
         """Return what is reported, and the energy that ought to stay."""
         now = self._energy(state, t)
-        kept = replace(now, potential=now.potential - self._given(state))
+        kept = replace(now, potential=now.potential - self._bath_energy(state))
         return Diagnostics(None if self._moves else kept, self.values(state, t))

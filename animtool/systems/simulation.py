@@ -102,9 +102,9 @@ class Simulation(Protocol[State]):
 
     One whose frames take long has an attribute ``checked``, True: its steps raise
     where numbers do not stay finite (SIM102), and frames are not made to see that.
-    What else one may have: `ManySteps`, `Joined`, `SeenAhead`, `Resumed`, `Tried`,
-    and, where others run into it, `RigidSystem` or `Skinned`. One with an attribute
-    ``step_length`` [s] chose that step itself.
+    Others that one may have: `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`,
+    `Tried` and, where others run into it, `RigidSystem` or `Skinned`. With an attribute
+    ``step_length`` [s], it chose that step itself.
     """
 
     def initial(self) -> State:
@@ -141,7 +141,7 @@ class Joined(Protocol[State_contra]):
 
 
 @runtime_checkable
-class SeenAhead(Protocol[State_contra]):
+class NeedsFinalState(Protocol[State_contra]):
     """A simulation whose frames need to know how it ends: it is run twice."""
 
     @property
@@ -161,8 +161,8 @@ class Resumed(Protocol[State_contra]):
 
 
 @dataclass(frozen=True, slots=True)
-class Ways:
-    """In what ways a system is simulated for a table of time against error."""
+class TrialSettings:
+    """The settings that a table of time against error simulates a system with."""
 
     chosen: Setting  # of the file
     settings: Callable[[], list[Setting]]  # as in `Trial`
@@ -173,10 +173,10 @@ class Ways:
 
 @runtime_checkable
 class Tried(Protocol):
-    """A simulation that says itself in what ways it can be simulated."""
+    """A simulation that gives the settings for its own table."""
 
-    def ways(self) -> Ways:
-        """Return the ways, about the one that it was built in."""
+    def trial_settings(self) -> TrialSettings:
+        """Return the settings, around the one that it was built with."""
 
 
 # Metadata of fields of a state, so that it can be saved and resumed.

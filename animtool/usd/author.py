@@ -285,7 +285,7 @@ def write(
 
     Raises:
         FormatError: The rig layer is malformed, or the take does not fit it (RIG040).
-        OptionError: An option makes no sense, or a file exists.
+        OptionError: An option is not for such an output (CLI002), or a file exists.
         OutputError: A file cannot be written.
     """
     path = Path(path)

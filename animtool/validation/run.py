@@ -20,7 +20,7 @@ from animtool.errors import (
     Severity,
     excerpt,
 )
-from animtool.files import files_meant, nearest_file
+from animtool.files import files_meant, nearest_file, unreadable
 from animtool.rules import Rule, all_rules, current_codes
 from animtool.signals import without_interrupts
 from animtool.supervisor import follow_parent, has_crashed, without_main
@@ -37,6 +37,9 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
     given = [text for path in paths if (text := str(path))]
+    for text in given:
+        if "\0" in text:
+            raise unreadable(Path(text), "embedded null byte")
     meant = (file.path for text in given for file in files_meant(text, SUFFIXES))
     files = list(dict.fromkeys(meant))
     if not files:
@@ -202,6 +205,7 @@ def validate(
         options: Which codes count, and how much.
 
     Raises:
+        FormatError: A path has a null byte (IO001).
         NothingFoundError: There is no file to look at (VAL006).
         OptionError: A code that there is none of (VAL005), a file of a kind that is
             not checked (IO002), or settings of a project that are malformed.

@@ -27,7 +27,7 @@ from animtool.rules import own_rules
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.contacts import feet_of
-from animtool.validation.motion.size import lies_along
+from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
 RULES = [rule for rule in own_rules().values() if rule.takes]
@@ -112,7 +112,7 @@ def _middle(take: Take) -> Take:
 
 
 def _lies(take: Take) -> bool:
-    return lies_along(MotionSubject(take, lambda *_: Fault("", ""))) is not None
+    return body_axis(MotionSubject(take, lambda *_: Fault("", ""))) is not None
 
 
 @pytest.mark.skipif(data_folder("bvh") is None, reason="no $ANIMTOOL_DATA/bvh")

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.documents.document import document_of
-from animtool.documents.edit import Add, Edit, EditError, Put, Remove, Rename, edited
+from animtool.documents.edit import (
+    Add,
+    Edit,
+    EditError,
+    Remove,
+    Rename,
+    Replace,
+    edited,
+)
 
 YAML, JSON = Path("a.rig.yaml"), Path("a.rig.json")
 TEXT = """\
@@ -35,15 +43,15 @@ ignore:
 - {code: C, why: z}
 """
 CASES: list[tuple[list[Edit], list[tuple[str, str]]]] = [
-    ([Put(("joints", 0, "name"), "a_l")], [("'a.l'", "'a_l'")]),
-    ([Put(("joints", 0, "name"), "it's")], [("'a.l'", "'it''s'")]),
-    ([Put(("joints", 1, "name"), "no: 1")], [('"b.l"', '"no: 1"')]),
-    ([Put(("joints", 1, "name"), "b_l")], [('"b.l"', '"b_l"')]),
-    ([Put(("joints", 2, "name"), "c_l")], [("c.l", "c_l")]),
-    ([Put(("joints", 2, "name"), "12")], [("c.l", '"12"')]),
+    ([Replace(("joints", 0, "name"), "a_l")], [("'a.l'", "'a_l'")]),
+    ([Replace(("joints", 0, "name"), "it's")], [("'a.l'", "'it''s'")]),
+    ([Replace(("joints", 1, "name"), "no: 1")], [('"b.l"', '"no: 1"')]),
+    ([Replace(("joints", 1, "name"), "b_l")], [('"b.l"', '"b_l"')]),
+    ([Replace(("joints", 2, "name"), "c_l")], [("c.l", "c_l")]),
+    ([Replace(("joints", 2, "name"), "12")], [("c.l", '"12"')]),
     ([Rename(("bind", "a.l"), "a_l")], [("{a.l:", "{a_l:")]),
     (
-        [Put(("joints", 0, "name"), "a_l"), Rename(("bind", "a.l"), "a_l")],
+        [Replace(("joints", 0, "name"), "a_l"), Rename(("bind", "a.l"), "a_l")],
         [("'a.l'", "'a_l'"), ("{a.l:", "{a_l:")],
     ),
     (
@@ -100,7 +108,7 @@ def test_json(step: int, indent: int | str | None) -> None:
     }
     done = json.loads(edited(text, JSON, [Add(("list", step), "z", [0.5, 1])]))
     assert done["list"][step] == {**value["list"][step], "z": [0.5, 1]}
-    done = json.loads(edited(text, JSON, [Put(("rig",), 'a"b')]))
+    done = json.loads(edited(text, JSON, [Replace(("rig",), 'a"b')]))
     assert done == {**value, "rig": 'a"b'}
 
 
@@ -114,7 +122,7 @@ def test_the_last_line_needs_no_end() -> None:
 @pytest.mark.parametrize(
     ("text", "edit"),
     [
-        ("a: 1\n", Put(("b",), "x")),
+        ("a: 1\n", Replace(("b",), "x")),
         ("a:\n- - x\n  - y\n", Remove(("a", 0, 0))),
         ("a: [1,  # one\n 2]\n", Remove(("a", 0))),
         ("a: [1,]\n", Remove(("a", 0))),
@@ -134,7 +142,7 @@ names = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_
 def test_any_text_is_read_as_it_was_put(new: str, quote: str) -> None:
     written = f"{quote}x{quote}"
     text = f"a: [1, {written}] # why\nb: {{x: {written}}}\n"
-    after = edited(text, YAML, [Put(("a", 1), new), Rename(("b", "x"), new)])
+    after = edited(text, YAML, [Replace(("a", 1), new), Rename(("b", "x"), new)])
     value = document_of(after, YAML).value
     assert value["a"] == [1, new]
     assert list(value["b"]) == [new]

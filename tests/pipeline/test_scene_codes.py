@@ -93,6 +93,7 @@ CASES = {
     ),
     "a key of none": Case("SCN015", "blend", {"take": OTHER, "weight": ((1, NAN),)}),
     "no pairs": Case("SCN015", "blend", {"take": OTHER, "weight": (1, 2)}),
+    "pairs of texts": Case("SCN015", "blend", {"take": OTHER, "weight": (("a", "b"),)}),
     "no speed": Case("SCN016", "time_scale", {"speed": 0.0}),
     "a speed of none": Case("SCN016", "time_scale", {"speed": NAN}),
     "rigs of other names": Case(
@@ -107,6 +108,7 @@ CASES = {
     "no repeat": Case("SCN018", "loop", {"repeats": 0}),
     "no cycle": Case("SCN018", "loop", {"first": 5.0, "last": 5.0}),
     "no blend": Case("SCN018", "loop", {"blend": -1}),
+    "a blend of none": Case("SCN018", "loop", {"blend": NAN}),
     "no cycle so long": Case("SCN018", "loop", {"find": True, "shortest": 9.0}),
     "no length": Case("SCN018", "loop", {"find": True, "longest": -1.0}),
     "no pair": Case("SCN019", "mirror", {"pairs": (("arm_l",),)}),

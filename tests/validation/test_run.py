@@ -11,6 +11,7 @@ from animtool.documents.document import read_document
 from animtool.errors import (
     ExitCode,
     Fault,
+    FormatError,
     NothingFoundError,
     OptionError,
     Severity,
@@ -222,6 +223,12 @@ def test_a_rig_reached_twice_is_said_once(
     found = validate(["walk.clip.yaml", "leg.rig.yaml"])
     assert [(fault.code, fault.path) for fault in found] == [("DOC022", "leg.rig.yaml")]
     assert validate("walk.clip.yaml") == found
+
+
+def test_a_name_with_a_null_byte() -> None:
+    with pytest.raises(FormatError) as caught:
+        find_files(["a\0b.bvh"])
+    assert caught.value.code == "IO001"
 
 
 def test_processes_do_not_matter(leg: Path) -> None:

@@ -25,7 +25,7 @@ from animtool.mocap.retarget.roles import (
     SIDES,
     TWIST,
     Anatomy,
-    Found,
+    RoleSource,
     base_role,
 )
 from animtool.mocap.retarget.structure import (
@@ -52,11 +52,11 @@ _SHAPES = {
 }
 # Confidence in a role by how it was found.
 _SURE = {
-    Found.PRESET: 1.0,
-    Found.NAME: 0.9,
-    Found.STRUCTURE: 0.7,
-    Found.FILE: 1.0,
-    Found.NONE: 0.0,
+    RoleSource.PRESET: 1.0,
+    RoleSource.NAME: 0.9,
+    RoleSource.STRUCTURE: 0.7,
+    RoleSource.FILE: 1.0,
+    RoleSource.NONE: 0.0,
 }
 MAX_NAMED = 4
 # Joints of a skeleton that is one more person, at least.
@@ -129,13 +129,13 @@ def anatomy(
     return Anatomy(tuple(search.roles), tuple(found), sure, name, tuple(notices))
 
 
-def _how(role: str, votes: Mapping[str, float]) -> Found:
+def _how(role: str, votes: Mapping[str, float]) -> RoleSource:
     if not role or role in {TWIST, END, CONTROL}:
-        return Found.NONE
+        return RoleSource.NONE
     weight = votes.get(role, 0.0)
     if weight == 0.0:
-        return Found.STRUCTURE
-    return Found.PRESET if weight == 1.0 else Found.NAME
+        return RoleSource.STRUCTURE
+    return RoleSource.PRESET if weight == 1.0 else RoleSource.NAME
 
 
 def _one_person(search: _Search) -> list[Fault]:

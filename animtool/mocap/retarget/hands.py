@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts, intervals, smoothed, without_short
 from animtool.mocap.retarget.feet import between
 from animtool.mocap.retarget.legs import put_end, up_index
-from animtool.mocap.retarget.props import PropWay
+from animtool.mocap.retarget.props import PropMotion
 from animtool.mocap.retarget.transfer import Person, Transfer
 
 # Hands hold each other that are nearer than this share of an arm, from wrist to wrist.
@@ -105,7 +105,7 @@ def place_hands(
     hips: FloatArray,
     floor: Floor | None,
     fps: float,
-    props: Sequence[PropWay] = (),
+    props: Sequence[PropMotion] = (),
 ) -> list[HeldHand]:
     """Return where hands are to be so that they keep their contacts.
 

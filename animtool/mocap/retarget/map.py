@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from animtool.documents.names import number, text
 from animtool.errors import Fault
-from animtool.mocap.retarget.roles import Anatomy, Found
+from animtool.mocap.retarget.roles import Anatomy, RoleSource
 from animtool.rig.skeleton import Rig
 
 # Columns of a map file's lists.
@@ -21,7 +21,7 @@ class JointPair:
     source: int  # index of the joint
     target: int  # index of the joint
     role: str  # of `ROLES`; empty where a file or a name alone pairs them
-    found: Found  # the less sure of the two
+    found: RoleSource  # the less sure of the two
     confidence: float  # 0 to 1
 
 

@@ -121,7 +121,7 @@ class Retargeting:
             self._hips,
             floor,
             fps,
-            props.ways(transfer) if props is not None and arms else (),
+            props.motions(transfer) if props is not None and arms else (),
         )
         # How far props that hands hold are lifted (3,) [m].
         self.lift = Floor.lift(floor, transfer.scale, up_index(transfer.target.rig))

@@ -22,8 +22,8 @@ from animtool.mocap.retarget.roles import (
     SIDES,
     TWIST,
     Anatomy,
-    Found,
     MapMode,
+    RoleSource,
     base_role,
 )
 from animtool.rig.skeleton import Rig
@@ -150,7 +150,7 @@ class _Pairing:
         for entry in stated.entries:
             role = entry.role or self.anatomies[1].roles[entry.target[0]]
             role = role if role in ROLES else ""
-            self._add(role, entry.source, entry.target, Found.FILE)
+            self._add(role, entry.source, entry.target, RoleSource.FILE)
 
     def add_same_names(self) -> None:
         """Pair joints of the same name."""
@@ -158,7 +158,7 @@ class _Pairing:
         names = {name: j for j, name in enumerate(source.names)}
         for j, name in enumerate(target.names):
             if name in names and j not in self.pairs and j not in self.ignored[1]:
-                self.pairs[j] = JointPair(names[name], j, "", Found.NAME, 1.0)
+                self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
         """Pair the joints of one role that are left."""
@@ -201,7 +201,7 @@ class _Pairing:
         role: str,
         ours: Sequence[int],
         theirs: Sequence[int],
-        found: Found | None = None,
+        found: RoleSource | None = None,
     ) -> None:
         """Pair two chains, and note them where either has several joints."""
         at = [
@@ -227,7 +227,7 @@ class _Pairing:
 
 
 def _by_name(known: Anatomy, joint: int) -> bool:
-    return known.found[joint] in {Found.NAME, Found.PRESET, Found.FILE}
+    return known.found[joint] in {RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE}
 
 
 def _nearest(at: Sequence[float], place: float) -> int:

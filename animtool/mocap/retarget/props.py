@@ -26,7 +26,7 @@ SMOOTH = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class PropWay:
+class PropMotion:
     """Where a prop is in all frames, in the target's axes."""
 
     track: int  # which of the take's it is
@@ -72,14 +72,14 @@ class Props:
             self._times.append(block.track_times)
             yield block
 
-    def ways(self, transfer: Transfer) -> list[PropWay]:
+    def motions(self, transfer: Transfer) -> list[PropMotion]:
         """Return where those are that move, once all frames were read."""
         times = Channel.concatenate(self._times).dense()[..., 0]
         found = []
         for i, track in enumerate(self.tracks):
             if track.placed and track.moves:
                 turned = turned_track(track, transfer.upright).at(times[:, i])
-                found.append(PropWay(i, turned.translations, turned.rotations))
+                found.append(PropMotion(i, turned.translations, turned.rotations))
         return found
 
     def moved(

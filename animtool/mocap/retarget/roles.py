@@ -33,7 +33,7 @@ TWIST, END, CONTROL = "twist", "end", "control"
 MapMode: TypeAlias = Literal["auto", "names", "structure", "rename"]
 
 
-class Found(StrEnum):
+class RoleSource(StrEnum):
     """How the role of a joint was found."""
 
     PRESET = "preset"  # its name is that of a convention
@@ -49,7 +49,7 @@ class Anatomy:
 
     # One of `ROLES`, or `TWIST`, `END`, `CONTROL` or empty, per joint ``(J,)``.
     roles: tuple[str, ...]
-    found: tuple[Found, ...]  # ``(J,)``
+    found: tuple[RoleSource, ...]  # ``(J,)``
     confidence: tuple[float, ...]  # 0 to 1 ``(J,)``
     preset: str = ""  # the convention of the names; empty for none
     notices: tuple[Fault, ...] = ()

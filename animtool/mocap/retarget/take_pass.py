@@ -90,7 +90,7 @@ def onto_rig(
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
     transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
-    notices += _odd_scale(transfer.scale)
+    notices += _scale_warnings(transfer.scale)
     fps = float(stream.fps / stream.step)
     lock = not options.free_feet
     motions = chain([first], blocks)
@@ -142,7 +142,7 @@ def _positions(rig: Rig, first: Motion, rest: FloatArray | None) -> FloatArray:
 LIKELY_SCALES = (1 / 9, 9.0)
 
 
-def _odd_scale(scale: float) -> list[Fault]:
+def _scale_warnings(scale: float) -> list[Fault]:
     """Return a warning of a rig that is of another order of size than the take."""
     low, high = LIKELY_SCALES
     if low <= scale <= high:

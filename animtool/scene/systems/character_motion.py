@@ -53,13 +53,13 @@ class CharacterMotion:
 class CharacterMotions:
     """Characters by their files, each read once; the scene's own by its file."""
 
-    found: dict[Path, CharacterMotion] = field(default_factory=dict)
+    by_path: dict[Path, CharacterMotion] = field(default_factory=dict)
 
     def of(self, path: Path) -> CharacterMotion:
         """Return the character of a clip or a scene."""
-        if path not in self.found:
-            self.found[path] = _read(path)
-        return self.found[path]
+        if path not in self.by_path:
+            self.by_path[path] = _read(path)
+        return self.by_path[path]
 
 
 def _read(path: Path) -> CharacterMotion:
@@ -186,11 +186,11 @@ class SkinMotion:
 
 
 def character_colliders(
-    met: Sequence[CharacterModel], characters: CharacterMotions
+    models: Sequence[CharacterModel], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
     """Return the capsules and the meshes of characters, each once."""
     ones: dict[tuple[str, str | None], CharacterModel] = {}
-    for one in met:
+    for one in models:
         ones.setdefault((str(one.file), one.mesh), one)
     colliders: list[Collider] = []
     sheets: list[Sheet] = []

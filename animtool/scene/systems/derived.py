@@ -201,7 +201,7 @@ class PartReader(EntryReader):
                 CarryingVertexModel: self.carrying_vertex,
                 CarryingPrimModel: self.carrying_prim,
                 SystemColliderModel: self.collider,
-                CharacterModel: self.met,
+                CharacterModel: self.character_collider,
                 SystemSurfaceModel: self.surface,
                 MovingMeshModel: self.mesh,
             }
@@ -356,10 +356,10 @@ def read_spec(
     into, where the spec has them; other keys are read as their types say.
     """
     outside, reader = PartReader(document, roots), PartReader(document, roots)
-    met = outside.parts(at, spec, AROUND[:1])
+    outer = outside.parts(at, spec, AROUND[:1])
     # Systems that are named are looked for, whatever else makes no sense.
     sound = outside.sound
-    met |= outside.parts(at, spec, AROUND[1:])
+    outer |= outside.parts(at, spec, AROUND[1:])
     parts = reader.parts(at, spec, type(spec).model_fields.keys() - {*AROUND})
     reader.note_ranges(at, spec)
     record, faults = spec.made(parts)
@@ -376,7 +376,7 @@ def read_spec(
     if record is None and (faults or not (sound and reader.sound)):
         return None
     followed = (*outside.files, *reader.files)
-    read = {key: tuple(parts) for key, parts in met.items()}
+    read = {key: tuple(parts) for key, parts in outer.items()}
     around = Surroundings(**read, followed=followed, at=at)
     carriers = tuple(reader.carriers)
     return SystemSetup(spec, around, parts, record, at, carriers, resume)

@@ -237,7 +237,9 @@ class EntryReader:
             so3.multiply(turns, place[3:]),
         )
 
-    def met(self, at: Location, model: CharacterModel) -> CharacterModel | None:
+    def character_collider(
+        self, at: Location, model: CharacterModel
+    ) -> CharacterModel | None:
         """Return a character that is run into, with the whole path of its file."""
         path = self.character(at, model)
         if path is None:

@@ -26,7 +26,7 @@ from animtool.scene.systems.simulation import (
 )
 from animtool.systems.run import ON_STEP, EntryRun, Reached
 from animtool.systems.saved import Clocked, write_states
-from animtool.systems.simulation import SeenAhead
+from animtool.systems.simulation import NeedsFinalState
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name
@@ -102,7 +102,7 @@ class SystemRun:
             if system.setup.writes
         }
         self._kept: dict[int, tuple[float, Reached[Any]]] = {}
-        self._odd: list[Fault] = []
+        self._warnings: list[Fault] = []
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
@@ -126,7 +126,7 @@ class SystemRun:
         alike = named_alike([self.systems[i] for i in self.written])
         return (
             alike
-            + self._odd
+            + self._warnings
             + [
                 system.place.put(notice)
                 for system, opened in zip(self.systems, self._open, strict=True)
@@ -204,7 +204,7 @@ class SystemRun:
                 place = self.systems[i].place
                 hint = "name one of the frames that are written"
                 fault = place.fault("SIM185", message, hint, Severity.WARNING)
-                self._odd.append(fault)
+                self._warnings.append(fault)
 
     def _see_ahead(self, times: Sequence[float]) -> None:
         """Let systems whose frames need to know how they end see that."""
@@ -212,7 +212,7 @@ class SystemRun:
         ahead = {
             i: run
             for i, run in runs.items()
-            if isinstance(run.simulation, SeenAhead) and run.simulation.ahead
+            if isinstance(run.simulation, NeedsFinalState) and run.simulation.ahead
         }
         if not ahead:
             return
@@ -250,7 +250,7 @@ class SystemRun:
 
     def note(self, written: Sequence[CachedMesh]) -> None:
         """Add what is odd about prims to the notices, each at its system."""
-        self._odd += [
+        self._warnings += [
             self.systems[i].place.put(notice)
             for i, found in zip(self.written, written, strict=True)
             for notice in found.notices

@@ -181,5 +181,5 @@ def characters_with(own: CharacterMotion | None) -> CharacterMotions:
     """Return characters that are read when asked for, that of the scene known."""
     characters = CharacterMotions()
     if own is not None:
-        characters.found[own.path] = own
+        characters.by_path[own.path] = own
     return characters

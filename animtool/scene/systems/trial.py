@@ -37,7 +37,7 @@ from animtool.sim.trials.trial import (
 )
 from animtool.systems.fields import SystemSpec
 from animtool.systems.run import SimulationRun
-from animtool.systems.simulation import StoppedError, Tried, Ways
+from animtool.systems.simulation import StoppedError, TrialSettings, Tried
 
 # What the exact method has over the step of the file, where that is not enough.
 MUCH_FINER = 1 / 8
@@ -91,15 +91,15 @@ def _trial(
     if spec.tried:
         built = run_entries(members, rebuild())
         assert isinstance(built.simulation, Tried)
-        ways = built.simulation.ways()
+        trials = built.simulation.trial_settings()
     else:
-        ways = _ways(spec, members[0].setup.method)
+        trials = _trial_settings(spec, members[0].setup.method)
 
     def run(setting: Setting) -> Outcome:
         nonlocal most
-        other = setting.method != ways.chosen.method
+        other = setting.method != trials.chosen.method
         budget = None if spec.tried else _budget(setting.method, most, other=other)
-        begun = run_entries(members, rebuild(), ways.changes(setting), budget)
+        begun = run_entries(members, rebuild(), trials.changes(setting), budget)
         outcome = _outcome(begun, times)
         most = max([most, *(len(shot.points) for shot in outcome.shots)])
         return outcome
@@ -108,14 +108,14 @@ def _trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
         float(times[-1]) + max(member.setup.spec.preroll for member in members),
-        ways.chosen,
-        ways.settings,
-        ways.references,
+        trials.chosen,
+        trials.settings,
+        trials.references,
         run,
     )
 
 
-def _ways(spec: SystemSpec, own: str) -> Ways:
+def _trial_settings(spec: SystemSpec, own: str) -> TrialSettings:
     """Return methods, steps and tolerances about those of a file."""
     tolerance = getattr(spec, "tolerance", None)
     usual = TOLERANCE if tolerance is None else tolerance
@@ -156,7 +156,7 @@ def _ways(spec: SystemSpec, own: str) -> Ways:
         return changes
 
     chosen = Setting.of(own, step=spec.step, **options)
-    return Ways(chosen, settings, references, changes)
+    return TrialSettings(chosen, settings, references, changes)
 
 
 def _budget(method: str, most: int, *, other: bool) -> int | None:

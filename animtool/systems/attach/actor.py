@@ -15,7 +15,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.attach.bodies import Body
 from animtool.systems.attach.network import lost_links
-from animtool.systems.attach.poses import Pose, Way, way
+from animtool.systems.attach.poses import Pose, PosePath, pose_path
 from animtool.systems.attach.settings import Settings
 from animtool.systems.attach.stepping import (
     Motions,
@@ -24,7 +24,7 @@ from animtool.systems.attach.stepping import (
     Stepper,
     Tally,
     cells_of,
-    steps_wanted,
+    steps_per_second,
 )
 from animtool.systems.attach.strands import (
     CapsuleContacts,
@@ -41,19 +41,19 @@ def upwards(rig: Rig) -> FloatArray:
 
 
 @dataclass
-class Ways:
+class PosePaths:
     """A character over one frame, worked out once for each number of steps."""
 
     rig: Rig  # the character
     before: Pose  # its pose at the begin
     after: Pose  # its pose at the end
-    _made: dict[int, Way] = field(default_factory=dict)
+    _by_steps: dict[int, PosePath] = field(default_factory=dict)
 
-    def of(self, steps: int) -> Way:
+    def of(self, steps: int) -> PosePath:
         """Return the character at the begin, and at the end of each step."""
-        if steps not in self._made:
-            self._made[steps] = way(self.rig, self.before, self.after, steps)
-        return self._made[steps]
+        if steps not in self._by_steps:
+            self._by_steps[steps] = pose_path(self.rig, self.before, self.after, steps)
+        return self._by_steps[steps]
 
 
 class Actor:
@@ -65,10 +65,10 @@ class Actor:
         """Begin in a pose, at rest, in its size; a frame spans so long [s]."""
         self.body, self.settings = body, settings
         self._rig = rig
-        first = way(rig, pose, pose, 1)
+        first = pose_path(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
         network = body.network if scale == 1 else body.network.scaled(scale)
-        wanted = math.ceil(steps_wanted(network, settings) * span - 1e-9)
+        wanted = math.ceil(steps_per_second(network, settings) * span - 1e-9)
         self._cells, self._substeps = cells_of(max(1, wanted))
         self.steps = self._cells * self._substeps
         self.tally = Tally()
@@ -101,10 +101,10 @@ class Actor:
         state = self.state
         self.state = replace(state, velocities=state.velocities + speed)
 
-    def cross(self, ways: Ways) -> None:
+    def cross(self, paths: PosePaths) -> None:
         """Go on by a frame."""
         began = time.perf_counter()
-        motion = ways.of(self._cells)
+        motion = paths.of(self._cells)
         targets = self.body.targets(motion)
         motions = Motions(targets, self._contacts.over(motion.world))
         self.state = self._stepper.cross(
@@ -113,18 +113,18 @@ class Actor:
         self.target = targets[-1]
         self.seconds += time.perf_counter() - began
 
-    def follow(self, ways: Ways) -> None:
+    def follow(self, paths: PosePaths) -> None:
         """Go on by a frame as the animation does."""
-        self.target = self.body.targets(ways.of(1))[-1]
+        self.target = self.body.targets(paths.of(1))[-1]
         self.state = State(self.target, np.zeros_like(self.target))
 
     def place(self, pose: Pose) -> None:
         """Note where the animation has it in a pose; it stays where it is."""
-        self.target = self.body.targets(Ways(self._rig, pose, pose).of(1))[0]
+        self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
 
-    def jump(self, ways: Ways) -> None:
+    def jump(self, paths: PosePaths) -> None:
         """Go on by a frame that is a jump: all moves with what carries it."""
-        motion = ways.of(1)
+        motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
         shift, turn = _move(motion.world, self.body.carrier)
         state = rigidly_moved(self.state, shift, turn)
@@ -133,9 +133,9 @@ class Actor:
         self.state = state
         self.jumps += 1
 
-    def speed(self, ways: Ways) -> float:
+    def speed(self, paths: PosePaths) -> float:
         """Return how fast what carries it is over a frame [m/s]."""
-        places = ways.of(1).world.positions[:, self.body.carrier]
+        places = paths.of(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(places[1] - places[0])) / self._span
 
 

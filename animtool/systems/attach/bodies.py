@@ -18,7 +18,7 @@ from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
 from animtool.skin.deform import deform
 from animtool.systems.attach.network import Network, diagonals_of_faces, folds_of_faces
-from animtool.systems.attach.poses import Way
+from animtool.systems.attach.poses import PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Body(ABC):
     carrier: int
 
     @abstractmethod
-    def targets(self, way: Way) -> FloatArray:
+    def targets(self, path: PosePath) -> FloatArray:
         """Return where the animation has the particles ``(K, N, 3)`` [m], world."""
 
 
@@ -52,9 +52,9 @@ class ChainBody(Body):
     # collider or strands below it.
     bare: bool = False
 
-    def targets(self, way: Way) -> FloatArray:
+    def targets(self, path: PosePath) -> FloatArray:
         """Return the origins of the joints, and the end of the last bone."""
-        world, last = way.world, self.joints[-1]
+        world, last = path.world, self.joints[-1]
         end = (world.linear[:, last] * self.tip).sum(axis=-1)
         end += world.positions[:, last]
         return np.concatenate([world.positions[:, self.joints], end[:, None]], axis=1)
@@ -67,12 +67,12 @@ class SurfaceBody(Body):
     # What moves them; it has the name that the points have in a motion.
     mesh: CharacterMesh
 
-    def targets(self, way: Way) -> FloatArray:
+    def targets(self, path: PosePath) -> FloatArray:
         """Return the points as shapes and skin have them."""
         weights = None
-        if way.weights is not None:
-            weights = self.mesh.weights(way.weights)
-        return deform(self.mesh.mesh, weights, way.world).points
+        if path.weights is not None:
+            weights = self.mesh.weights(path.weights)
+        return deform(self.mesh.mesh, weights, path.world).points
 
 
 def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:

@@ -131,12 +131,12 @@ def lost_links(network: Network, points: FloatArray) -> int:
     return int((lost & ((rests > 0) | ~rests.any())).sum())
 
 
-def odd_surface(network: Network) -> list[str]:
+def surface_problems(network: Network) -> list[str]:
     """Return what of the triangles is no surface, in words.
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     >>> network = Network.of(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
-    >>> odd_surface(network)
+    >>> surface_problems(network)
     ['1 edge of more than two triangles']
     """
     corners = network.triangles

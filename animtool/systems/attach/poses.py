@@ -30,7 +30,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
+class PosePath:
     """A character at K times, from one frame to another, both among them."""
 
     world: WorldTransforms  # where its joints are
@@ -60,7 +60,7 @@ def pose_at(motion: Motion, frame: int) -> Pose:
     )
 
 
-def way(rig: Rig, before: Pose, after: Pose, steps: int) -> Way:
+def pose_path(rig: Rig, before: Pose, after: Pose, steps: int) -> PosePath:
     """Return a character at even times from a pose to the next, ``steps`` apart.
 
     Joints turn in their parents along the shortest arc at constant speed; the rest
@@ -78,7 +78,7 @@ def way(rig: Rig, before: Pose, after: Pose, steps: int) -> Way:
     weights = None
     if before.weights is not None and after.weights is not None:
         weights = _straight(before.weights, after.weights, share)
-    return Way(world, weights)
+    return PosePath(world, weights)
 
 
 def _straight(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:

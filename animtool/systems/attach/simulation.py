@@ -16,7 +16,7 @@ from animtool.keyed import weights_at
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.actor import Actor, Ways, rigidly_moved, upwards
+from animtool.systems.attach.actor import Actor, PosePaths, rigidly_moved, upwards
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody
 from animtool.systems.attach.poses import (
     Pose,
@@ -147,7 +147,7 @@ class Simulation:
         ]
         if self.resumed is not None:
             return
-        still = Ways(self.rig, begin, begin)
+        still = PosePaths(self.rig, begin, begin)
         settling = math.ceil(options.settle * rate)
         self._to_cross += settling + leading
         for _ in range(settling):
@@ -164,25 +164,25 @@ class Simulation:
             if travels and not i:
                 for actor in self.actors:
                     actor.rush(step * rate)
-            self._cross(Ways(self.rig, earlier, later))
+            self._cross(PosePaths(self.rig, earlier, later))
 
     def _advance(self, pose: Pose, code: float) -> None:
         """Go on to the next frame."""
         assert self._before is not None
-        ways = Ways(self.rig, self._before, pose)
+        paths = PosePaths(self.rig, self._before, pose)
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
-                actor.follow(ways)
+                actor.follow(paths)
             return
-        self._cross(ways, jumps=code in self.options.teleports)
+        self._cross(paths, jumps=code in self.options.teleports)
 
-    def _cross(self, ways: Ways, *, jumps: bool = False) -> None:
+    def _cross(self, paths: PosePaths, *, jumps: bool = False) -> None:
         most = self.options.teleport_speed
         for actor in self.actors:
-            if jumps or (most and actor.speed(ways) > most):
-                actor.jump(ways)
+            if jumps or (most and actor.speed(paths) > most):
+                actor.jump(paths)
             else:
-                actor.cross(ways)
+                actor.cross(paths)
             if self._progress is not None:
                 self._crossed += 1
                 whole = self._to_cross * len(self.actors)
@@ -246,7 +246,7 @@ class Simulation:
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
             jumps = codes[i + 1] in self.options.teleports
-            self._cross(Ways(self.rig, before, after), jumps=jumps)
+            self._cross(PosePaths(self.rig, before, after), jumps=jumps)
         return rows
 
     def _moved(self, block: Motion, codes: FloatArray, rows: list[_Rows]) -> Motion:

@@ -99,7 +99,7 @@ class Tally:
             self.through = self.through.with_more(through)
 
 
-def steps_wanted(network: Network, settings: Settings) -> float:
+def steps_per_second(network: Network, settings: Settings) -> float:
     """Return how many steps a second keep springs within their stretch [1/s].
 
     Springs of strands are solved together: what is left is that a spring which turns

@@ -15,7 +15,7 @@ from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.systems.attach.actor import Actor
 from animtool.systems.attach.bodies import Body, ChainBody, SurfaceBody, bodies_of
-from animtool.systems.attach.network import odd_surface
+from animtool.systems.attach.network import surface_problems
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     Closing,
@@ -152,7 +152,7 @@ def _note(report: AttachReport) -> Fault:
 def _of_start(actor: Actor) -> list[Fault]:
     """Return what is odd about what an attachment is made of, and where it begins."""
     said, name, network = [], actor.body.name, actor.body.network
-    odd = odd_surface(network)
+    odd = surface_problems(network)
     if odd:
         message = f"{name}: {listed(odd)}; it is simulated all the same"
         said.append(Fault("SIM106", message, severity=Severity.NOTE))

@@ -41,7 +41,7 @@ def filled(
     for i, (fill, own) in enumerate(zip(spec.fills, parts, strict=True)):
         name = _named(spec, i)
         if own.get("points") is not None:
-            made.append(_given(fill, own, name))
+            made.append(_given_points(fill, own, name))
             _check_outside(made[-1][0], colliders, t, name)
             continue
         points = _lattice(spec, own["shape"], own["poses"], t)
@@ -64,7 +64,7 @@ def _named(spec: FluidModel, i: int) -> str:
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
-def _given(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
+def _given_points(fill: FillModel, own: Mapping[str, Any], name: str) -> FloatArray:
     """Return points and velocities of arrays ``(2, N, 3)``."""
     points, velocities = own["points"], own.get("velocities")
     if velocities is None:
@@ -168,7 +168,7 @@ class Nozzle:
         self._period = spec.spacing / emitter.speed  # of layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
         self._spans = [(max(a, begin), b) for a, b in opens]
-        self._opening = self._places(spec, emitter)
+        self._layer_points = self._places(spec, emitter)
 
     def _places(self, spec: FluidModel, emitter: FluidEmitterModel) -> FloatArray:
         """Return the places of a layer ``(M, 3)`` [m]."""
@@ -182,7 +182,7 @@ class Nozzle:
             return grid
         return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
-    def _made(self, span: Sequence[float], t: float) -> int:
+    def _layer_count(self, span: Sequence[float], t: float) -> int:
         """Return how many layers a span has made before a time."""
         lasts = min(t, span[1]) - span[0]
         return max(math.ceil(lasts / self._period), 0)
@@ -190,9 +190,9 @@ class Nozzle:
     def inflow(self, after: float, until: float, pull: FloatArray, room: int) -> Inflow:
         """Return what comes in between two times [s], as gravity ``(3,)`` takes it."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
-        size, missed = len(self._opening), 0
+        size, missed = len(self._layer_points), 0
         for span in self._spans:
-            first, last = self._made(span, after), self._made(span, until)
+            first, last = self._layer_count(span, after), self._layer_count(span, until)
             kept = min(last - first, room // size)
             missed += (last - first - kept) * size
             room -= kept * size
@@ -207,9 +207,9 @@ class Nozzle:
     def _layers(self, times: FloatArray, until: float, pull: FloatArray) -> FloatArray:
         """Return layers that came out at times, at a later one ``(2, K M, 3)``."""
         now, before = self._poses.over(times), self._poses.over(times - BRIEF)
-        size, own = len(self._opening), (now[:, :3] - before[:, :3]) / BRIEF
+        size, own = len(self._layer_points), (now[:, :3] - before[:, :3]) / BRIEF
         turns, own = np.repeat(now[:, 3:], size, axis=0), np.repeat(own, size, axis=0)
-        places = np.tile(self._opening, (len(times), 1))
+        places = np.tile(self._layer_points, (len(times), 1))
         ways = np.broadcast_to([0.0, self._speed, 0.0], places.shape)
         x = so3.rotate(turns, places) + np.repeat(now[:, :3], size, axis=0)
         v = so3.rotate(turns, ways) + own

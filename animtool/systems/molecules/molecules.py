@@ -233,7 +233,7 @@ class Molecules(Interacting[MoleculeState, Listed]):
         self._watch(after, t + dt)
         return after
 
-    def _given(self, state: MoleculeState) -> float:
+    def _bath_energy(self, state: MoleculeState) -> float:
         return state.heat
 
     def _advised(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002

@@ -196,7 +196,7 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     body = surface(mesh.points, *faces, mass=entry.mass * share, **families)
     often = edge_counts(*faces)
     border = np.unique(often[0][often[1] == 1])
-    notices = _odd_mesh(prim, mesh.points, flat, often)
+    notices = _mesh_warnings(prim, mesh.points, flat, often)
     return SpringBody(body, {"border": border}, Faces(*faces, body.springs), notices)
 
 
@@ -215,7 +215,7 @@ def _shares(
     return _share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
-def _odd_mesh(
+def _mesh_warnings(
     prim: str, points: FloatArray, flat: IntArray, shared: tuple[IntArray, IntArray]
 ) -> tuple[Fault, ...]:
     """Return warnings of what cloth bears, and nobody means."""

@@ -25,7 +25,7 @@ from animtool.systems.simulation import (
     SimContext,
     Stepped,
     StoppedError,
-    Ways,
+    TrialSettings,
 )
 from animtool.systems.springs.checks import check_options
 from animtool.systems.springs.drawing import Faces, Tearing
@@ -232,7 +232,7 @@ class SpringSimulation:
         slowing.append(np.array(system.pressures))
         return system.colliders.active or any(values.any() for values in slowing)
 
-    def ways(self) -> Ways:
+    def trial_settings(self) -> TrialSettings:
         """Return solvers in several steps, about those that each takes itself."""
         own, free = self.options, replace(self.options, step=None)
 
@@ -262,7 +262,7 @@ class SpringSimulation:
                 return {"error": None, "solver": own.solver, "step": own.step}
             return {"error": None, "solver": setting.method, "step": setting["step"]}
 
-        return Ways(chosen, settings, references, changes)
+        return TrialSettings(chosen, settings, references, changes)
 
     @property
     def long(self) -> bool:

@@ -29,7 +29,7 @@ def check_types(subject: Subject) -> Iterator[Fault]:
     Properties of SkelBindingAPI count where it is not applied, too, and inbetweens.
     """
     for attr in subject.attributes:
-        type_name, expected = attr.GetPropertyStack()[0].typeName, _wanted(attr)
+        type_name, expected = attr.GetPropertyStack()[0].typeName, _expected_type(attr)
         if expected is not None and type_name.type != expected.type:
             message = (
                 f"it is {type_name}, its schema has {expected}; more may be wrong there"
@@ -37,7 +37,7 @@ def check_types(subject: Subject) -> Iterator[Fault]:
             yield finding("USD280", attr.GetPath(), message)
 
 
-def _wanted(attr: Any) -> Any:
+def _expected_type(attr: Any) -> Any:
     """Return the type that an attribute should have, None where any will do."""
     name = attr.GetName()
     if name.startswith("inbetweens:"):

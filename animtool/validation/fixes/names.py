@@ -9,7 +9,7 @@ from typing import Any
 
 from animtool.config import project_roots
 from animtool.documents.document import Location, document_of, read_document, read_text
-from animtool.documents.edit import Edit, Put, Rename
+from animtool.documents.edit import Edit, Rename, Replace
 from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
@@ -191,14 +191,14 @@ def renaming(
             if use.endswith("drives/*/joint"):
                 joint, part = split_part(name, DRIVEN_PARTS)
             if joint in new:
-                yield Put(at, f"{new[joint]}.{part}" if part else new[joint])
+                yield Replace(at, f"{new[joint]}.{part}" if part else new[joint])
     for at, where in _named(value, ("ignore", "*", "where"), ()):
         place = where
         for old, name in new.items():
             lists = "|".join(_PLACES[key])
             place = re.sub(rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", place)
         if place != where:
-            yield Put(at, place)
+            yield Replace(at, place)
 
 
 def _named(

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.documents.document import document_of, read_text
-from animtool.documents.edit import Add, EditError, Put, Remove, edited
+from animtool.documents.edit import Add, EditError, Remove, Replace, edited
 from animtool.documents.references import split_reference
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import read_input
@@ -82,7 +82,7 @@ def summed(checked: CheckedFile, fault: Fault) -> Mend:
     text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
     arrays = {path: {weights.key: _divided(weights)}}
-    return Mend(remedy, (Put(place, text),), arrays)
+    return Mend(remedy, (Replace(place, text),), arrays)
 
 
 def _free(path: Path, key: str) -> Path:

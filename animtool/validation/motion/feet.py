@@ -15,7 +15,7 @@ from animtool.validation.motion.contacts import (
     moves_over,
 )
 from animtool.validation.motion.pops import runs
-from animtool.validation.motion.size import lies_along
+from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
 # A take that travels less is one on the spot, whose feet slide on purpose [size].
@@ -52,7 +52,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     contacts = contacts_of(subject)
     if (
         contacts is None
-        or lies_along(subject)
+        or body_axis(subject)
         or _travel(subject) < TRAVEL * subject.size
     ):
         return
@@ -122,7 +122,7 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     height at which the feet stand most.
     """
     contacts = contacts_of(subject)
-    if contacts is None or lies_along(subject):
+    if contacts is None or body_axis(subject):
         return
     whole = list(_whole_take(subject, contacts))
     yield from whole or [*_sunk(subject, contacts), *_floating(subject, contacts)]

@@ -282,7 +282,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         first = int(np.flatnonzero(kept)[0])
         yield subject.fault("MOT207", None, first, message, hint)
         return
-    yield from _odd_step(subject)
+    yield from _off_grid_step(subject)
 
 
 def _is_multiple(ratio: float) -> bool:
@@ -295,7 +295,7 @@ def _is_multiple(ratio: float) -> bool:
     return abs(parts - round(parts)) < 0.02
 
 
-def _odd_step(subject: MotionSubject) -> Iterator[Fault]:
+def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that samples lie evenly, but neither on frames nor on parts of them."""
     if subject.codes is None or subject.frames < MIN_FRAMES:
         return

@@ -196,9 +196,9 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT215", None, None, message, hint)
 
 
-def wrong_up(subject: MotionSubject) -> Iterator[Fault]:
+def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the body stands along another axis than the up axis (MOT214)."""
-    axis = lies_along(subject)
+    axis = body_axis(subject)
     if axis is None:
         return
     name, share = axis
@@ -214,7 +214,7 @@ def wrong_up(subject: MotionSubject) -> Iterator[Fault]:
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)
 
 
-def lies_along(subject: MotionSubject) -> tuple[str, float] | None:
+def body_axis(subject: MotionSubject) -> tuple[str, float] | None:
     """Return the axis that a body stands along in place of up, and how often.
 
     The axis is empty where it is upside down; None where the body stands, or moves.

@@ -150,7 +150,7 @@ def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
     return np.broadcast_to(values, (len(times), values.shape[1]))
 
 
-def wrong_way_round(subject: ClipSubject) -> Iterator[Fault]:
+def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
     """Yield angles that go a whole turn round from a key to the next (CLIP206)."""
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):

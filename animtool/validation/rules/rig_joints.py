@@ -172,7 +172,7 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG222", ("joints", i), message, hint)
 
 
-def odd_size(rig: RigSubject) -> Iterator[Fault]:
+def implausible_size(rig: RigSubject) -> Iterator[Fault]:
     """Yield a size that fits another unit better (RIG217)."""
     low, high = LIKELY_METERS
     if len(rig.rig.joints) < MIN_JOINTS or low <= rig.size <= high or not rig.size:

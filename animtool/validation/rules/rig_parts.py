@@ -28,7 +28,7 @@ GROUPS = ("joints", "meshes", "shapes")
 HINT = "the second gets a number there; rename one"
 
 
-def names_apart(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
+def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
     """Yield names of a rig, or of joints in a capture, that become one (RIG219)."""
     if isinstance(subject, RigSubject):
         for key in GROUPS:

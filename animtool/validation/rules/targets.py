@@ -290,7 +290,7 @@ def _reach(
     return joints[:, 0], bones + slides + float(np.linalg.norm(goal.offset))
 
 
-def odd_unit(subject: SceneSubject) -> Iterator[Fault]:
+def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
     """Yield targets whose points fit the rig in another unit (TGT206)."""
     for asked in _all_asked(subject):
         size = rest_size(asked.take.rig)

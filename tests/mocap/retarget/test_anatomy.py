@@ -16,7 +16,14 @@ from support.people import named, person
 from animtool.errors import OptionError
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.roles import CONTROL, END, FINGERS, ROLES, TWIST, Found
+from animtool.mocap.retarget.roles import (
+    CONTROL,
+    END,
+    FINGERS,
+    ROLES,
+    TWIST,
+    RoleSource,
+)
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
@@ -169,7 +176,7 @@ def test_a_rest_pose_that_is_none_needs_a_pose() -> None:
     seen = anatomy(along_x, positions=rest.positions[0])
     assert list(seen.roles) == [roles[name] for name in rig.names]
     assert seen.notices == ()
-    assert set(seen.found) == {Found.STRUCTURE}
+    assert set(seen.found) == {RoleSource.STRUCTURE}
 
 
 @pytest.mark.parametrize(

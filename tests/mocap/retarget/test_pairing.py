@@ -11,7 +11,7 @@ from support.people import named, person
 
 from animtool.errors import FormatError, OptionError
 from animtool.mocap.retarget import JointMap, map_joints, map_text
-from animtool.mocap.retarget.roles import Found
+from animtool.mocap.retarget.roles import RoleSource
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -128,7 +128,7 @@ def test_names_alone_leave_out_what_structure_knows() -> None:
     whole = map_joints(source, target)
     pair = whole.by_role("shin_l")
     assert pair is not None
-    assert (pair.found, pair.confidence) == (Found.STRUCTURE, 0.7)
+    assert (pair.found, pair.confidence) == (RoleSource.STRUCTURE, 0.7)
 
 
 def test_a_hand_in_a_mitten_moves_all_fingers() -> None:
@@ -175,7 +175,7 @@ def test_a_written_map_reads_back(tmp_path: Path, preset: str) -> None:
     assert [(pair.source, pair.target, pair.role) for pair in again.pairs] == bare
     assert sorted(again.chains, key=str) == sorted(found.chains, key=str)
     assert again.unmapped_target == found.unmapped_target
-    assert {pair.found for pair in again.pairs} == {Found.FILE}
+    assert {pair.found for pair in again.pairs} == {RoleSource.FILE}
 
 
 def test_a_map_goes_before_names(tmp_path: Path) -> None:
