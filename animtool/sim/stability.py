@@ -21,8 +21,8 @@ Limit: TypeAlias = Callable[[float, float], float]
 
 # Coefficients below it, over the largest, are what rounding left.
 ROUNDING = 1e-14
-# The largest damping ratio whose square and that of its square are finite [1].
-MAX_DAMPING = 1e70
+# A larger damping ratio, whose square leaves no other digit, counts by its inverse [1].
+MAX_DAMPING = 1e6
 
 
 def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
@@ -86,7 +86,7 @@ def jury_limit(
         above = poly.polysub(d, [1.0])
         beyond = [poly.polysub(side, poly.polyadd(d, [1.0])) for side in (t, -t)]
         least = min(map(_first_positive, [above, *beyond])) / omega
-        # There it goes with one over the ratio, which spares its square.
+        # The limit goes with one over the ratio there.
         return least * (ratio / damping_ratio) if damping_ratio > ratio else least
 
     return limit
