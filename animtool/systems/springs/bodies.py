@@ -127,9 +127,8 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
         and points.shape[1] >= 2
         and points.shape[2] == 3
     ):
-        shape = "(1 or more, 2 or more, 3)"
-        message = f"strands have the shape {shape}, not {points.shape}"
-        entry.note("SIM050", message, "points")
+        message = "strands have the shape (1 or more, 2 or more, 3), not "
+        entry.note("SIM050", f"{message}{points.shape}", "points")
     if points is None or not entry.sound:
         return None
     many, length = points.shape[:2]
