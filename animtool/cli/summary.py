@@ -75,7 +75,7 @@ def bake_text(report: BakeReport) -> list[str]:
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {size_text(result.bytes)} written in {duration_text(total)}"
         + (f", {size_text(speed)}/s of source" if speed else ""),
-        f"  largest error of {_rounded_to(report.worst)}: "
+        f"  largest error of {_rounded_to(report.worst)}{_clamped_text(report)}: "
         + _error_text(report.worst, "" if one else report.worst.written.name),
     ]
     if one is not None:
@@ -105,6 +105,12 @@ def _frames_text(report: BakeReport, take: TakeReport) -> str:
 def _rounded_to(take: TakeReport) -> str:
     """Return what the numbers of a take were rounded to."""
     return "float32 and half scales" if take.written.rounding.scales else "float32"
+
+
+def _clamped_text(report: BakeReport) -> str:
+    """Return that the errors leave out what is beyond float32, if anything is."""
+    beyond = any(notice.code == "BVH104" for notice in report.notices)
+    return " but for what is beyond it" if beyond else ""
 
 
 def _error_text(take: TakeReport, name: str = "") -> str:

@@ -263,6 +263,9 @@ def _told(shown: str, fault: Any) -> str:
     bound = context.get(_BOUNDS.get(kind))
     if bound is not None and abs(bound) >= LARGE:
         return f"{shown} is beyond {bound:g}"
+    if bound is not None and 0 < bound <= SMALL:
+        above = fault["input"] > 0
+        return f"{shown} is below {bound:g}" if above else f"{shown} is not above 0"
     if kind == "value_error":
         return str(context["error"])
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
@@ -299,6 +302,8 @@ def _are(count: int) -> str:
 
 # A bound at least this large is none of the key's own.
 LARGE = 1e9
+# A least number this small stands beside "above 0".
+SMALL = 1e-30
 _BOUNDS = {"less_than_equal": "le", "greater_than_equal": "ge"}
 _KINDS = {
     "float_type": "a number",

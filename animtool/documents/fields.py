@@ -28,6 +28,9 @@ from animtool.options import Key, Range
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.
 MAX_NUMBER = 1e18
+# The smallest number above 0 where a key must be above 0. float32 rounds it to no zero;
+# the product of eight is held by float64.
+MIN_POSITIVE = 1e-36
 # A year at 30 frames a second; time codes there are still apart by 1e-7.
 MAX_FRAME = 1e9
 # Whole numbers up to here are the same as floats.
@@ -39,7 +42,7 @@ Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
 Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
 WholeFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
-Positive = Annotated[Real, Gt(0)]
+Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
 NotNegative = Annotated[Real, Ge(0)]
 # Of bodies of a system.
 Count = Annotated[Whole, Ge(1), Le(2 * 10**6)]

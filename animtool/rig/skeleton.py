@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias, cast, get_args
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, OptionError, counted, excerpt
+from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.readers import find_reader
 from animtool.rig.controls import Control
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -27,6 +27,9 @@ from animtool.rig.parts import (
 )
 from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
+
+# Letters of the paths of all joints: a chain has the square of its joints.
+MAX_PATHS = 500_000_000
 
 # As BVH calls the numbers of a joint.
 ChannelName: TypeAlias = Literal[
@@ -240,11 +243,21 @@ class Rig:
     def paths(self, names: Sequence[str] | None = None) -> list[str]:
         """Return ``root/…/joint`` for every joint, with other names if given.
 
+        Raises:
+            FormatError: They are longer than `MAX_PATHS` letters in all (USD019).
+
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).paths()
         ['upper', 'upper/lower']
         """
         names = self.names if names is None else names
         paths: list[str] = []
+        total = 0
         for joint, name in zip(self.joints, names, strict=True):
             paths.append(name if joint.parent < 0 else f"{paths[joint.parent]}/{name}")
+            total += len(paths[-1])
+            if total > MAX_PATHS:
+                message = f"paths of the {len(self.joints)} joints of {self.name!r} "
+                message += f"have over {MAX_PATHS:g} letters in all"
+                hint = "make chains shorter: each path has all names above its joint"
+                raise FormatError(Fault("USD019", message, hint=hint))
         return paths

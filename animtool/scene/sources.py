@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from animtool.documents.names import is_named
 from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.files import note_input
+from animtool.files import FileState, note_input
 from animtool.options import Key, option, options_of
 from animtool.rates import OptionalFraction, rate_option
 from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
@@ -220,7 +220,9 @@ def is_usd(path: Path) -> bool:
 
 def motion_bytes(path: Path) -> int:
     """Return the size of a file that holds motion; 0 of a scene, which names others."""
-    return 0 if is_named(path, "scene") else path.stat().st_size
+    # That it is gone since is said by those who look at what was read.
+    state = None if is_named(path, "scene") else FileState.of(path)
+    return 0 if state is None else state.size
 
 
 def is_timeline(path: Path) -> bool:

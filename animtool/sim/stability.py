@@ -21,6 +21,8 @@ Limit: TypeAlias = Callable[[float, float], float]
 
 # Coefficients below it, over the largest, are what rounding left.
 ROUNDING = 1e-14
+# A larger damping ratio, whose square leaves no other digit, counts by its inverse [1].
+MAX_DAMPING = 1e6
 
 
 def unlimited(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
@@ -42,8 +44,13 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     coefficients = np.asarray(growth, np.float64)
 
     def limit(omega: float, damping_ratio: float) -> float:
-        root = np.emath.sqrt(damping_ratio**2 - 1)
-        values = {complex(-damping_ratio + root), complex(-damping_ratio - root)}
+        # Of the slower decay λ h is less, whose difference would be rounding.
+        if damping_ratio >= 1:
+            root = math.sqrt(damping_ratio - 1) * math.sqrt(damping_ratio + 1)
+            values = {complex(-damping_ratio - root)}
+        else:
+            root = math.sqrt((1 - damping_ratio) * (1 + damping_ratio))
+            values = {complex(-damping_ratio, root), complex(-damping_ratio, -root)}
         limits = (_first_growth(coefficients, value) for value in values)
         return min(limits) / omega
 
@@ -74,10 +81,13 @@ def jury_limit(
     """
 
     def limit(omega: float, damping_ratio: float) -> float:
-        t, d = np.array(trace(damping_ratio)), np.array(determinant(damping_ratio))
+        ratio = min(damping_ratio, MAX_DAMPING)
+        t, d = np.array(trace(ratio)), np.array(determinant(ratio))
         above = poly.polysub(d, [1.0])
         beyond = [poly.polysub(side, poly.polyadd(d, [1.0])) for side in (t, -t)]
-        return min(map(_first_positive, [above, *beyond])) / omega
+        least = min(map(_first_positive, [above, *beyond])) / omega
+        # The limit goes with one over the ratio there.
+        return least * (ratio / damping_ratio) if damping_ratio > ratio else least
 
     return limit
 

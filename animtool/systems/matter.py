@@ -160,7 +160,9 @@ def check_rows(
         shape = (count,) if name == "masses" else (count, 3)
         message = f"{name} have the shape {array.shape}, not {shape}"
         if array.shape == shape:
-            finite = np.isfinite(array.reshape(count, -1)).all(axis=1)
+            finite = np.isfinite(array.reshape(count, 3 if array.ndim > 1 else 1)).all(
+                axis=1
+            )
             if finite.all():
                 continue
             message = f"{name} of {kind} {int(np.argmin(finite))} are not finite"

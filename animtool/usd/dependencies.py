@@ -99,11 +99,13 @@ def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def open_composed(layer: Any, path: Path) -> Any:
-    """Return the stage of a layer, all that it brings in looked at before."""
+    """Return the stage of a layer, all that it brings in looked at before.
+
+    What USD prints about it is not printed: `composition_notices` says the same.
+    """
     walk = _Walk(path)
-    with usd_errors(path):
-        with without_usd_warnings():
-            walk.follow(layer)
+    with usd_errors(path), without_usd_warnings():
+        walk.follow(layer)
         stage = Usd.Stage.Open(layer)
     note_layers(stage, walk.states)
     return stage

@@ -281,6 +281,11 @@ class MeshSource:
         _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
         world = self._reader.world_from_prim(time)
         placed = transformed(points, world) * self._unit
+        if not np.isfinite(placed).all():
+            message = f"{self._reader.prim.GetPath()} is placed at no finite place"
+            raise OptionError(
+                Fault("SIM051", message, hint="look at the transforms above it")
+            )
         if self._turn is not None:
             placed = so3.rotate(np.array(self._turn), placed)
         return StillMesh(np.asarray(placed, np.float64), counts, indices)

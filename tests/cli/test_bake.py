@@ -50,6 +50,16 @@ def test_summary_in_words(take: Path, tmp_path: Path) -> None:
         assert said in done.stderr
 
 
+@pytest.mark.parametrize("value", ["1e30", "1e300"])
+def test_errors_leave_out_what_is_beyond_float32(tmp_path: Path, value: str) -> None:
+    text = small_bvh(random_rows(2)).splitlines()
+    text[-1] = " ".join([value, *text[-1].split()[1:]])
+    (tmp_path / "far.bvh").write_text("\n".join(text))
+    said = animtool("bake", tmp_path / "far.bvh", "-o", tmp_path / "o.usda").stderr
+    assert ("float32 but for what is beyond it: " in said) is (value == "1e300")
+    assert ("no error in the report counts them" in said) is (value == "1e300")
+
+
 def test_a_scene_has_no_size_to_read_by(take: Path, tmp_path: Path) -> None:
     scene = tmp_path / "walk.scene.yaml"
     text = f"scene: animtool/1\nsource: {{file: {take.name}, units: cm}}\n"

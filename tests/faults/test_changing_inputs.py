@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextvars import Context
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,27 @@ def test_an_input_changes_while_it_is_read(
     if output == "o.usda":
         row = f"an input is {change.__name__} while it is read"
         record_property(FAULTS, f"{row} | {caught.value.code} | nothing")
+
+
+def test_an_input_is_gone_once_it_was_read(disk: Path) -> None:
+    take, made = disk / "take.bvh", disk / "o.usda"
+    take.write_text(small_bvh(random_rows(8)), "utf-8")
+
+    def opener(path: Path, *arguments: Any, **more: Any) -> Any:
+        stream = open_source(path, *arguments, **more)
+        blocks = stream.blocks
+
+        def read() -> Iterator[Any]:
+            yield from blocks
+            take.unlink()
+
+        stream.blocks = read()
+        return stream
+
+    with pytest.raises(FormatError) as caught:
+        bake(take, made, opener=opener)
+    assert caught.value.code == "IO004"
+    assert not list(disk.iterdir())
 
 
 YEARS = (-60, -5, 5, 200)

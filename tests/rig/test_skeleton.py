@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.errors import OptionError
+from animtool.errors import FormatError, OptionError
+from animtool.rig import skeleton
 from animtool.rig.controls import Control
 from animtool.rig.skeleton import Joint, Rig
 
@@ -14,6 +15,17 @@ def test_paths_and_roots() -> None:
     assert rig.roots == [0, 3]
     assert rig.parents.tolist() == [-1, 0, 1, -1]
     assert rig.index("c") == 2
+
+
+def test_paths_of_a_very_long_chain_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(skeleton, "MAX_PATHS", 9)
+    joints = (Joint("a", -1), Joint("b", 0), Joint("c", 1))
+    assert Rig("three", joints).paths() == ["a", "a/b", "a/b/c"]
+    with pytest.raises(FormatError) as caught:
+        Rig("four", (*joints, Joint("d", -1))).paths()
+    assert caught.value.code == "USD019"
 
 
 def test_a_name_stands_once() -> None:

@@ -36,6 +36,16 @@ def test_strong_damping_is_the_fastest_decay(damping: float) -> None:
         assert limit == pytest.approx(most / fastest, rel=1e-6)
 
 
+@pytest.mark.parametrize("damping", [1e9, 1e160, 1e300])
+def test_damping_may_be_any_number(damping: float) -> None:
+    for name, most in (("euler", 2.0), ("heun", 2.0), ("rk4", 2.785293563405)):
+        limit = find_integrator(name).largest_step(1.0, damping)
+        assert limit == pytest.approx(most / damping / 2, rel=1e-6)
+    verlet = find_integrator("velocity_verlet").largest_step
+    ratio = verlet(1.0, damping) / verlet(1.0, 1e3)  # type: ignore[operator]
+    assert ratio == pytest.approx(1e3 / damping, rel=1e-5)
+
+
 def test_solvers_keep_to_their_limits() -> None:
     assert find_integrator("dop853").largest_step(1.0) is None
     assert find_integrator("radau").largest_step(1.0) is None

@@ -167,10 +167,10 @@ def _value(spec: dict[str, Any]) -> str:
     if isinstance(named, dict) and ("$ref" in named or named.get("type")):
         return f"{_value(named)}, by name"
     word = _WORDS.get(spec.get("type", "object"), "keys")
-    if abs(spec.get("minimum", LARGE)) < LARGE:
-        word += f", {spec['minimum']:g} or more"
-    elif "exclusiveMinimum" in spec:
+    if "exclusiveMinimum" in spec:
         word += " above 0"
+    elif abs(spec.get("minimum", LARGE)) < LARGE:
+        word += f", {spec['minimum']:g} or more"
     return word
 
 

@@ -367,8 +367,21 @@ def test_layers_that_are_missing_are_named(
     stream = read_usd(tmp_path / "shot.usda")
     assert [n.code for n in stream.notices] == ["USD112"]
     assert "gone.usda" in stream.notices[0].message
-    # USD says so on stderr too, in its own words.
-    assert "gone.usda" in capfd.readouterr().err
+    assert capfd.readouterr().err == ""
+
+
+def test_layers_in_a_circle_are_named(
+    take: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bake(take, tmp_path / "o.usda")
+    for name, others in (("a", ["./b.usda", "./o.usda"]), ("b", ["./a.usda"])):
+        layer = Sdf.Layer.CreateNew(str(tmp_path / f"{name}.usda"))
+        layer.subLayerPaths = others
+        layer.Save()
+    stream = read_usd(tmp_path / "a.usda")
+    assert [n.code for n in stream.notices] == ["USD112"]
+    assert "has cycles" in stream.notices[0].message
+    assert capfd.readouterr().err == ""
 
 
 def test_a_path_of_no_character_names_those_there(take: Path, tmp_path: Path) -> None:

@@ -308,7 +308,10 @@ class RowReader:
             "BVH102", self._missing, "not finite", "interpolated between neighbours"
         )
         self._name_all(
-            "BVH104", self._beyond, "beyond float32", "the largest float32 is written"
+            "BVH104",
+            self._beyond,
+            "beyond float32",
+            "the largest float32 is written; no error in the report counts them",
         )
 
     def _name_all(

@@ -18,7 +18,7 @@ from animtool.documents.check import (
     unknown_options,
 )
 from animtool.documents.document import Document, Location
-from animtool.documents.fields import record_of
+from animtool.documents.fields import MAX_NUMBER, record_of
 from animtool.documents.names import nearest
 from animtool.documents.references import (
     referred,
@@ -345,10 +345,14 @@ class EntryReader:
         if path is None:
             return None
         try:
-            return load_array(path, key)
+            values = load_array(path, key)
         except ValueError as error:
             self.note(at, Fault("RIG018", str(error)))
             return None
+        why = _array_fault(values)
+        if why is not None:
+            self.note(at, Fault("RIG018", f"{path.name}#{key} {why}"))
+        return values if why is None else None
 
     def input(self, at: Location, name: str) -> Path | None:
         """Return a file to read; None, and a fault, where there is none."""
@@ -381,3 +385,12 @@ def _moved(model: PlacedModel, own: Poses) -> Poses:
         gone.over(times)[:, :3] + place[:3],
         so3.multiply(turned.over(times)[:, 3:], place[3:]),
     )
+
+
+def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
+    """Return why a system can do nothing with an array."""
+    if not values.ndim:
+        return "is one number, not a list of them"
+    if np.abs(values).max(initial=0.0) > MAX_NUMBER:
+        return f"holds a value beyond {MAX_NUMBER:g}"
+    return None

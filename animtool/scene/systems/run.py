@@ -66,6 +66,9 @@ MAX_STEPS = 10_000_000
 # Where a solver chooses its steps, none is longer [s].
 LONGEST_STEP = 1 / 240
 
+# Powers of ten within which the numbers of scenes are, in SI units.
+LIKELY = 9.0
+
 
 class SystemRun:
     """Systems under way.
@@ -162,10 +165,10 @@ class SystemRun:
                 row = [self._row(i, t) for i in self.written]
             except ToleranceError as error:
                 if not (k and keep_stopped):
-                    raise ToleranceError(_before(code, error)) from error
+                    raise ToleranceError(self._before(code, error)) from error
                 kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
                 note = Fault("SIM193", kept, severity=Severity.NOTE)
-                self.stopped = ToleranceError([*_before(code, error), note])
+                self.stopped = ToleranceError([*self._before(code, error), note])
                 break
             yield float(code), row
             self.done = k + 1
@@ -223,6 +226,16 @@ class SystemRun:
             run.simulation.see(last[i])
         self.seconds[min(ahead)] += time.perf_counter() - began
 
+    def _before(self, code: Fraction, error: ToleranceError) -> list[Fault]:
+        """Return the faults of a system that stopped, the last with the frame."""
+        *others, last = error.faults
+        message = f"{last.message}, before frame {float(code):g}"
+        hints = [last.hint] if last.hint else []
+        for system in self.systems if last.code == "SIM102" else ():
+            if last.where is not None and last.where.startswith(system.place.where):
+                hints += _unlikely(system)
+        return [*others, replace(last, message=message, hint=", ".join(hints) or None)]
+
     def _keep(self, code: Fraction) -> None:
         """Keep the states that are to be saved at a time code."""
         for i, at in self._saving.items():
@@ -271,11 +284,32 @@ class SystemRun:
         ]
 
 
-def _before(code: Fraction, error: ToleranceError) -> list[Fault]:
-    """Return the faults of a system that stopped, the last with the frame."""
-    *others, last = error.faults
-    message = f"{last.message}, before frame {float(code):g}"
-    return [*others, replace(last, message=message)]
+def _unlikely(system: SceneSystem) -> list[str]:
+    """Return a hint at the number of a system that is farthest from those of scenes."""
+    given = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
+    found = [*_sizes(given, ""), *_sizes(system.setup.parts, "")]
+    far = [(abs(math.log10(size)), name, size) for name, size in found if size > 0]
+    most, name, size = max(far, default=(0.0, "", 0.0))
+    return [f"look at the unit of {name}: {size:g}"] if most > LIKELY else []
+
+
+def _sizes(node: Any, name: str) -> Iterator[tuple[str, float]]:
+    """Yield numbers, the longest component of vectors, and the width of arrays."""
+    if isinstance(node, Mapping):
+        for key, value in node.items():
+            yield from _sizes(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(node, float):
+        yield name, abs(node)
+    elif isinstance(node, np.ndarray) and node.size and node.dtype.kind == "f":
+        rows = node.reshape(-1, node.shape[-1]) if node.ndim > 1 else node
+        wide = float(np.ptp(rows, axis=0).max())
+        yield name, wide or float(np.abs(rows).max())
+    elif isinstance(node, (list, tuple)):
+        if node and all(isinstance(one, float) for one in node):
+            yield name, max(map(abs, node))
+            return
+        for i, value in enumerate(node):
+            yield from _sizes(value, f"{name}[{i}]")
 
 
 def _step_end(frame: float, length: float, fps: Fraction) -> str:

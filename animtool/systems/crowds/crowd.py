@@ -122,7 +122,12 @@ class Crowd:
         steering = Steering(
             agents, spec.goals, goals, np.array(lines).reshape(-1, 2), grid
         )
-        ends = [[d.begin for d in spec.doors], [d.end for d in spec.doors]]
+        sides = [[d.begin for d in spec.doors], [d.end for d in spec.doors]]
+        ends = np.stack([self._on_ground(one) for one in sides], axis=1)
+        for door, (begin, end) in zip(spec.doors, ends, strict=True):
+            if not ((end - begin) ** 2).sum() > 0:
+                message = f"both ends of {door.name!r} are one place on the ground"
+                refuse("SIM145", message, "doors")
         obstacles = Obstacles(
             agents,
             frame,
@@ -131,7 +136,7 @@ class Crowd:
             spec.doors,
             edge,
             spec.avoidance.obstacles,
-            np.stack([self._on_ground(one) for one in ends], axis=1),
+            ends,
         )
         return steering, obstacles
 

@@ -122,10 +122,13 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     """Return strands; None where what is noted leaves none."""
     points = entry.parts["points"]
     if points is not None and not (
-        points.ndim == 3 and points.shape[1] >= 2 and points.shape[2] == 3
+        points.ndim == 3
+        and len(points)
+        and points.shape[1] >= 2
+        and points.shape[2] == 3
     ):
-        message = f"strands have the shape (strands, 2 or more, 3), not {points.shape}"
-        entry.note("SIM050", message, "points")
+        message = "strands have the shape (1 or more, 2 or more, 3), not "
+        entry.note("SIM050", f"{message}{points.shape}", "points")
     if points is None or not entry.sound:
         return None
     many, length = points.shape[:2]

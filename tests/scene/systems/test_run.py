@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 from pxr import Usd
 
 from animtool import BakeOptions, bake
-from animtool.errors import AnimtoolError
+from animtool.errors import AnimtoolError, ToleranceError
 from animtool.scene.prims import BakeReport
 from animtool.shot import FrameRange
 from animtool.usd.checks import check_layer
@@ -50,6 +53,42 @@ def baked(folder: Path, systems: str, options: BakeOptions | None = None) -> Bak
 
 def said(report: BakeReport) -> list[str]:
     return [notice.code for notice in report.notices if notice.code != "SIM130"]
+
+
+@pytest.mark.parametrize(
+    ("scaled", "hint"),
+    [
+        ({}, None),
+        ({"from": [0, 0, 0], "to": [0, 1e-12, 0]}, "look at the unit of to: 1e-12"),
+        ({"mass": 1e-12}, "look at the unit of mass: 1e-12"),
+        ({"to": "far"}, "look at the unit of points: 1e-11"),
+    ],
+)
+def test_what_blows_up_by_its_size_gets_a_hint_at_units(
+    tmp_path: Path, scaled: dict[str, Any], hint: str | None
+) -> None:
+    keys = {
+        "mass": 0.1,
+        "solver": "symplectic_euler",
+        "step": 1 / 64,
+        "gravity": [9] * 3,
+    }
+    keys |= {"springs": {"structural": {"stiffness": 60 if scaled else 1e9}}}
+    if scaled.get("to") == "far":
+        np.savez(tmp_path / "hair.npz", points=np.eye(3)[None] * 1e-11)
+        pins = [{"particles": ["roots"]}]
+        strands = {**keys, "points": "hair.npz", "pins": pins}
+        systems = [{"strands": strands}]
+    else:
+        pins = [{"particles": ["start"]}]
+        rope = {"from": [0, 0, 0], "to": [0, 1, 0], "count": 4, "pins": pins}
+        systems = [{"rope": {**keys, **rope, **scaled}}]
+    with pytest.raises(ToleranceError) as error:
+        baked(tmp_path, yaml.safe_dump(systems))
+    last = error.value.faults[-1]
+    assert (last.code, last.where) == ("SIM102", f"systems[0].{next(iter(systems[0]))}")
+    assert ("look at the unit" in str(last.hint)) is (hint is not None)
+    assert str(last.hint).endswith(hint or "")
 
 
 def test_a_name_that_another_has_is_said(tmp_path: Path) -> None:

@@ -129,6 +129,16 @@ def test_a_mesh_that_changes_shape_lifts_what_lies_on_it(
     assert heights[-1] == pytest.approx(0.4 + 0.02, abs=0.03)
 
 
+def test_a_mesh_is_somewhere(tmp_path: Path, stage: Usd.Stage) -> None:
+    sheet = UsdGeom.Xformable(stage.GetPrimAtPath("/sheet"))
+    sheet.AddScaleOp(opSuffix="none").Set((float("nan"), 1, 1))
+    stage.Save()
+    mesh = MovingMeshModel(file=str(tmp_path / "set.usda"), prim="/sheet")
+    with pytest.raises(AnimtoolError, match="at no finite place") as error:
+        moving_sheet(mesh)
+    assert error.value.code == "SIM051"
+
+
 def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:
     points = stage.GetPrimAtPath("/sheet").GetAttribute("points")
     points.Set(Vt.Vec3fArray(5), 48)

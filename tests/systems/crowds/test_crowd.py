@@ -326,6 +326,7 @@ def test_what_is_odd_is_named_and_mended(simulator: Simulator) -> None:
         ({"goals": [goal("g", 0, 0), goal("g", 1, 1)]}, "two goals are named 'g'"),
         ({"doors": [door([1, 0, 0], [3, 1])]}, "from 3 s to 1 s"),
         ({"doors": [door([0, 0, 0])]}, "are one place"),
+        ({"doors": [door([0, 2, 0])]}, "are one place"),
         (
             {"ground": {"moves": [[0, 0, 0, 0], [1, 0, 1, 0]]}},
             "the ground does not move",

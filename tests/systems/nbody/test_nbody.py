@@ -173,6 +173,23 @@ def test_what_makes_no_sense_is_refused(
     assert error.value.code in ("SIM070", "SIM020")
 
 
+def test_a_file_may_hold_no_bodies(simulator: Simulator) -> None:
+    run = opened(simulator, bodies=[{"points": TWO}, {"points": np.zeros((0, 3))}])
+    assert_array_equal(run.at(0.0).points, TWO)
+
+
+@pytest.mark.parametrize(
+    ("mass", "text"),
+    [(0, "0 is not above 0"), (-1, "-1 is not above 0"), (1e-320, "is below 1e-36")],
+)
+def test_numbers_that_nothing_divides_by_are_refused(
+    simulator: Simulator, mass: float, text: str
+) -> None:
+    with pytest.raises(AnimtoolError, match=text) as error:
+        opened(simulator, bodies=[{"points": TWO, "mass": mass}])
+    assert error.value.code == "DOC022"
+
+
 def test_a_step_that_is_too_long_stops_with_one_that_is_not(
     simulator: Simulator,
 ) -> None:

@@ -139,6 +139,8 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"heights": "hill.npz#line"}, "heights", "SIM020"),
     ({"heights": "hill.npz#thin"}, "heights", "SIM020"),
     ({"heights": "hill.npz#holes"}, "heights", "RIG018"),
+    ({"heights": "hill.npz#number"}, "heights", "RIG018"),
+    ({"heights": "hill.npz#far"}, "heights", "RIG018"),
     ({"size": [8, 0]}, "size", "SIM020"),
     ({"size": [8, 4, 2]}, "size", "SIM020"),
     ({"size": "8"}, "size", "SCN002"),
@@ -151,6 +153,7 @@ def test_what_is_wrong_with_heights_is_told(
     tmp_path: Path, keys: dict[str, Any], where: str, code: str
 ) -> None:
     heights = {"heights": slope(2, 3), "line": np.zeros(3), "thin": np.zeros((1, 3))}
+    heights |= {"number": np.array(2.0), "far": np.full((2, 3), 1e19)}
     np.savez(tmp_path / "hill.npz", **heights, holes=np.array([[0, np.nan], [1, 2]]))
     field = {"heights": "hill.npz#heights", "size": list(SIDES), **keys}
     with pytest.raises(FormatError) as error:

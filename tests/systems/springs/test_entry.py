@@ -59,6 +59,7 @@ def folder(tmp_path: Path) -> Path:
         tmp_path / "hair.npz",
         points=points,
         flat=np.zeros((4, 3)),
+        bald=np.zeros((0, 4, 3)),
         jelly=jelly,
         lost=[*jelly, [5.0, 5, 5]],
         cells=cells,
@@ -144,6 +145,7 @@ CASES = {
     "strands of no file": (f"points: {NPZ}", "points: no.npz", ["DOC015"]),
     "strands of no array": (f"points: {NPZ}", f"points: {NPZ}#p", ["RIG018"]),
     "strands of one": (f"points: {NPZ}", f"points: {NPZ}#flat", ["SIM050"]),
+    "no strands": (f"points: {NPZ}", f"points: {NPZ}#bald", ["SIM050"]),
     "a mesh and a sheet": (
         "mass: 0.2",
         "mass: 0.2\n    mesh: {file: set.usda, prim: /Set/good}",
