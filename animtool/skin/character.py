@@ -85,7 +85,7 @@ def character_strands(
 
     Raises:
         FormatError: A bind transform has no inverse, or is not finite (SKIN003,
-            SKIN005).
+            USD226).
     """
     meshes, faults = [], []
     none = np.zeros(0, np.int64)

@@ -280,8 +280,9 @@ def _check_regular(bind: FloatArray, joints: IntArray) -> None:
     singular = np.abs(np.linalg.det(linear)) <= SINGULAR * largest**3
     if singular.any():
         at = listed(joints[singular].tolist())
-        message = f"bind transforms of joints {at} are singular"
-        raise FormatError(Fault("SKIN005", message, hint="a scale of zero, as a rule"))
+        message = f"bind transforms of joints {at} have no inverse"
+        hint = "no axis of them may have length 0"
+        raise FormatError(Fault("USD226", message, hint=hint))
 
 
 def _check_finite(skin: PreparedSkin, linear: FloatArray, origins: FloatArray) -> None:

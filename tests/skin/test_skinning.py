@@ -325,7 +325,7 @@ def test_a_linear_map_is_a_rotation_after_a_stretch(seed: int) -> None:
         ({"joints": [0, 1, 2, 3, 9]}, "SKIN002"),
         ({"bind": np.full((5, 4, 4), np.nan)}, "SKIN003"),
         ({"geom_bind": np.full((4, 4), np.inf)}, "SKIN003"),
-        ({"bind": np.zeros((5, 4, 4))}, "SKIN005"),
+        ({"bind": np.zeros((5, 4, 4))}, "USD226"),
     ],
 )
 def test_a_fault_of_a_binding_is_named(changed: dict[str, object], code: str) -> None:
