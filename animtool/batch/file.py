@@ -132,9 +132,7 @@ Column = str | list[Value] | RangeModel
 class BatchModel(FileModel):
     """A batch file."""
 
-    batch: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    batch: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     inputs: list[Name] = key(
         "Files, folders, and globs in which `**` is any folders. Must be "
         "given, but with a `cut`, or `variants` of a `scene` that has no `${input}`.",

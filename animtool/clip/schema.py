@@ -104,9 +104,9 @@ class JoinModel(FileModel):
         "ZXY",
         default=None,
     )
-    pre: Extrapolated = key("What is before the first key.", "cycle", default="hold")
+    pre: Extrapolated = key("Behavior before the first key.", "cycle", default="hold")
     post: Extrapolated = key(
-        "What is behind the last key.", "cycle_offset", default="hold"
+        "Behavior after the last key.", "cycle_offset", default="hold"
     )
 
 
@@ -125,9 +125,7 @@ class ChannelModel(CurveModel, _TargetModel):
 class ClipModel(FileModel):
     """A clip file."""
 
-    clip: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    clip: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     name: str | None = key(
         "What the clip is called. Not given: as the file.", "wave", default=None
     )

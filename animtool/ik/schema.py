@@ -187,9 +187,7 @@ class GoalModel(_Asked):
 class TargetsModel(FileModel):
     """A targets file."""
 
-    targets: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    targets: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     units: TargetUnitsModel = key(
         "Units of the numbers in the file.",
         {"length": "cm"},

@@ -35,9 +35,7 @@ class RemapEntryModel(FileModel):
 class RemapModel(FileModel):
     """A remap file."""
 
-    remap: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    remap: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     shapes: Annotated[list[RemapEntryModel], Len(1)] = key(
         "Which shape moves which. Weights of several sources of one target add up, and "
         "a source may have several targets.",

@@ -160,9 +160,7 @@ class IkModel(FileModel):
 class RigModel(FileModel):
     """A rig file."""
 
-    rig: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    rig: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     name: Name = key("What the character is called.", "hero")
     units: UnitsModel = key(
         "Units of the numbers in the file.",

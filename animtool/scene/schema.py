@@ -181,9 +181,7 @@ class OutputModel(FileModel):
 class SceneModel(FileModel):
     """A scene file."""
 
-    scene: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    scene: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     variables: dict[str, str | Real | bool] = key(
         "What `${name}` stands for in the texts of the file; `--set` of "
         "the command line comes first.",

@@ -83,9 +83,7 @@ class CameraModel(FileModel):
 class CamerasModel(FileModel):
     """A camera file."""
 
-    cameras: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    cameras: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     units: CameraUnitsModel = key(
         "Units of the numbers.", {"length": "mm"}, default=CameraUnitsModel()
     )

@@ -53,7 +53,7 @@ class LandmarksModel(FileModel):
     """A landmarks file."""
 
     landmarks: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
+        "File type and format version.", "animtool/1"
     )
     rig: Name | None = key(
         "The rig that it is for. `mocap face` names the rig itself.",

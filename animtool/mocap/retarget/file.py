@@ -62,9 +62,7 @@ class MapIgnoredModel(FileModel):
 class MapModel(FileModel):
     """A map file."""
 
-    map: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    map: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     joints: Annotated[list[MapEntryModel], Len(1)] = key(
         "Which joints follow which.", [{"source": "Hips", "target": "pelvis"}]
     )

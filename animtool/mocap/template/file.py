@@ -52,9 +52,7 @@ class MarkerModel(FileModel):
 class MarkersModel(FileModel):
     """A marker template."""
 
-    markers: Literal["animtool/1"] = key(
-        "What the file is, and the version of its format.", "animtool/1"
-    )
+    markers: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     rig: str | None = key(
         "The rig that carries the markers. Not given: `--rig` or the scene names it.",
         "hero.rig.yaml",

@@ -115,7 +115,7 @@ class PopulationModel(PlacedModel):
         "agents.npz#points",
         default=None,
     )
-    seed: Whole = key("Of what is random about them.", 7, default=0)
+    seed: Whole = key("Seed for random numbers.", 7, default=0)
     route: list[Name] = key(
         "Goals that they go to, one after the other. None: they stand.",
         ["fountain", "gate"],

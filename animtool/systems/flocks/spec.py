@@ -154,7 +154,7 @@ class SpeciesModel(PlacedModel):
         default=None,
     )
     velocities: Velocities = None
-    seed: Whole = key("Of what is random about them.", 7, default=0)
+    seed: Whole = key("Seed for random numbers.", 7, default=0)
     radius: Positive = key(
         "Their radius: how near they come to colliders [m].", 0.2, default=0.1
     )

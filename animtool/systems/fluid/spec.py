@@ -138,7 +138,7 @@ class FluidModel(SystemSpec):
         default=[{"gravity": None}],
     )
     colliders: list[SystemColliderModel] = key(
-        "What it runs into, and what holds it.",
+        "Colliders it can hit, and containers that hold it.",
         [{"shape": {"box": {"size": [2, 2, 0.8]}}, "container": True}],
         default=[],
     )

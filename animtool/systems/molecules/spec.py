@@ -146,7 +146,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
         [{"at": [0, 5, 0], "stiffness": 50}],
         default=[],
     )
-    seed: Whole = key("Of what is random.", 7, default=0)
+    seed: Whole = key("Seed for random numbers.", 7, default=0)
     method: str = key("An integrator.", "rk4", default="velocity_verlet")
     colour: ColourModel | None = key(
         "Colours by `speed` [nm/ps], `temperature` [K], `density` (log10 [u/nm³]), "

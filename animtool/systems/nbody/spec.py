@@ -100,7 +100,7 @@ class GalaxyModel(PlacementModel):
     nucleus: NotNegative = key(
         "Mass of one body in the centre [kg]; 0 is none.", 0.1, default=0.0
     )
-    seed: Whole = key("Of what is random about it.", 7, default=0)
+    seed: Whole = key("Seed for random numbers.", 7, default=0)
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
 
     @property

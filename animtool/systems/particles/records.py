@@ -84,7 +84,7 @@ class Emission:
     ] = 0.0
     mass: Annotated[float, _MASS, Key("Their mass [kg].", 0.1)] = 0.001
     charge: Annotated[float, _FINITE, Key("Their charge [C].", 1e-6)] = 0.0
-    seed: Annotated[int, Key("Of what is random about them.", 7)] = 0
+    seed: Annotated[int, Key("Seed for random numbers.", 7)] = 0
 
 
 @dataclass(frozen=True)

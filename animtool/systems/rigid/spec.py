@@ -212,8 +212,8 @@ class RigidJointModel(PlacedModel):
         "The body that it hangs on. Not given: the world.", "frame", default=None
     )
     axis: Vector = key(
-        "Axis of a pin, way of a prismatic joint, what a ball twists about; in its "
-        "frame.",
+        "Axis of a pin, direction of travel of a prismatic joint, what a ball twists "
+        "about; in its frame.",
         [0, 1, 0],
         default=[1.0, 0.0, 0.0],
     )

@@ -248,7 +248,9 @@ class SpringsModel(SolvedModel):
         default=0.005,
     )
     colliders: list[SystemColliderModel] = key(
-        "What it runs into.", [{"shape": {"plane": None}, "friction": 0.4}], default=[]
+        "Colliders it can hit.",
+        [{"shape": {"plane": None}, "friction": 0.4}],
+        default=[],
     )
     characters: list[CharacterModel] = key(
         "Characters in motion that it runs into; none is written.",
