@@ -244,7 +244,7 @@ class Rig:
         """Return ``root/…/joint`` for every joint, with other names if given.
 
         Raises:
-            FormatError: They are longer than `MAX_PATHS` letters in all (USD019).
+            FormatError: They are longer than `MAX_PATHS` letters in all (USD020).
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).paths()
         ['upper', 'upper/lower']
@@ -259,5 +259,5 @@ class Rig:
                 message = f"paths of the {len(self.joints)} joints of {self.name!r} "
                 message += f"have over {MAX_PATHS:g} letters in all"
                 hint = "make chains shorter: each path has all names above its joint"
-                raise FormatError(Fault("USD019", message, hint=hint))
+                raise FormatError(Fault("USD020", message, hint=hint))
         return paths

@@ -25,7 +25,7 @@ def test_paths_of_a_very_long_chain_are_refused(
     assert Rig("three", joints).paths() == ["a", "a/b", "a/b/c"]
     with pytest.raises(FormatError) as caught:
         Rig("four", (*joints, Joint("d", -1))).paths()
-    assert caught.value.code == "USD019"
+    assert caught.value.code == "USD020"
 
 
 def test_a_name_stands_once() -> None:
