@@ -10,6 +10,7 @@ import pytest
 
 from animtool.documents.check import check_version
 from animtool.documents.document import read_document
+from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import STEPS as TABLES
 from animtool.documents.versions import Steps, newest, version_of
@@ -208,6 +209,21 @@ def test_keys_of_new_names_are_renamed_and_nothing_else(tmp_path: Path) -> None:
     migrate([path], overwrite=True)
     assert path.read_text() == plan.after
     assert not plan_migration(path).needed
+
+
+def test_keys_that_cannot_be_renamed_are_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No layout is known of which this is true."""
+
+    def refuse(*_: object) -> str:
+        raise EditError("the layout cannot be kept")
+
+    monkeypatch.setattr("animtool.documents.migrate.edited", refuse)
+    with pytest.raises(FormatError) as caught:
+        plan_migration(written(tmp_path, RENAMED, "a.scene.yaml"))
+    assert caught.value.code == "DOC026"
+    assert "rename beside, systems[0].particles" in str(caught.value)
 
 
 def test_keys_of_old_names_are_read_with_a_warning(tmp_path: Path) -> None:
