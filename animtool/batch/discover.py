@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -199,7 +199,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     items = _Items(spec, item_task, shots, sample, own).made()
     _check_roots(spec, items)
     options = spec.options
-    notices = (*cuts.notices, *unmatched_inputs(spec), *own.notices)
+    notices = (*cuts.notices, *own.notices)
     refuse_warnings(notices, strict=options.strict)
     table = None if spec.variants is None else spec.variants.path
     given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
@@ -353,9 +353,9 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
 
 def _cuts(spec: BatchSpec) -> CutList:
     """Return what items are made of: clips of a timeline, or the inputs."""
-    cuts, left_out = _found(spec)
+    cuts, left_out, unmatched = _found(spec)
     if spec.cuts is None:
-        return CutList([Cut(file) for file in cuts])
+        return CutList([Cut(file) for file in cuts], unmatched)
     options, start = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
@@ -366,7 +366,9 @@ def _cuts(spec: BatchSpec) -> CutList:
         message = f"start is {float(start):g}, and shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
-    return read_cuts(spec.cuts, cuts, CutOptions(spec.handles, first, fps), left_out)
+    given = CutOptions(spec.handles, first, fps)
+    listed_cuts = read_cuts(spec.cuts, cuts, given, left_out)
+    return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:
@@ -383,35 +385,47 @@ def _with_timeline(spec: BatchSpec) -> BatchSpec:
     return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
 
 
-def _found(spec: BatchSpec) -> tuple[list[MatchedFile], Callable[[Path], bool]]:
-    """Return the inputs, each once, in order; and whether a file is left out."""
+def _found(
+    spec: BatchSpec,
+) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
+    """Return the inputs, each once, in order; and whether a file is left out.
+
+    And a warning for each entry that matches no file.
+    """
     suffixes = _suffixes(spec)
     place = Places()
     left_out = {
-        place(file.path) for file in _meant(spec.folder, spec.exclude, suffixes)
+        place(file.path)
+        for text in spec.exclude
+        for file in _meant(spec.folder, text, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    for file in _meant(spec.folder, spec.inputs, suffixes):
-        where = place(file.path)
-        if where not in left_out:
-            files.setdefault(where, file)
-    ordered = [files[path] for path in sorted(files, key=os.fspath)]
-    return ordered, lambda path: place(path) in left_out
-
-
-def unmatched_inputs(spec: BatchSpec) -> Iterator[Fault]:
-    """Yield a warning for each entry of the inputs that matches no file."""
-    suffixes = _suffixes(spec)
-    path = None if spec.path is None else str(spec.path)
+    unmatched = []
     for i, text in enumerate(spec.inputs):
-        if any(_meant(spec.folder, [text], suffixes)):
-            continue
-        hint = nearest_file(Path(text), spec.folder)
-        if hint is None and (spec.folder / text).is_dir():
-            hint = f"folders are searched for {', '.join(suffixes)}"
-        where = None if path is None else f"inputs[{i}]"
-        message = f"no file matches {text!r}"
-        yield Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
+        meant = _meant(spec.folder, text, suffixes)
+        if not meant:
+            unmatched.append(_unmatched(spec, i, suffixes))
+        for file in meant:
+            where = place(file.path)
+            if where not in left_out:
+                files.setdefault(where, file)
+    ordered = [files[path] for path in sorted(files, key=os.fspath)]
+    return ordered, lambda path: place(path) in left_out, unmatched
+
+
+def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
+    """Return a warning for each entry of the inputs that matches no file."""
+    return _found(spec)[2]
+
+
+def _unmatched(spec: BatchSpec, i: int, suffixes: Sequence[str]) -> Fault:
+    text, path = spec.inputs[i], None if spec.path is None else str(spec.path)
+    hint = nearest_file(Path(text), spec.folder)
+    if hint is None and (spec.folder / text).is_dir():
+        hint = f"folders are searched for {', '.join(suffixes)}"
+    where = None if path is None else f"inputs[{i}]"
+    message = f"no file matches {text!r}"
+    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
 
 
 def _nothing(spec: BatchSpec) -> NothingFoundError:
@@ -430,8 +444,5 @@ def _suffixes(spec: BatchSpec) -> Sequence[str]:
     return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
 
 
-def _meant(
-    folder: Path, inputs: Sequence[str], suffixes: Sequence[str]
-) -> Iterator[MatchedFile]:
-    for text in inputs:
-        yield from files_meant(os.fspath(folder / text), suffixes)
+def _meant(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
+    return list(files_meant(os.fspath(folder / text), suffixes))

@@ -108,9 +108,9 @@ def _rounded_to(take: TakeReport) -> str:
 
 
 def _clamped_text(report: BakeReport) -> str:
-    """Return that the errors leave out what is beyond float32, if anything is."""
+    """Say that errors leave out values beyond float32, if there are any."""
     beyond = any(notice.code == "BVH104" for notice in report.notices)
-    return " but for what is beyond it" if beyond else ""
+    return " (without values beyond it)" if beyond else ""
 
 
 def _error_text(take: TakeReport, name: str = "") -> str:

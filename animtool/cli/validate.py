@@ -54,15 +54,14 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     Ends with 1 where there are errors, 3 where a file cannot be read, 5 where there
     is none to check.
     """
-    from animtool.validation.run import find_files, unmatched
+    from animtool.validation.run import match_files
 
     options = ValidateOptions(**read_values(ValidateOptions, params)).resolved()
     choices = ReportOptions(**read_values(ReportOptions, params))
     for message in clashes(choices):
         raise click.UsageError(f"{message}.")
-    meant = list(listed_paths(paths))
-    files = find_files(meant)
-    missing = [options.of(f) for f in unmatched(meant) if options.counts(f.code)]
+    files, unmatched = match_files(listed_paths(paths))
+    missing = [options.of(f) for f in unmatched if options.counts(f.code)]
     console.faults(missing)
     if choices.diff:
         _show_difference(console, files, options, choices, missing)
@@ -167,6 +166,6 @@ def _say(
 def _exit_code(
     report: Report, choices: ReportOptions, missing: Sequence[Fault]
 ) -> ExitCode:
-    """Return the code of the process; missing: what is said of paths, not of files."""
+    """Return the code of the process; missing: warnings about paths."""
     whole = replace(report, findings=(*report.findings, *missing))
     return whole.exit_code(strict=choices.strict, exit_zero=choices.exit_zero)

@@ -302,7 +302,7 @@ def _are(count: int) -> str:
 
 # A bound at least this large is none of the key's own.
 LARGE = 1e9
-# A least number this small stands beside "above 0".
+# A bound at most this small is how "above 0" is checked.
 SMALL = 1e-30
 _BOUNDS = {"less_than_equal": "le", "greater_than_equal": "ge"}
 _KINDS = {

@@ -35,34 +35,31 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
     See `animtool.files.files_meant`; folders are searched for all files that animtool
     knows by name.
     """
+    return match_files(paths)[0]
+
+
+def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
+    """Return the files of `find_files`, and a warning for each path without any."""
     # Of a variable of a shell that is not set; the folder that it is run in is ".".
     given = [text for path in paths if (text := str(path))]
     for text in given:
         if "\0" in text:
             raise unreadable(Path(text), "embedded null byte")
-    meant = (file.path for text in given for file in files_meant(text, SUFFIXES))
-    files = list(dict.fromkeys(meant))
+    files: dict[Path, None] = {}
+    unmatched = []
+    for text in given:
+        meant = [file.path for file in files_meant(text, SUFFIXES)]
+        files.update(dict.fromkeys(meant))
+        if not meant:
+            message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
+            fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
+            unmatched.append(fault)
     if not files:
         shown = ", ".join(given) or "nothing"
         message = f"no file to check in {shown}"
         hint = f"folders are searched for {', '.join(SUFFIXES)}"
         raise NothingFoundError(Fault("VAL006", message, hint=hint))
-    return files
-
-
-def unmatched(paths: Iterable[Path | str]) -> list[Fault]:
-    """Return a warning for each glob or folder that matches no file to check."""
-    given = [text for path in paths if (text := str(path))]
-    return [
-        Fault(
-            "VAL010",
-            f"no file to check in {text!r}",
-            hint=nearest_file(Path(text)),
-            severity=Severity.WARNING,
-        )
-        for text in given
-        if not any(files_meant(text, SUFFIXES))
-    ]
+    return list(files), unmatched
 
 
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")

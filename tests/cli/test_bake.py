@@ -56,7 +56,7 @@ def test_errors_leave_out_what_is_beyond_float32(tmp_path: Path, value: str) -> 
     text[-1] = " ".join([value, *text[-1].split()[1:]])
     (tmp_path / "far.bvh").write_text("\n".join(text))
     said = animtool("bake", tmp_path / "far.bvh", "-o", tmp_path / "o.usda").stderr
-    assert ("float32 but for what is beyond it: " in said) is (value == "1e300")
+    assert ("float32 (without values beyond it): " in said) is (value == "1e300")
     assert ("no error in the report counts them" in said) is (value == "1e300")
 
 

@@ -33,7 +33,7 @@ def open_batch(document: Document) -> CheckedFile:
     from animtool.batch.file import batch_of_document
 
     batch = batch_of_document(document)
-    return CheckedFile(Kind.BATCH, list(unmatched_inputs(batch)), batch)
+    return CheckedFile(Kind.BATCH, unmatched_inputs(batch), batch)
 
 
 def open_map(document: Document) -> CheckedFile:
