@@ -127,7 +127,14 @@ def ik_json(report: IkReport) -> dict[str, object]:
         "goals": [_goal_json(goal) for goal in report.goals],
         "on_limits": limit_counts(solved),
         "jumps": [
-            {"frame": float(clock.times[jump.frame]), "joint": jump.joint}
+            {
+                "frame": float(clock.times[jump.frame]),
+                "joint": jump.joint,
+                "unit": "m" if jump.slides else "rad",
+                "size": jump.size,
+                "source": jump.source,
+                "by_goals": jump.by_goals,
+            }
             for jump in solved.jumps
         ],
         **_written_json(report),

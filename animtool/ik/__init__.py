@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 from animtool.plugins import lazy_names
 
 if TYPE_CHECKING:
-    from animtool.ik.clip_solver import FollowOptions as FollowOptions
+    from animtool.ik.clip_path import FollowOptions as FollowOptions
     from animtool.ik.clip_solver import follow as follow
     from animtool.ik.file import load_targets as load_targets
     from animtool.ik.goals import Goal as Goal
     from animtool.ik.goals import Targets as Targets
+    from animtool.ik.jumps import Jump as Jump
     from animtool.ik.matching import Matched as Matched
     from animtool.ik.matching import match as match
     from animtool.ik.on_take import solve_take as solve_take
@@ -22,20 +23,19 @@ if TYPE_CHECKING:
     from animtool.ik.problem import build as build
     from animtool.ik.result import IkResult as IkResult
     from animtool.ik.result import IkStatus as IkStatus
-    from animtool.ik.result import Jump as Jump
     from animtool.ik.solving import IkOptions as IkOptions
     from animtool.ik.solving import solve as solve
     from animtool.ik.take_run import TakeIk as TakeIk
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
 _PUBLIC = {
-    "FollowOptions": "animtool.ik.clip_solver",
+    "FollowOptions": "animtool.ik.clip_path",
     "Goal": "animtool.ik.goals",
     "IkMethod": "animtool.ik.options",
     "IkOptions": "animtool.ik.solving",
     "IkResult": "animtool.ik.result",
     "IkStatus": "animtool.ik.result",
-    "Jump": "animtool.ik.result",
+    "Jump": "animtool.ik.jumps",
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
     "TakeIk": "animtool.ik.take_run",

@@ -17,6 +17,8 @@ from animtool.ik.solving import IkOptions, solve
 
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4
+# Poses that cost no more than this much more miss their goals by as much, see `price`.
+NO_WORSE = 1e-3
 # Poses nearer than this are one branch [rad], [share of the length].
 SAME = 1e-3
 # Steps of a frame from anywhere, and from the one beside it; a branch that needs more
@@ -102,6 +104,18 @@ def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
     return np.where(reached, 0.0, cost)
 
 
+def forgiving(costs: FloatArray, slack: float) -> FloatArray:
+    """Return costs of paths ``(K, L)`` that miss goals by as little as the best do.
+
+    In each frame, what misses its goals by no more than ``slack`` [share of the length]
+    beyond the least costs as little as that.
+    """
+    least = costs.min(axis=0)
+    misses = np.sqrt(np.maximum(least / MISSED - 1.0, 0.0))
+    limit = np.where(least > 0, MISSED * (1.0 + (misses + slack) ** 2), 0.0)
+    return np.where(costs <= limit, least, costs)
+
+
 def branches(
     interval: Interval, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -120,13 +134,35 @@ def branches(
     kept = _distinct(interval.chain, solutions[cost == 0])
     if not len(kept):
         kept = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = _followed(interval, kept, at)
+    tracks, costs = follow_both_ways(interval, kept, at)
     own = interval.poses[None]
     paths = [own, tracks]
     prices = [interval.costs[None], costs]
     for path, cost in _passing(interval, tracks, at):
         paths.append(path[None])
         prices.append(cost[None])
+    return np.concatenate(paths), np.concatenate(prices)
+
+
+def branch_tracks(
+    interval: Interval, rows: IntArray, count: int, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return paths through a whole interval ``(K, L, C)``, as of `branches`.
+
+    The path as it is, and for each of some rows the poses there and beside it and
+    other solutions, each followed both ways through time to the ends.
+    """
+    paths, prices = [interval.poses[None]], [interval.costs[None]]
+    for row in rows.tolist():
+        home = interval.poses[row]
+        starts = [home, interval.poses[max(row - 1, 0)]]
+        starts += list(_scattered(interval, home, count, seed + row))
+        frames = np.full(len(starts), interval.frames[row])
+        solutions, cost = interval.solved(np.array(starts), frames)
+        kept = _distinct(interval.chain, solutions[cost <= cost.min() + NO_WORSE])
+        tracks, costs = follow_both_ways(interval, kept, row)
+        paths.append(tracks)
+        prices.append(costs)
     return np.concatenate(paths), np.concatenate(prices)
 
 
@@ -193,7 +229,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, poses.shape[-1])
 
 
-def _followed(
+def follow_both_ways(
     interval: Interval, poses: FloatArray, at: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses ``(K, C)`` of a row followed to both ends of the interval."""

@@ -129,27 +129,17 @@ def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
     return out
 
 
-def seamless(chain: Chain, steps: FloatArray) -> FloatArray:
-    """Return steps ``(..., D)`` without whole turns of pins whose limits are one apart.
-
-    Or a hair more, as ±180.1° are.
-    What crosses such limits ends at the other one, and is turned as if there were none.
-    """
-    columns, places, balls = _layout(chain)
-    low, high = chain.periods[columns[~balls]].T
-    turns = (high > low) & (high - low <= 2 * np.pi + HAIR)
-    own = places[~balls][turns]
-    out = steps.copy()
-    out[..., own] -= 2 * np.pi * np.round(out[..., own] / (2 * np.pi))
-    return out
-
-
 def with_periods(chain: Chain) -> FloatArray:
-    """Return the chain's ``numbers`` with limits more than a turn apart in place."""
+    """Return the chain's ``numbers`` with limits more than a turn apart in place.
+
+    Limits that are one turn apart, or a hair more as ±180.1° are, stay out: what
+    crosses them ends at the other one, turned as if there were none.
+    """
     numbers = chain.numbers.copy()
     for row, (kind, _, column, _) in zip(numbers, chain.nodes[:, :4], strict=True):
-        if kind == PIN and np.isfinite(chain.periods[column, 0]):
-            row[14:16] = chain.periods[column]
+        low, high = chain.periods[column]
+        if kind == PIN and high - low > 2 * np.pi + HAIR and np.isfinite(low):
+            row[14:16] = low, high
     return numbers
 
 

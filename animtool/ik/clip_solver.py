@@ -2,65 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.branches import Interval, best_path, branches, price, search_branches
-from animtool.ik.chain import difference
+from animtool.ik.branches import (
+    NO_WORSE,
+    Interval,
+    branch_tracks,
+    branches,
+    follow_both_ways,
+    forgiving,
+    search_branches,
+)
+from animtool.ik.clip_path import SMOOTH_ENOUGH, ClipPath, FollowOptions
 from animtool.ik.goals import Targets, rows_of
 from animtool.ik.options import IkMethod
-from animtool.ik.path import (
-    at_poses,
-    explained,
-    jumping,
-    named,
-    path_of,
-    rate_faults,
-    smooth,
-    strain,
-)
+from animtool.ik.path import jumps_of, rate_faults, smooth
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult
-from animtool.ik.solving import IkOptions, pose_rows, solve
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.solving import solve
 
-# A interval that is looked through begins this long before a jump [s], then twice that.
+# An interval that is searched begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
 # It ends this long after it, at most [s].
 MAX_AHEAD = 0.5
-# Only a jump that becomes this much smaller is worth another path; at this share of
-# what is taken for a jump, none is looked for that is better still.
-SMALLER, SMOOTH_ENOUGH = 0.9, 0.4
-# Poses that cost no more than this much more miss their goals by as much, see `price`.
-NO_WORSE = 1e-3
+# Only a jump that becomes this much smaller is worth another path.
+SMALLER = 0.9
+# What a squared radian from the clip costs in each frame, where a path stays on another
+# branch: a flip of half a turn costs as much as minutes there.
+NEARNESS = 1e-2
 # Chains with so many more degrees of freedom than residuals are searched through from
 # end to end, from new starts so many seconds apart, at most so many times.
 MAX_FREE, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
-# Poses nearer than this are the same [rad], [share of the length].
-UNCHANGED = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class FollowOptions:
-    """How to follow targets through a clip.
-
-    Attributes:
-        solving: Of the frames; ``ordered`` and ``warm`` have no say.
-        fps: Frames a second.
-        smooth: Time over which motion that the goals leave free is evened out [s], as
-            of `animtool.ik.smooth`; 0 leaves it.
-        branches: Other poses tried where a joint jumps.
-        back: How long before a jump the path may leave for another [s].
-    """
-
-    solving: IkOptions = field(default_factory=IkOptions)
-    fps: float = 24.0
-    smooth: float = 0.0
-    branches: int = 20
-    back: float = 8.0
 
 
 def follow(
@@ -95,17 +71,15 @@ def follow(
 
     Returns:
         Poses and what they miss; its ``jumps`` are those that no path was found
-        without: steps beyond 0.1 rad, 8 rad/s and four times what the targets move by,
-        all together; and slower ones that are four times what the joint moves by just
-        before and after.
+        without, see `find_jumps`.
 
     Raises:
         OptionError: As of `solve`, and ``fps``, ``smooth``, ``branches`` or ``back``
             make no sense (IK014).
 
     Limits of the method: a frame that the search from many starts does not solve is
-    taken to be out of reach, and a path that is needed but leaves more than ``back``
-    before the jump is not found.
+    taken to be out of reach, and so is what 16 other starts end no nearer to; a path
+    that is needed but leaves more than ``back`` before the jump is not found.
 
     >>> from animtool.ik.goals import Goal
     >>> from animtool.ik.problem import build
@@ -121,8 +95,8 @@ def follow(
     """
     options = options or FollowOptions()
     _check(options)
-    clip = _Clip(problem, start, targets, options, prefer)
-    result = clip.followed()
+    clip = ClipPath(problem, start, targets, options, prefer)
+    result = _followed(clip)
     if options.smooth > 0:
         kept = start if clip.moving else None
         result = smooth(
@@ -133,8 +107,7 @@ def follow(
             start=kept,
             options=options.solving,
         )
-    poses = problem.chain.from_rig(result.coordinates)
-    return replace(result, jumps=named(clip.path, poses, clip.allowed))
+    return replace(result, jumps=jumps_of(result, targets, start, options.fps))
 
 
 def _check(options: FollowOptions) -> None:
@@ -148,220 +121,216 @@ def _check(options: FollowOptions) -> None:
         raise OptionError(faults)
 
 
-class _Clip:
-    """A clip on its way from the first solution to the last path."""
+def _followed(clip: ClipPath) -> IkResult:
+    """Return the frames one after the other, jumps taken out where that can be."""
+    result = clip.solved(slice(0, len(clip)), clip.start)
+    for attempt in range(MAX_SEARCHES if _is_thin(clip) else 0):
+        if not _is_worth_search(clip, clip.poses(result), attempt):
+            break
+        before, result = result, _searched(clip, result, attempt)
+        if result is before:
+            break
+    result = _nearest(clip, result)
+    done = 0
+    while True:
+        poses = clip.poses(result)
+        jumps = clip.jumping(poses)
+        left = jumps[jumps > done]
+        if not len(left):
+            break
+        done = int(left[0])
+        if _can_be_passed(clip, poses, done):
+            result = _mended(clip, result, done)
+    return _rewoven(clip, result) if clip.moving else result
 
-    def __init__(
-        self,
-        problem: Problem,
-        start: ArrayLike | None,
-        targets: Targets,
-        options: FollowOptions,
-        prefer: ArrayLike | None,
-    ) -> None:
-        self.problem = problem
-        self.targets = targets
-        self.options = options
-        self.path = path_of(problem, targets, start, options.solving)
-        self.allowed = explained(self.path, options.fps)
-        self.count = len(self.path.targets)
-        self.start = pose_rows(problem, start, self.count, "start")
-        self.moving = start is not None and np.ndim(start) == 2
-        self.prefer = (
-            self.start
-            if prefer is None
-            else pose_rows(problem, prefer, self.count, "prefer")
-        )
-        self.reference = problem.chain.from_rig(self.start)
 
-    def followed(self) -> IkResult:
-        """Return the frames one after the other, jumps taken out where that can be."""
-        result = self._solved(slice(0, self.count), self.start)
-        for attempt in range(MAX_SEARCHES if self._is_thin() else 0):
-            if not self._is_worth_weaving(self._poses(result), attempt):
-                break
-            before, result = result, self._search_branches(result, attempt)
-            if result is before:
-                break
-        done = 0
-        while True:
-            poses = self._poses(result)
-            jumps = jumping(self.path, poses, self.allowed)
-            left = jumps[jumps > done]
-            if not len(left):
-                return result
-            done = int(left[0])
-            if self._can_be_passed(poses, done):
-                result = self._mended(result, done)
+def _is_thin(clip: ClipPath) -> bool:
+    """Whether poses that reach the goals of a frame lie close enough to try all."""
+    free = clip.problem.degrees - clip.problem.rows
+    return not clip.moving and free <= MAX_FREE
 
-    def _is_worth_weaving(self, poses: FloatArray, attempt: int) -> bool:
-        """Whether poses jump, or did, and another way may be found for the worst."""
-        steps = np.abs(self.path.steps(poses)).max(axis=1, initial=0.0) / self.allowed
-        if not len(steps) or steps.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
-            return False
-        return self._can_be_passed(poses, int(steps.argmax()) + 1)
 
-    def _can_be_passed(self, poses: FloatArray, frame: int) -> bool:
-        """Whether a frame has solutions to which there is less of a jump.
+def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
+    """Whether poses jump, or did, and another path may be found for the worst."""
+    strains = clip.strains(poses)
+    if not len(strains) or strains.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
+        return False
+    return _can_be_passed(clip, poses, int(strains.argmax()) + 1)
 
-        Where there are none, as where targets come back into reach and limbs that
-        were straight bend, a path that avoids the jump is not worth looking for.
-        """
-        window = slice(frame - 1, frame + 1)
-        interval = self._stretch(poses[window], window, frame)
-        options = self.options
-        pairs, costs = branches(interval, options.branches, options.solving.seed)
-        own = self._strain(poses[window], window.start)
-        return any(
-            self._strain(pair, window.start) < SMALLER * own
-            for pair in pairs[(costs <= interval.costs + NO_WORSE).all(axis=1)]
-        )
 
-    def _is_thin(self) -> bool:
-        """Whether poses that reach the goals of a frame lie close enough to try all."""
-        free = self.problem.degrees - self.problem.rows
-        return not self.moving and free <= MAX_FREE
+def _can_be_passed(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
+    """Whether a frame has solutions to which there is less of a jump.
 
-    def _search_branches(self, result: IkResult, attempt: int) -> IkResult:
-        """Return the best way through the whole clip, if it jumps less."""
-        poses = self._poses(result)
-        whole = slice(0, self.count)
-        interval = self._stretch(poses, whole, 0)
-        spacing = max(round(SEARCH_INTERVAL * self.options.fps), 1)
-        seed = self.options.solving.seed + attempt * self.count
-        paths, costs = search_branches(interval, spacing, seed)
-        path = self._way(interval, paths, costs, closed=False)
-        if self._strain(path, 0) < SMALLER * self._strain(poses, 0):
-            return self._joined(result, whole, path)
+    Where there are none, as where targets come back into reach and limbs that were
+    straight bend, a path that avoids the jump is not worth looking for.
+    """
+    window = slice(frame - 1, frame + 1)
+    interval = clip.interval(poses[window], window, frame)
+    options = clip.options
+    pairs, costs = branches(interval, options.branches, options.solving.seed)
+    own = clip.strain(poses[window], window.start)
+    return any(
+        clip.strain(pair, window.start) < SMALLER * own
+        for pair in pairs[(costs <= interval.costs + NO_WORSE).all(axis=1)]
+    )
+
+
+def _searched(clip: ClipPath, result: IkResult, attempt: int) -> IkResult:
+    """Return the best path through the whole clip, if it jumps less."""
+    poses = clip.poses(result)
+    whole = slice(0, len(clip))
+    interval = clip.interval(poses, whole, 0)
+    spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
+    seed = clip.options.solving.seed + attempt * len(clip)
+    paths, costs = search_branches(interval, spacing, seed)
+    path = _evened(clip, interval, paths, costs, closed=False)
+    if clip.strain(path, 0) < SMALLER * clip.strain(poses, 0):
+        return clip.joined(result, whole, path)
+    return result
+
+
+def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
+    """Return a result whose frames that miss goals are each searched by themselves.
+
+    A frame that follows one short of its goals stays on that branch; here it leaves
+    for one that is nearer.
+    """
+    options = clip.options.solving
+    short = np.array([status is IkStatus.NEAREST for status in result.statuses])
+    frames = np.flatnonzero(short)
+    if not len(frames) or options.seconds > 0 or options.restarts == 0:
         return result
+    alone = solve(
+        clip.problem,
+        result.coordinates[frames],
+        rows_of(clip.targets, frames),
+        replace(options, ordered=False, warm=False, method=IkMethod.DAMPED),
+        prefer=clip.prefer[frames],
+    )
+    poses, other = clip.poses(result), clip.poses(result)
+    other[frames] = clip.poses(alone)
+    whole = slice(0, len(clip))
+    interval = clip.interval(poses, whole, int(frames[0]))
+    costs = clip.interval(other, whole, int(frames[0])).costs
+    least = forgiving(np.stack([interval.costs, costs]), clip.slack)
+    gains = np.where(least[0] > least[1], interval.costs - costs, 0.0)
+    if not gains.any():
+        return result
+    paths, prices = [poses[None], other[None]], [interval.costs[None], costs[None]]
+    for row in np.argsort(-gains, kind="stable")[:MAX_SEARCHES]:
+        if gains[row] > 0:
+            tracks, cost = follow_both_ways(interval, other[row : row + 1], int(row))
+            paths.append(tracks)
+            prices.append(cost)
+    candidates = np.concatenate(paths), np.concatenate(prices)
+    return clip.joined(result, whole, clip.best(interval, *candidates, opened=True))
 
-    def _poses(self, result: IkResult) -> FloatArray:
-        return self.problem.chain.from_rig(result.coordinates)
 
-    def _solved(self, frames: slice, starts: FloatArray) -> IkResult:
-        """Return frames solved each after the one before it, or from its own start."""
-        chosen = replace(self.options.solving, ordered=True, warm=not self.moving)
-        return solve(
-            self.problem,
-            starts[frames] if self.moving or not len(starts) else starts[frames.start],
-            rows_of(self.targets, frames),
-            chosen,
-            prefer=self.prefer[frames],
-        )
+def _mended(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
+    """Return a result with a better path to a frame that is jumped to."""
+    poses = clip.poses(result)
+    least = clip.strain(poses[frame - 1 : frame + 1], frame - 1)
+    best: tuple[slice, FloatArray] | None = None
+    for first in _beginnings(clip, frame):
+        ahead = min(frame - first, round(MAX_AHEAD * clip.options.fps))
+        window = slice(first, min(frame + ahead + 1, len(clip)))
+        detour = _detour(clip, poses, window, frame)
+        strain = clip.strain(detour, first)
+        if strain < SMALLER * least:
+            least, best = strain, (window, detour)
+        if least <= SMOOTH_ENOUGH:
+            break
+    return result if best is None else clip.joined(result, *best)
 
-    def _mended(self, result: IkResult, frame: int) -> IkResult:
-        """Return a result with a better path to a frame that is jumped to."""
-        poses = self._poses(result)
-        least = self._strain(poses[frame - 1 : frame + 1], frame - 1)
-        best: tuple[slice, FloatArray] | None = None
-        for first in self._beginnings(frame):
-            ahead = min(frame - first, round(MAX_AHEAD * self.options.fps))
-            window = slice(first, min(frame + ahead + 1, self.count))
-            detour = self._detour(poses, window, frame)
-            strain = self._strain(detour, first)
-            if strain < SMALLER * least:
-                least, best = strain, (window, detour)
-            if least <= SMOOTH_ENOUGH:
+
+def _beginnings(clip: ClipPath, frame: int) -> list[int]:
+    """Return where intervals before a frame begin, the shortest first."""
+    beginnings: list[int] = []
+    back = FIRST_BACK
+    while back <= clip.options.back and (not beginnings or beginnings[-1] > 0):
+        first = max(frame - max(round(back * clip.options.fps), 2), 0)
+        if first < frame and first not in beginnings:
+            beginnings.append(first)
+        back *= 2
+    return beginnings
+
+
+def _detour(clip: ClipPath, poses: FloatArray, window: slice, frame: int) -> FloatArray:
+    """Return the best path through a window, its speed evened out."""
+    interval = clip.interval(poses[window], window, frame)
+    options = clip.options
+    paths, costs = branches(interval, options.branches, options.solving.seed)
+    closed = (clip.moving or _is_thin(clip)) and window.stop < len(clip)
+    return _evened(clip, interval, paths, costs, closed=closed)
+
+
+def _evened(
+    clip: ClipPath,
+    interval: Interval,
+    paths: FloatArray,
+    costs: FloatArray,
+    *,
+    closed: bool,
+) -> FloatArray:
+    """Return the best path, its speed evened out.
+
+    Where it still jumps and begins with the clip, its first pose is any, as no motion
+    has to be kept.
+    """
+    window = slice(interval.frames.start, interval.frames.stop)
+    path = clip.path.frames(window)
+    best = path.evened(clip.best(interval, paths, costs, closed=closed))[0]
+    least = clip.strain(best, window.start)
+    if window.start > 0 or clip.moving or least <= 1:
+        return best
+    other = clip.best(interval, paths, costs, closed=closed, opened=True)
+    other = path.evened(other, opened=True)[0]
+    return other if clip.strain(other, window.start) < SMALLER * least else best
+
+
+def _rewoven(clip: ClipPath, result: IkResult) -> IkResult:
+    """Return the best path through a moving clip on other branches, if steadier.
+
+    It may begin and end on any branch, and is near the clip as far as steps let it.
+    """
+    whole = slice(0, len(clip))
+    for attempt in range(MAX_SEARCHES):
+        poses = clip.poses(result)
+        strains = _jump_strains(clip, poses)
+        if not strains.any():
+            break
+        rows = np.sort(np.argsort(-strains, kind="stable")[: 1 + attempt]) + 1
+        rows = rows[strains[rows - 1] > 0]
+        interval = clip.interval(poses, whole, int(rows[0]))
+        seed = clip.options.solving.seed + attempt * len(clip)
+        paths, costs = branch_tracks(interval, rows, clip.options.branches, seed)
+        path = clip.best(interval, paths, costs, opened=True, near=NEARNESS)
+        path = _eased(clip, path)
+        if _jump_strains(clip, path).sum() < SMALLER * strains.sum():
+            result = clip.joined(result, whole, path)
+    return result
+
+
+def _jump_strains(clip: ClipPath, poses: FloatArray) -> FloatArray:
+    """Return squared strains of steps that are jumps, 0 of others ``(F - 1,)``."""
+    strains = np.zeros(max(len(poses) - 1, 0))
+    rows = clip.jumping(poses) - 1
+    strains[rows] = clip.strains(poses)[rows] ** 2
+    return strains
+
+
+def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
+    """Return a path whose speed is evened out about each jump, where that helps."""
+    poses = poses.copy()
+    for frame in clip.jumping(poses).tolist():
+        for seconds in (FIRST_BACK, 2 * FIRST_BACK, 4 * FIRST_BACK):
+            reach = max(round(seconds * clip.options.fps), 2)
+            window = slice(max(frame - reach, 0), min(frame + reach, len(clip)))
+            eased = clip.path.frames(window).evened(poses[window])[0]
+            before = clip.strain(poses[window], window.start)
+            after = clip.strain(eased, window.start)
+            if after < SMALLER * before:
+                poses[window] = eased
+            if min(before, after) <= SMOOTH_ENOUGH:
                 break
-        return result if best is None else self._joined(result, *best)
-
-    def _beginnings(self, frame: int) -> list[int]:
-        """Return where stretches before a frame begin, the shortest first."""
-        beginnings: list[int] = []
-        back = FIRST_BACK
-        while back <= self.options.back and (not beginnings or beginnings[-1] > 0):
-            first = max(frame - max(round(back * self.options.fps), 2), 0)
-            if first < frame and first not in beginnings:
-                beginnings.append(first)
-            back *= 2
-        return beginnings
-
-    def _strain(self, poses: FloatArray, first: int) -> float:
-        """Return the largest step from a frame on, in shares of what is a jump."""
-        frames = slice(first, first + len(poses))
-        allowed = self.allowed[first : frames.stop - 1]
-        return strain(self.path.frames(frames), poses, allowed)
-
-    def _stretch(self, poses: FloatArray, window: slice, frame: int) -> Interval:
-        path = self.path.frames(window)
-        misses = path.measured(poses)
-        return Interval(
-            self.problem,
-            self.targets,
-            range(window.start, window.stop),
-            frame,
-            poses,
-            price(misses, path.excess(misses) <= 1),
-            self.reference[window],
-            SMOOTH_ENOUGH * self.allowed[window.start : window.stop - 1],
-            self.prefer,
-            replace(self.options.solving, method=IkMethod.DAMPED),
-        )
-
-    def _detour(self, poses: FloatArray, window: slice, frame: int) -> FloatArray:
-        """Return the best path through a window, its speed evened out."""
-        interval = self._stretch(poses[window], window, frame)
-        options = self.options
-        paths, costs = branches(interval, options.branches, options.solving.seed)
-        closed = (self.moving or self._is_thin()) and window.stop < self.count
-        return self._way(interval, paths, costs, closed=closed)
-
-    def _way(
-        self, interval: Interval, paths: FloatArray, costs: FloatArray, *, closed: bool
-    ) -> FloatArray:
-        """Return the best way, its speed evened out.
-
-        Where it still jumps and begins with the clip, its first pose is any, as no
-        motion has to be kept.
-        """
-        window = slice(interval.frames.start, interval.frames.stop)
-        path = self.path.frames(window)
-        best = best_path(interval, paths, costs, closed=closed)
-        best = path.evened(best)[0]
-        least = self._strain(best, window.start)
-        if window.start > 0 or self.moving or least <= 1:
-            return best
-        other = best_path(interval, paths, costs, closed=closed, opened=True)
-        other = path.evened(other, opened=True)[0]
-        better = self._strain(other, window.start) < SMALLER * least
-        return other if better else best
-
-    def _joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
-        """Return a result with a window replaced, and what comes after it."""
-        chain = self.problem.chain
-        own = self._poses(result)
-        misses = self.path.frames(window).measured(poses)
-        part = at_poses(_frames(result, window), poses, misses, self.path)
-        parts = [_frames(result, slice(0, window.start)), part]
-        rest = slice(window.stop, self.count)
-        if rest.start < self.count:
-            same = np.abs(difference(chain, own[rest.start - 1], poses[-1])).max()
-            if self.moving or same < UNCHANGED:
-                parts.append(_frames(result, rest))
-            else:
-                starts = np.broadcast_to(part.coordinates[-1], self.start.shape)
-                parts.append(self._solved(rest, starts))
-        return _concatenated(parts)
-
-
-def _frames(result: IkResult, frames: slice) -> IkResult:
-    """Return some of the frames of a result."""
-    own = {name: getattr(result, name)[frames] for name in _by_frame()}
-    return replace(result, **own)
-
-
-def _concatenated(parts: list[IkResult]) -> IkResult:
-    """Return the frames of some results, one after the other."""
-    own: dict[str, Any] = {}
-    for name in _by_frame():
-        values = [getattr(part, name) for part in parts]
-        if name == "statuses":
-            own[name] = tuple(status for part in values for status in part)
-        else:
-            own[name] = np.concatenate(values)
-    return replace(parts[0], **own)
-
-
-def _by_frame() -> list[str]:
-    """Return the names of what a result has for each frame."""
-    return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]
+    return poses

@@ -181,7 +181,7 @@ def _solve_take(
         for part in parts.all:
             found.append(run.solved(part))
             progress(found[-1].part.frames.stop / take.clock.count)
-    solved = gathered_take(take, own, local, tracks, targets, found)
+    solved = gathered_take(take, own, local, tracks, targets, found, rate)
     extent = float(np.ptp(world.positions[0], axis=0).max())
     return replace(
         solved,

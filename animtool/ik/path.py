@@ -7,27 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.chain import BALL, difference, seamless, unwound
+from animtool.ik.chain import HAIR, difference, unwound
 from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
+from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult, IkStatus, Jump
+from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
+from animtool.ik.sub_rig import following
 from animtool.maths import so3
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import JointType, Rig
 
 # Rounds of Gauss-Newton at most, each over all frames.
 ROUNDS = 30
 # Of the preference for where a path was when its speed is evened out.
 HARDLY = 1e-6
-# A joint jumps that moves by more than this [rad], or share of the chain's length, and
-# this a second, and so many times what the targets move by, all together.
-MIN_JUMP, MIN_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
-# Slower ones are named too, where the joint moves so many times farther than within
-# so many frames before and after.
-MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
 
 
 @dataclass(frozen=True)
@@ -129,27 +127,20 @@ def path_of(
     return Path(problem, packed, extend(problem.limbs, packed), drifts, options)
 
 
-def explained(path: Path, fps: float) -> FloatArray:
-    """Return how far joints may go from frame to frame ``(F - 1,)``.
+def goal_moves(problem: Problem, targets: FloatArray) -> FloatArray:
+    """Return how far the goals move from frame to frame ``(F - 1,)``.
 
-    In radians, and shares of the problem's length.
+    In radians, and shares of the problem's length; the largest of all goals that ask
+    for something in both frames. ``targets`` ``(F, E, W)``.
     """
-    return np.asarray(MIN_JUMP + MIN_SPEED / fps + _by_targets(path))
-
-
-def _by_targets(path: Path) -> FloatArray:
-    """Return how far joints may go with their targets ``(F - 1,)``."""
-    targets = path.targets
     weighed = targets[:, :, WEIGHTS] > 0
     asked = weighed[1:] & weighed[:-1]
-    goals = np.array([goal.weights for goal in path.problem.goals]) > 0
+    goals = np.array([goal.weights for goal in problem.goals]) > 0
     moves = np.stack(
         [_moves(kind.value, targets[:, :, COLUMNS[kind.name]]) for kind in KINDS],
         axis=2,
     )
-    most = np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
-    own = np.abs(path.drifts).max(axis=1, initial=0.0)
-    return np.asarray(MORE_THAN_TARGETS * (most + own))
+    return np.asarray(np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0))
 
 
 def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
@@ -159,63 +150,85 @@ def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
 
 
-def strain(path: Path, poses: FloatArray, allowed: FloatArray) -> float:
-    """Return the largest step of poses ``(F, C)``, in shares of what is a jump."""
-    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
-    return float((steps / allowed).max(initial=0.0))
+def jumps_of(
+    result: IkResult, targets: Targets, start: ArrayLike | None, fps: float
+) -> tuple[Jump, ...]:
+    """Return the jumps of a clip's poses, see `find_jumps`.
 
-
-def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
-    """Return the frames to which a joint jumps."""
-    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
-    return np.flatnonzero(steps > allowed) + 1
-
-
-def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
-    """Return the jumps of poses: frame, joint and size.
-
-    Those too of joints that jerk, slower, out of rest and back to it. One from a limit
-    to that a whole turn away is none: the joint stays as it is.
+    ``start`` ``(F, Q)`` are the poses that the solve started from; None, or one pose,
+    is no motion.
     """
-    steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
-    joints = _joints(path.problem)
-    jumps = []
-    far = np.where((steps > allowed[:, None]) | _jerking(path, steps), steps, 0.0)
-    for frame in np.flatnonzero(far.any(axis=1)) + 1:
-        d = int(far[frame - 1].argmax())
-        jumps.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
-    return tuple(jumps)
+    problem = result.problem
+    source = None
+    if start is not None and np.ndim(start) == 2:
+        source = pose_rows(problem, start, len(result.coordinates), "start")
+    moves = goal_moves(problem, chain_targets(problem, targets))
+    longer = result.local_translations()
+    return _jumps(problem, result.coordinates, longer, source, moves, fps)
 
 
-def _jerking(path: Path, steps: FloatArray) -> BoolArray:
-    """Return which steps ``(F - 1, D)`` are far larger than those about them."""
-    around = np.zeros_like(steps)
-    for away in range(1, NEIGHBOURS + 1):
-        around[away:] = np.maximum(around[away:], steps[:-away])
-        around[:-away] = np.maximum(around[:-away], steps[away:])
-    least = np.maximum(
-        MORE_THAN_NEIGHBOURS * around, (MIN_JUMP + _by_targets(path))[:, None]
+def jumping_frames(
+    path: Path,
+    poses: FloatArray,
+    rows: FloatArray,
+    source: FloatArray | None,
+    fps: float,
+) -> IntArray:
+    """Return the frames to which a joint jumps, ascending.
+
+    Args:
+        path: F frames.
+        poses: Of the chain ``(F, C)``.
+        rows: Coordinates of the rig whose other joints are as they are ``(F, Q)``.
+        source: The motion that the solve started from ``(F, Q)``; None is none.
+        fps: Frames a second.
+    """
+    problem = path.problem
+    rows = following(problem.rig, problem.chain.into_rig(poses, rows), problem.joints)
+    moves = goal_moves(problem, path.targets)
+    jumps = _jumps(problem, rows, None, source, moves, fps)
+    return np.unique(np.array([jump.frame for jump in jumps], np.int64))
+
+
+def _jumps(
+    problem: Problem,
+    rows: FloatArray,
+    translations: FloatArray | None,
+    source: FloatArray | None,
+    moves: FloatArray,
+    fps: float,
+) -> tuple[Jump, ...]:
+    """Return the jumps of coordinates ``(F, Q)``, bones stretched if they are."""
+    local = local_from_coordinates(problem.rig, rows)
+    if translations is not None:
+        local = replace(local, translations=translations)
+    return find_jumps(
+        problem.rig.names,
+        None if source is None else local_from_coordinates(problem.rig, source),
+        local,
+        moves,
+        fps=fps,
+        length=problem.length,
+        windings=windings(problem.rig, rows),
     )
-    jerks = steps > least
-    # Of the first and the last, nothing is known on one side.
-    jerks[:1] = jerks[-1:] = False
-    return np.asarray(jerks, np.bool_)
 
 
-def _joints(problem: Problem) -> list[str]:
-    """Return the joint of each degree of freedom."""
-    rig, chain = problem.rig, problem.chain
-    owners = [
-        joint.name
-        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True)
-        for _ in range(place.stop - place.start)
-    ]
-    names: list[str] = []
-    for kind, _, column, follows in chain.nodes[:, :4]:
-        if not follows:
-            name = owners[int(chain.columns[column])]
-            names += [name] * (3 if kind == BALL else 1)
-    return names
+def windings(rig: Rig, rows: FloatArray) -> FloatArray:
+    """Return the whole turns of pins from frame to frame ``(F - 1, J)`` [rad].
+
+    Of pins whose limits are over a turn apart: which of their turns they are in does
+    not show, but a cable minds. ``rows`` ``(F, Q)``.
+    """
+    turns = np.zeros((max(len(rows) - 1, 0), len(rig.joints)))
+    for j, place in enumerate(coordinate_slices(rig)):
+        limits = rig.joints[j].limits
+        pin = rig.joints[j].type is JointType.PIN
+        if not pin or not isinstance(limits, RangeLimit):
+            continue
+        if 2 * np.pi + HAIR < limits.high - limits.low < np.inf:
+            steps = np.diff(rows[:, place.start]) / (2 * np.pi)
+            turns[:, j] = 2 * np.pi * np.abs(np.round(steps))
+    return turns
 
 
 def smooth(

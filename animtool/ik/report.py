@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.goals import METRIC, PARTS, by_unit
+from animtool.ik.jumps import Jump
 from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
@@ -220,19 +222,75 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning where joints jump, with the largest of them."""
     if not solved.jumps:
         return []
-    from animtool.ik.clip_solver import FollowOptions
-
-    worst = max(solved.jumps, key=lambda jump: jump.size)
-    frame = solved.take.clock.times[worst.frame]
-    others = len(solved.jumps) - 1
-    message = f"joint {worst.joint!r} jumps at frame {frame_label(frame)}"
+    worst = max(solved.jumps, key=_excess(solved))
+    first, last = (
+        frame_label(solved.take.clock.times[worst.frame - back]) for back in (1, 0)
+    )
+    message = f"joint {worst.joint!r} {'slides' if worst.slides else 'turns'} by "
+    message += f"{_much(worst, worst.size)} from frame {first} to {last}"
+    if worst.source > 0:
+        message += f" ({_much(worst, worst.source)} in the source)"
+    frames = len({jump.frame for jump in solved.jumps} - {worst.frame})
+    if frames:
+        message += f"; joints jump in {counted(frames, 'other frame')} too"
+    others = sorted({jump.joint for jump in solved.jumps} - {worst.joint})
     if others:
-        message += f", and {counted(others, 'other')} elsewhere"
-    hint = "no steadier way was found: others were looked for from new starts, up to "
-    hint += f"{FollowOptions().back:g} s before each jump; targets that come sooner, "
-    hint += "turn the other way or ask for less may leave one"
+        message += f"; also {listed(others)}"
     path = str(solved.tracks.path)
-    return [Fault("IK102", message, path, (), hint, Severity.WARNING)]
+    expected = all(jump.by_goals for jump in solved.jumps)
+    level = Severity.NOTE if expected else Severity.WARNING
+    return [Fault("IK102", message, path, (), _cure(solved, worst), level)]
+
+
+def _excess(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
+    """Return how bad a jump is: slides are measured in lengths of the chain."""
+
+    def bad(jump: Jump) -> tuple[bool, float]:
+        unit = solved.problem.length if jump.slides else 1.0
+        return (not jump.by_goals, (jump.size - jump.source) / unit)
+
+    return bad
+
+
+def _much(jump: Jump, size: float) -> str:
+    """Return how far a joint goes, with its unit."""
+    return length_text(size) if jump.slides else angle_text(math.degrees(size), 3)
+
+
+def _cure(solved: TakeIk, worst: Jump) -> str:
+    """Return what makes the jumps of a take smaller, tried where it can be."""
+    steadier = solved.steadier
+    if steadier is not None:
+        left = "leaves no jump"
+        if steadier.angle > 0:
+            left = "leaves turns of "
+            left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
+        return f"--smooth {steadier.seconds:g} {left}"
+    if worst.by_goals:
+        return "its goals move or turn as fast there: keys farther apart slow them"
+    goal = _stretching(solved, worst)
+    if goal is not None:
+        hint = f"the limb comes to full stretch there: soft: 0.1 on the goal {goal!r} "
+        return f"{hint}eases it out, short of its target by a little"
+    if solved.between:
+        return "each frame is solved on its own; let the joints between move (TGT105)"
+    hint = "no steadier path was found on other branches, nor with --smooth; targets "
+    hint += "that pass farther from where the limb turns over, that come sooner or "
+    return f"{hint}that ask for less may leave one"
+
+
+def _stretching(solved: TakeIk, worst: Jump) -> str | None:
+    """Return the goal in or out of whose reach a limb snaps straight, if one does."""
+    rig = solved.take.rig
+    rows = slice(worst.frame - 1, worst.frame + 1)
+    for e, track in enumerate(solved.tracks.goals):
+        above = [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
+        missed = solved.misses[rows, e, 0] > MISSED_LENGTH
+        asked = solved.asked[rows, e, 0].all()
+        snaps = asked and missed[0] != missed[1] and not track.goal.soft
+        if snaps and worst.joint in above:
+            return track.name
+    return None
 
 
 def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
@@ -270,7 +328,7 @@ def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
     message += f"{listed([repr(name) for name in solved.between], most=6)} "
     message += "between the joints that may move "
     message += "moves too" if len(solved.between) == 1 else "move too"
-    hint = "that takes longer, jumps are neither mended nor named, and nothing is "
+    hint = "that takes longer, no steadier path is looked for, and nothing is "
     hint += "evened out; let these joints move, or move by what their types have"
     level = Severity.WARNING if smooth else Severity.NOTE
     return [Fault("TGT105", message, str(solved.tracks.path), (), hint, level)]

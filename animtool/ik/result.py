@@ -12,6 +12,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import Clock
 from animtool.ik.goals import PARTS
+from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
@@ -49,21 +50,6 @@ class IkStatus(StrEnum):
     STALLED = "stopped on the way"
     BUDGET = "out of budget"
     NOT_FINITE = "numbers beyond range"
-
-
-@dataclass(frozen=True, slots=True)
-class Jump:
-    """Where a clip is not followed without a jump.
-
-    Attributes:
-        frame: Index of the frame that is jumped to.
-        joint: The one that moves most.
-        size: By how much [rad], or share of the problem's length.
-    """
-
-    frame: int
-    joint: str
-    size: float
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,12 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import Part
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
+from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.options import IkMethod, TakeOptions
-from animtool.ik.path import rate_faults
+from animtool.ik.path import goal_moves, jumps_of, rate_faults, smooth, windings
 from animtool.ik.problem import Problem, build, rest_faults
-from animtool.ik.result import IkResult, IkStatus, Jump, frames_on_limits
-from animtool.ik.solving import IkOptions, option_faults, serving, solve
+from animtool.ik.result import IkResult, IkStatus, frames_on_limits
+from animtool.ik.solving import IkOptions, chain_targets, option_faults, serving, solve
 from animtool.ik.sub_rig import mimics
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
@@ -33,6 +34,9 @@ from animtool.take import Take
 UNCHANGED = 1e-12
 # Those that follow a clip over other branches; the others are there for comparison.
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
+# Times over which motion is smoothed on trial, where joints jump [s]; what makes jumps
+# no smaller than this share is no cure.
+TRIED_SMOOTHING, SMALLER = (0.1, 0.3), 0.9
 # A pole stands this many lengths of its chain away, so that only its side counts.
 FAR = 10.0
 
@@ -51,13 +55,15 @@ class TakeIk:
         iterations: ``(F,)``.
         descents: Starts tried ``(F,)``.
         seconds: Time of all frames [s], the one part that differs between runs.
-        jumps: Where joints jump and no other way was found.
+        jumps: Where joints jump and no steadier path was found.
         on_limits: By joint, in which frames it stands on a limit ``(F,)``.
         between: Joints between those that were solved which move by themselves, or in
             ways that their types have not: each frame was then solved on its own.
         away: How far the positions that each goal asks for are from its effector in
             the take, in the frame where they are nearest ``(E,)`` [m]; 0 of none.
         size: Of the rig, the largest extent of its joints in the first frame [m].
+        steadier: Smoothing that a trial found to leave smaller jumps; None where there
+            are none, or none was found.
     """
 
     take: Take
@@ -74,15 +80,39 @@ class TakeIk:
     between: tuple[str, ...] = ()
     away: tuple[float, ...] = ()
     size: float = 0.0
+    steadier: Smoothing | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothing:
+    """What evening out motion over some time would leave.
+
+    Attributes:
+        seconds: The time, as of ``TakeOptions.smooth`` [s].
+        angle: The largest turn of a joint that would still be a jump [rad]; 0 of none.
+    """
+
+    seconds: float
+    angle: float
 
 
 @dataclass(frozen=True, slots=True)
 class SolvedPart:
-    """The solution of a part, and how long it took [s]."""
+    """The solution of a part.
+
+    Attributes:
+        part: Which frames, and what the chain hangs from in them.
+        targets: As the chain takes them ``(F, E, W)``.
+        result: Poses and misses.
+        seconds: How long it took [s].
+        steadier: Smoothing that leaves smaller jumps.
+    """
 
     part: Part
+    targets: FloatArray
     result: IkResult
     seconds: float
+    steadier: Smoothing | None = None
 
 
 def gathered_take(
@@ -92,6 +122,7 @@ def gathered_take(
     tracks: TargetTracks,
     targets: Targets,
     parts: Sequence[SolvedPart],
+    rate: float,
 ) -> TakeIk:
     """Return a take with the poses that its parts were brought to."""
     results = [one.result for one in parts]
@@ -101,6 +132,7 @@ def gathered_take(
     stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched)
     places, turns = local.translations[:, joints], local.rotations[:, joints]
+    source = LocalTransforms(places.copy(), turns.copy())
     for one in parts:
         span = one.part.frames
         rows, before = one.result.coordinates, one.part.coordinates
@@ -119,20 +151,33 @@ def gathered_take(
         translations=motion.translations.put(index, places).compact(),
         rotations=motion.rotations.put(index, so3.align_signs(turns)).compact(),
     )
+    problem = results[0].problem
+    jumps = find_jumps(
+        [rig.names[j] for j in joints],
+        source,
+        LocalTransforms(places, turns),
+        goal_moves(problem, np.concatenate([one.targets for one in parts])),
+        fps=rate,
+        length=problem.length,
+        windings=windings(rig, np.concatenate([one.coordinates for one in results]))[
+            :, joints
+        ],
+    )
     asked = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
     limits = [frames_on_limits(one.problem, one.coordinates) for one in results]
     return TakeIk(
         replace(take, motion=motion),
         tracks,
-        results[0].problem,
+        problem,
         asked > 0,
         np.concatenate([one.misses for one in results]),
         tuple(status for one in results for status in one.statuses),
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
         sum(one.seconds for one in parts),
-        tuple(jump for one in results for jump in one.jumps),
+        jumps,
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
+        steadier=parts[0].steadier if jumps else None,
     )
 
 
@@ -188,14 +233,39 @@ class TakeRun:
         """Return the solution of a part."""
         problem = self._problem(part, self.goals)
         targets = part.to_chain_frame(self.targets)
+        packed = chain_targets(problem, targets)
         if not self.still:
-            done = self._timed(problem, part.coordinates, targets, warm=False)
-            return SolvedPart(part, *done)
+            start = part.coordinates
+            done = self._timed(problem, start, targets, warm=False)
+            return SolvedPart(
+                part, packed, *done, self._steadier(done[0], targets, start)
+            )
         bent, seconds = self._bent(part, problem, targets)
         start, more = self._begun(part, problem, bent, targets)
         kept = part.coordinates[0]
         done = self._timed(problem, start, targets, warm=True, prefer=kept)
-        return SolvedPart(part, done[0], seconds + more + done[1])
+        seconds += more + done[1]
+        steadier = self._steadier(done[0], targets, None)
+        return SolvedPart(part, packed, done[0], seconds, steadier)
+
+    def _steadier(
+        self, result: IkResult, targets: Targets, start: FloatArray | None
+    ) -> Smoothing | None:
+        """Return the smoothing that leaves the smallest jumps, if any helps."""
+        turns = [jump.size for jump in result.jumps if not jump.slides]
+        if not turns or self.options.smooth > 0:
+            return None
+        best = Smoothing(0.0, SMALLER * max(turns))
+        for seconds in TRIED_SMOOTHING:
+            options = self._chosen(result.problem, warm=start is None)
+            trial = smooth(
+                result, targets, seconds, fps=self.rate, start=start, options=options
+            )
+            jumps = jumps_of(trial, targets, start, self.rate)
+            angle = max((jump.size for jump in jumps if not jump.slides), default=0.0)
+            if angle < SMALLER * best.angle:
+                best = Smoothing(seconds, angle)
+        return best if best.seconds > 0 else None
 
     def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
         return build(
@@ -264,19 +334,11 @@ class TakeRun:
     ) -> tuple[IkResult, float]:
         """Return a solution, and how long it took [s]."""
         options = self.options
-        chosen = IkOptions(
-            method=options.method,
-            tolerance=options.tolerance / problem.length,
-            angle_tolerance=options.angle_tolerance,
-            restarts=options.restarts if restarts is None else restarts,
-            seed=options.seed,
-            seconds=options.seconds,
-            warm=warm,
-            near=not warm,
-        )
+        chosen = self._chosen(problem, warm=warm, restarts=restarts)
         began = time.perf_counter()
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
-            from animtool.ik.clip_solver import FollowOptions, follow
+            from animtool.ik.clip_path import FollowOptions
+            from animtool.ik.clip_solver import follow
 
             searched = restarts is None
             way = FollowOptions(
@@ -289,6 +351,22 @@ class TakeRun:
         else:
             result = solve(problem, starts, targets, chosen, prefer=prefer)
         return result, time.perf_counter() - began
+
+    def _chosen(
+        self, problem: Problem, *, warm: bool, restarts: int | None = None
+    ) -> IkOptions:
+        """Return how a problem's frames are solved."""
+        options = self.options
+        return IkOptions(
+            method=options.method,
+            tolerance=options.tolerance / problem.length,
+            angle_tolerance=options.angle_tolerance,
+            restarts=options.restarts if restarts is None else restarts,
+            seed=options.seed,
+            seconds=options.seconds,
+            warm=warm,
+            near=not warm,
+        )
 
 
 def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:

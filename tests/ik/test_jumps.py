@@ -1,4 +1,4 @@
-"""Steps of joints that targets do not explain."""
+"""Steps of joints beyond those of the motion that a solve started from."""
 
 from __future__ import annotations
 
@@ -8,112 +8,144 @@ import numpy as np
 import pytest
 from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
+from animtool._types import FloatArray
 from animtool.ik import Goal, IkOptions, build, follow
-from animtool.ik.chain import seamless
 from animtool.ik.goals import COLUMNS
-from animtool.ik.path import Path, explained, jumping, named, path_of, strain
-from animtool.ik.result import Jump
+from animtool.ik.jumps import Jump, find_jumps, largest_step
+from animtool.ik.path import Path, goal_moves, path_of, windings
+from animtool.maths import so3
+from animtool.rig.joints import LocalTransforms
 from animtool.rig.limits import RangeLimit
 
 
-def standing(frames: int = 6) -> tuple[Path, np.ndarray]:
+def turning(angles: FloatArray) -> LocalTransforms:
+    """Return one joint that turns about z by angles ``(F,)`` [rad]."""
+    rotations = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), angles)[:, None]
+    return LocalTransforms(np.zeros((len(angles), 1, 3)), rotations)
+
+
+def found(
+    after: FloatArray,
+    before: FloatArray | None = None,
+    moves: float = 0.0,
+    fps: float = 24.0,
+) -> tuple[Jump, ...]:
+    source = None if before is None else turning(before)
+    goals = np.full(len(after) - 1, moves)
+    return find_jumps(["j"], source, turning(after), goals, fps=fps, length=1.0)
+
+
+def with_jump(size: float, frames: int = 24, at: int = 12) -> FloatArray:
+    """Return a slow turn with a jump of a size [rad]."""
+    angles = np.linspace(0.0, 0.3, frames)
+    angles[at:] += size
+    return angles
+
+
+def test_slow_turns_and_what_the_source_does_are_no_jumps() -> None:
+    assert found(with_jump(0.0)) == ()
+    assert found(with_jump(1.5), with_jump(1.5)) == ()
+    assert found(with_jump(1.5)[:1]) == ()
+
+
+def test_a_jump_has_frame_joint_size_and_that_of_the_source() -> None:
+    (jump,) = found(with_jump(0.9), with_jump(0.2))
+    assert (jump.frame, jump.joint, jump.slides) == (12, "j", False)
+    assert jump.size == pytest.approx(0.9 + 0.3 / 23)
+    assert jump.source == pytest.approx(0.2 + 0.3 / 23)
+
+
+@pytest.mark.parametrize("fps", [6.0, 12.0, 24.0, 60.0, 120.0])
+def test_every_turn_over_thirty_degrees_is_a_jump(fps: float) -> None:
+    """At low rates too, and amid fast motion."""
+    angles = np.cumsum(np.full(24, np.radians(20.0)))
+    angles[12:] += np.radians(11.0)
+    assert 12 in [jump.frame for jump in found(angles, fps=fps)]
+    assert largest_step(fps) <= 0.5
+
+
+def test_pops_of_the_motion_rule_are_jumps() -> None:
+    """19.5 degrees in a smooth take, that stay or come back (MOT202)."""
+    stays = with_jump(np.radians(19.5), frames=48)
+    assert [jump.frame for jump in found(stays)] == [12]
+    back = np.linspace(0.0, 0.3, 48)
+    back[20] += np.radians(19.5)
+    assert [jump.frame for jump in found(back)] == [20, 21]
+
+
+@pytest.mark.parametrize(("beside", "count"), [(0.0, 1), (0.03, 1), (0.08, 0)])
+def test_a_jerk_is_a_jump_that_is_no_fast_one(beside: float, count: int) -> None:
+    steps = np.array([0, 0, beside, beside, 0.2, beside, beside, 0, 0])
+    jumps = found(np.concatenate([[0.0], np.cumsum(steps)]))
+    assert [jump.frame for jump in jumps] == [5] * count
+
+
+@pytest.mark.parametrize(("moves", "by_goals"), [(0.0, False), (0.5, True)])
+def test_goals_that_move_as_fast_explain_a_jump(moves: float, by_goals: bool) -> None:
+    (jump,) = found(with_jump(0.9), moves=moves)
+    assert jump.by_goals is by_goals
+
+
+@pytest.mark.parametrize(("length", "count"), [(2.0, 1), (3.0, 0)])
+def test_slides_are_lengths_and_count_by_the_chain(length: float, count: int) -> None:
+    still = turning(np.zeros(24))
+    moved = still.translations.copy()
+    # Over so many frames that no single one jerks out of rest.
+    moved[:, 0, 1] = np.cumsum(np.full(24, 2.5 * largest_step(24)))
+    goals = np.zeros(23)
+    slid = replace(still, translations=moved)
+    jumps = find_jumps(["rod"], still, slid, goals, fps=24, length=length)
+    assert len(jumps) == 23 * count
+    for jump in jumps:
+        assert jump.slides
+        assert jump.size == pytest.approx(2.5 * largest_step(24))
+
+
+def standing(frames: int = 6) -> Path:
     problem = build(mixed_rig(), every_goal()[:1])
     rows = np.repeat(random_pose(problem, 1), frames, axis=0)
-    path = path_of(problem, reached_by(problem, rows), None, IkOptions())
-    return path, problem.chain.from_rig(rows)
+    return path_of(problem, reached_by(problem, rows), None, IkOptions())
 
 
-def test_joints_that_stand_do_not_jump() -> None:
-    path, poses = standing()
-    allowed = explained(path, 24.0)
-    assert strain(path, poses, allowed) < 1e-12
-    assert len(jumping(path, poses, allowed)) == 0
-
-
-def test_a_jump_is_named_by_frame_joint_and_size() -> None:
-    path, poses = standing()
-    allowed = explained(path, 24.0)
-    elbow = int(np.flatnonzero(path.problem.chain.nodes[:, 0] == 0)[0])
-    column = path.problem.chain.nodes[elbow, 2]
-    poses[4:, column] += 0.9
-    (jump,) = named(path, poses, allowed)
-    assert jump == Jump(4, "elbow", jump.size)
-    assert jump.size == pytest.approx(0.9)
-    assert strain(path, poses, allowed) > 1
-
-
-@pytest.mark.parametrize(("props", "names"), [(0.0, 1), (0.03, 1), (0.08, 0)])
-def test_a_jerk_is_named_that_is_no_fast_one(props: float, names: int) -> None:
-    path, poses = standing(9)
-    allowed = explained(path, 24.0)
-    elbow = int(np.flatnonzero(path.problem.chain.nodes[:, 0] == 0)[0])
-    column = path.problem.chain.nodes[elbow, 2]
-    steps = np.array([0, 0, props, props, 0.2, props, props, 0, 0])
-    poses[:, column] += np.cumsum(steps)
-    assert strain(path, poses, allowed) < 1
-    found = named(path, poses, allowed)
-    assert [(jump.frame, jump.joint) for jump in found] == [(4, "elbow")] * names
-
-
-def test_fast_targets_and_slow_rates_explain_more() -> None:
-    path, _ = standing()
-    still = explained(path, 60.0)
-    assert (explained(path, 24.0) > still).all()
+def test_goals_that_stand_or_are_not_asked_do_not_move() -> None:
+    path = standing()
+    assert (goal_moves(path.problem, path.targets) == 0).all()
     moving = path.targets.copy()
     moving[3:, :, 0] += 0.5
-    fast = explained(replace(path, targets=moving), 60.0)
-    assert np.flatnonzero(fast > still).tolist() == [2]
-
-
-def test_targets_that_are_not_asked_explain_nothing() -> None:
-    path, _ = standing()
-    assert isinstance(path.targets, np.ndarray)
-    moving = path.targets.copy()
-    moving[3:, :, 0] += 0.5
+    assert np.flatnonzero(goal_moves(path.problem, moving)).tolist() == [2]
     moving[3, :, 13:] = 0
-    gone = replace(path, targets=moving)
-    np.testing.assert_array_equal(explained(gone, 60.0), explained(path, 60.0))
+    assert (goal_moves(path.problem, moving) == 0).all()
 
 
-def test_targets_of_no_weight_explain_nothing() -> None:
+def test_targets_of_no_weight_do_not_move() -> None:
     """A goal that does not turn to its target: turns of the target are no reason."""
     problem = build(mixed_rig(), [Goal("hand", orientation=0.0)])
     rows = np.repeat(random_pose(problem, 1), 6, axis=0)
     path = path_of(problem, reached_by(problem, rows), None, IkOptions())
     moving = path.targets.copy()
     moving[3:, :, COLUMNS["orientation"]] = [1.0, 0.0, 0.0, 0.0]
-    turned = replace(path, targets=moving)
-    np.testing.assert_array_equal(explained(turned, 60.0), explained(path, 60.0))
-
-
-def test_the_motion_of_a_clip_is_no_jump() -> None:
-    problem = build(mixed_rig(), every_goal()[:1])
-    rows = random_pose(problem, 1, frames=5)
-    targets = reached_by(problem, rows)
-    path = path_of(problem, targets, rows, IkOptions())
-    poses = problem.chain.from_rig(rows)
-    np.testing.assert_allclose(path.steps(poses), 0.0, atol=1e-12)
-    assert len(jumping(path, poses, explained(path, 24.0))) == 0
+    assert (goal_moves(problem, moving) == goal_moves(problem, path.targets)).all()
 
 
 @pytest.mark.parametrize("low", [-np.pi, 0.0])
 def test_a_whole_turn_has_no_end_to_jump_over(low: float) -> None:
     rig = arm(2)
     limits = RangeLimit(low, low + 2 * np.pi)
-    joints = (replace(rig.joints[0], limits=limits), rig.joints[1])
-    problem = build(replace(rig, joints=joints), [Goal("b1", (0.4, 0.0, 0.0))])
+    one_turn = replace(
+        rig, joints=(replace(rig.joints[0], limits=limits), rig.joints[1])
+    )
+    problem = build(one_turn, [Goal("b1", (0.4, 0.0, 0.0))])
     base = np.linspace(low - 0.5, low + 0.5, 60)
     rows = np.stack([np.where(base < low, base + 2 * np.pi, base), 0 * base + 0.5], 1)
-    found = follow(problem, rows[0], reached_by(problem, rows))
-    assert found.converged.all()
-    assert found.jumps == ()
-    assert (found.coordinates[:, 0] >= low).all()
+    result = follow(problem, rows[0], reached_by(problem, rows))
+    assert result.converged.all()
+    assert result.jumps == ()
+    assert (result.coordinates[:, 0] >= low).all()
+    assert (windings(one_turn, rows) == 0).all()
     # Where the range is wider, it matters which of its turns a joint is in.
-    steps = np.array([[2 * np.pi, 0.1]])
-    np.testing.assert_allclose(seamless(problem.chain, steps), [[0, 0.1]], atol=1e-12)
     hair = RangeLimit(low - 0.005, low + 2 * np.pi + 0.005)
-    joints = (replace(rig.joints[0], limits=hair), rig.joints[1])
-    wider = build(replace(rig, joints=joints), [Goal("b1", (0.4, 0.0, 0.0))])
-    np.testing.assert_allclose(seamless(wider.chain, steps), [[0, 0.1]], atol=1e-12)
-    wide = build(arm(2, 2 * np.pi), [Goal("b1", (0.4, 0.0, 0.0))])
-    np.testing.assert_array_equal(seamless(wide.chain, steps), steps)
+    almost = replace(rig, joints=(replace(rig.joints[0], limits=hair), rig.joints[1]))
+    assert (windings(almost, rows) == 0).all()
+    wide = windings(arm(2, 2 * np.pi), rows)
+    assert wide[:, 0].max() == 2 * np.pi
+    assert (wide[:, 1] == 0).all()

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from support.targets import HEAD, legs, tracks_of, walk_of
 
+from animtool.errors import Severity
+from animtool.ik.jumps import Jump
 from animtool.ik.on_take import solve_take
 from animtool.ik.report import (
     goal_reports,
@@ -17,8 +19,7 @@ from animtool.ik.report import (
     missed_notices,
     status_counts,
 )
-from animtool.ik.result import Jump
-from animtool.ik.take_run import TakeIk
+from animtool.ik.take_run import Smoothing, TakeIk
 
 
 @pytest.fixture
@@ -98,7 +99,18 @@ def test_jumps_are_named(solved: TakeIk) -> None:
     jumps = (Jump(4, "knee_l", 0.5), Jump(9, "hip_l", 0.9))
     (notice,) = jump_notices(replace(solved, jumps=jumps))
     assert notice.code == "IK102"
-    assert notice.message == "joint 'hip_l' jumps at frame 10, and 1 other elsewhere"
+    assert notice.severity is Severity.WARNING
+    expected = "joint 'hip_l' turns by 51.6° from frame 9 to 10; joints jump in 1 other"
+    assert notice.message == f"{expected} frame too; also knee_l"
+    explained = tuple(replace(jump, by_goals=True) for jump in jumps)
+    (notice,) = jump_notices(replace(solved, jumps=explained))
+    assert notice.severity is Severity.NOTE
+
+
+def test_a_jump_that_smoothing_cures_names_the_option(solved: TakeIk) -> None:
+    jumps, steadier = (Jump(4, "knee_l", 0.5),), Smoothing(0.1, 0.2)
+    (notice,) = jump_notices(replace(solved, jumps=jumps, steadier=steadier))
+    assert notice.hint == "--smooth 0.1 leaves turns of 11.5° at most"
 
 
 @pytest.mark.parametrize(

@@ -10,82 +10,15 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, listed
+from animtool.maths.pops import (
+    MIN_FRAMES,
+    STANDS_OUT,
+    changes,
+    stands_out,
+    surprises,
+    turn_pops,
+)
 from animtool.validation.motion.subject import MotionSubject
-
-
-def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return how far each step is from those around it ``(S, N)``.
-
-    The prediction is the mean of the middle two of the two steps before and the two
-    after, by component, so that one bad step does not spoil that of its neighbours.
-
-    ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
-    """
-    if len(steps) < 3:
-        return np.zeros(steps.shape[:2])
-    steps = _without(steps, cuts)
-    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
-    a, b, c, d = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    most = np.maximum(np.maximum(a, b), np.maximum(c, d))
-    least = np.minimum(np.minimum(a, b), np.minimum(c, d))
-    off = steps - 0.5 * (a + b + c + d - most - least)
-    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", off, off)))
-
-
-def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return steps in which cuts do what the nearest other step does."""
-    if not cuts.any() or cuts.all():
-        return steps
-    kept = np.flatnonzero(~cuts)
-    place = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
-    return np.asarray(steps[kept[place]])
-
-
-def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
-    """Return the mean of the rows within reach, the nearest left out ``(S, N)``.
-
-    ``values`` ``(S, N)``.
-    """
-    count = len(values)
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
-    i = np.arange(count)
-    low = np.clip(np.stack([i - reach, i + gap + 1]), 0, count)
-    high = np.maximum(np.clip(np.stack([i - gap, i + reach + 1]), 0, count), low)
-    sums = (total[high] - total[low]).sum(axis=0)
-    return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
-
-
-def around(values: FloatArray) -> FloatArray:
-    """Return the larger of the values beside a step that may stay or come back.
-
-    A joint that jumps and stays makes one bad step, one that is back in the next
-    frame makes two: of the ways to leave such a neighbour out, the one that leaves
-    the least counts.
-
-    ``values`` ``(S, N)``.
-    """
-    rows = np.pad(values, ((2, 2), (0, 0)))
-    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    stays = np.maximum(before, after)
-    comes_back = np.maximum(before, after2)
-    came_back = np.maximum(before2, after)
-    return np.asarray(np.minimum(stays, np.minimum(comes_back, came_back)))
-
-
-def changes(steps: FloatArray) -> FloatArray:
-    """Return how far the steps after each differ from those before ``(S, N)``.
-
-    A ball that bounces goes on another way, and a root that jumps goes on as before.
-    As in `around`, of the ways to leave out a neighbour the best one counts.
-
-    ``steps`` ``(S, N, 3)``.
-    """
-    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
-    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    pairs = ((before, after), (before, after2), (before2, after))
-    return np.asarray(
-        np.min([np.linalg.norm(late - early, axis=2) for early, late in pairs], axis=0)
-    )
 
 
 def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
@@ -99,29 +32,14 @@ def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
         yield start, end - 1
 
 
-# A smaller difference to the motion around is seen as a part of it [rad].
-MIN_TURN = math.radians(18.5)
-# The same of moves, of the rig's size: of a joint against its parent, where rigs that
-# slide and stretch do so on purpose; and of a root, which is seen sooner [1].
+# Moves of joints against their parents that are seen, of the rig's size, where rigs
+# that slide and stretch do so on purpose; and of a root, which is seen sooner [1].
 MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
-# No motion at the rates in use turns a joint so far in one frame [rad].
-FLIP = math.radians(120.0)
-# A pop is as many times rougher than the motion around: kicks, claps and landings at
-# 24 to 120 fps come to 6, and 20 degrees in a smooth walk to 9 and more [1]. Motion is
-# never taken for smoother than this, which is the noise of captures [rad], [size].
-STANDS_OUT = 8.0
-TURN_NOISE, SHIFT_NOISE = math.radians(1.0), 0.002
-# Of the steps beside it [1]; fast motion begins and ends over several frames.
-ABOVE_NEIGHBOURS = 5.5
-# Motion around: this long before and after, but some steps at least [s], [1].
-REACH_SECONDS, MIN_STEPS = 0.12, 12
+# What the noise of captures moves joints by [size].
+SHIFT_NOISE = 0.002
 # A move is as many times what the speed changes by: a ball that bounces turns its speed
 # round in one step, and that is the jump [1].
 ABOVE_CHANGE = 2.5
-# Steps beside a pop that it disturbs itself [1].
-GAP = 2
-# Fewer frames do not show what is usual in them.
-MIN_FRAMES = 8
 # So many joints that jump from the first frame are a reference pose.
 REFERENCE_JOINTS = 3
 # Below this many degrees a joint starts from rest, and does not leave a pose.
@@ -206,16 +124,10 @@ def _reported(
 
 
 def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
-    joints = subject.turning[columns]
-    if subject.frames < MIN_FRAMES or not len(columns):
-        return _no_pops(joints)
-    turns = subject.turns[:, columns]
-    amounts = surprises(turns, _ignored(subject))
-    flags = _stands_out(subject, amounts, MIN_TURN, TURN_NOISE)
-    # Where every other step is one, none is above what is around it.
-    flips = np.linalg.norm(turns, axis=2) > FLIP
-    flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
-    return _Pops(joints, flags, amounts, "rad")
+    flags, amounts = turn_pops(
+        subject.turns[:, columns], subject.interval, _ignored(subject)
+    )
+    return _Pops(subject.turning[columns], flags, amounts, "rad")
 
 
 def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
@@ -225,7 +137,7 @@ def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pop
     shifts = subject.shifts[:, columns]
     amounts = surprises(shifts, _ignored(subject))
     size = subject.size
-    flags = _stands_out(subject, amounts, least * size, SHIFT_NOISE * size)
+    flags = stands_out(amounts, least * size, SHIFT_NOISE * size, subject.interval)
     flags &= amounts > ABOVE_CHANGE * changes(shifts)
     return _Pops(joints, flags, amounts, "m")
 
@@ -240,25 +152,6 @@ def _ignored(subject: MotionSubject) -> BoolArray:
     cuts = subject.cuts()
     cuts[:1] = True
     return cuts
-
-
-def _stands_out(
-    subject: MotionSubject, amounts: FloatArray, least: float, noise: float
-) -> BoolArray:
-    """Return where surprises are far above those around ``(S, N)``."""
-    candidates = (amounts > least).any(axis=0)
-    flags = np.zeros(amounts.shape, bool)
-    if not candidates.any():
-        return flags
-    amounts = amounts[:, candidates]
-    reach = max(MIN_STEPS, round(REACH_SECONDS / subject.interval))
-    usual = noise + mean_around(amounts, reach, GAP)
-    flags[:, candidates] = (
-        (amounts > least)
-        & (amounts > STANDS_OUT * usual)
-        & (amounts > ABOVE_NEIGHBOURS * around(amounts))
-    )
-    return flags
 
 
 def _leaving_first(subject: MotionSubject) -> IntArray:

@@ -1,0 +1,206 @@
+"""A clip on its way to its targets: the frames, and what a path through them costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.ik.branches import Interval, best_path, forgiving, price
+from animtool.ik.chain import difference
+from animtool.ik.goals import Targets, rows_of
+from animtool.ik.jumps import largest_step
+from animtool.ik.options import IkMethod
+from animtool.ik.path import at_poses, jumping_frames, path_of
+from animtool.ik.problem import Problem
+from animtool.ik.result import IkResult
+from animtool.ik.solving import IkOptions, pose_rows, solve
+
+# A step of this share of the largest that is no jump is smooth: no steadier one is
+# looked for.
+SMOOTH_ENOUGH = 0.4
+# A goal out of reach may be missed by this much more where that makes a path steadier
+# [m]: a few such changes stay within the millimetre that counts as the nearest.
+SLACK = 2.5e-4
+# Poses nearer than this are the same [rad], [share of the length].
+UNCHANGED = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class FollowOptions:
+    """How to follow targets through a clip.
+
+    Attributes:
+        solving: Of the frames; ``ordered`` and ``warm`` have no say.
+        fps: Frames a second.
+        smooth: Time over which motion that the goals leave free is evened out [s], as
+            of `animtool.ik.smooth`; 0 leaves it.
+        branches: Other poses tried where a joint jumps.
+        back: How long before a jump the path may leave for another [s].
+    """
+
+    solving: IkOptions = field(default_factory=IkOptions)
+    fps: float = 24.0
+    smooth: float = 0.0
+    branches: int = 20
+    back: float = 8.0
+
+
+class ClipPath:
+    """The frames of a clip, and the measures by which paths through them compare.
+
+    Attributes:
+        problem: What is asked.
+        targets: Of F frames.
+        options: Rate, and how to solve.
+        path: The frames as the kernels take them.
+        start: Poses that the solve starts from ``(F, Q)``.
+        moving: Whether these are a motion, from which the change is followed.
+        prefer: Poses that ``rest_weight`` draws to ``(F, Q)``.
+        reference: The start as the chain has it ``(F, C)``.
+        largest: The largest step that is no jump [rad], [share of the length].
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        start: ArrayLike | None,
+        targets: Targets,
+        options: FollowOptions,
+        prefer: ArrayLike | None,
+    ) -> None:
+        self.problem = problem
+        self.targets = targets
+        self.options = options
+        self.path = path_of(problem, targets, start, options.solving)
+        self.start = pose_rows(problem, start, len(self.path.targets), "start")
+        self.moving = start is not None and np.ndim(start) == 2
+        self.prefer = (
+            self.start
+            if prefer is None
+            else pose_rows(problem, prefer, len(self.start), "prefer")
+        )
+        self.reference = problem.chain.from_rig(self.start)
+        self.largest = largest_step(options.fps)
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.start)
+
+    @property
+    def slack(self) -> float:
+        """By how much more a goal may be missed for a steadier path [lengths]."""
+        return SLACK / self.problem.length
+
+    def poses(self, result: IkResult) -> FloatArray:
+        """Return the poses of a result as the chain has them ``(F, C)``."""
+        return self.problem.chain.from_rig(result.coordinates)
+
+    def solved(self, frames: slice, starts: FloatArray) -> IkResult:
+        """Return frames solved each after the one before it, or from its own start."""
+        chosen = replace(self.options.solving, ordered=True, warm=not self.moving)
+        return solve(
+            self.problem,
+            starts[frames] if self.moving or not len(starts) else starts[frames.start],
+            rows_of(self.targets, frames),
+            chosen,
+            prefer=self.prefer[frames],
+        )
+
+    def jumping(self, poses: FloatArray) -> IntArray:
+        """Return the frames to which a joint jumps, ascending."""
+        source = self.start if self.moving else None
+        return jumping_frames(self.path, poses, self.start, source, self.options.fps)
+
+    def strains(self, poses: FloatArray, first: int = 0) -> FloatArray:
+        """Return the largest step to each next frame, in shares of what is a jump.
+
+        ``poses`` ``(L, C)`` of the frames from the first on.
+        """
+        steps = self.path.frames(slice(first, first + len(poses))).steps(poses)
+        return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.largest)
+
+    def strain(self, poses: FloatArray, first: int) -> float:
+        """Return the largest of `strains`."""
+        return float(self.strains(poses, first).max(initial=0.0))
+
+    def interval(self, poses: FloatArray, window: slice, frame: int) -> Interval:
+        """Return a window of the clip with its poses ``(L, C)``, broken at a frame."""
+        path = self.path.frames(window)
+        misses = path.measured(poses)
+        return Interval(
+            self.problem,
+            self.targets,
+            range(window.start, window.stop),
+            frame,
+            poses,
+            price(misses, path.excess(misses) <= 1),
+            self.reference[window],
+            np.full(len(path.drifts), SMOOTH_ENOUGH * self.largest),
+            self.prefer,
+            replace(self.options.solving, method=IkMethod.DAMPED),
+        )
+
+    def best(
+        self,
+        interval: Interval,
+        paths: FloatArray,
+        costs: FloatArray,
+        *,
+        closed: bool = False,
+        opened: bool = False,
+        near: float = 0.0,
+    ) -> FloatArray:
+        """Return the best path along some, as of `best_path`.
+
+        What misses its goals by hardly more than the best does costs as little, and
+        ``near`` is the price of each squared radian from the clip.
+        """
+        costs = forgiving(costs, self.slack)
+        if near > 0:
+            away = difference(self.problem.chain, interval.reference, paths)
+            costs = costs + near * (away**2).sum(axis=2)
+        return best_path(interval, paths, costs, closed=closed, opened=opened)
+
+    def joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
+        """Return a result with a window replaced, and what comes after it."""
+        chain = self.problem.chain
+        own = self.poses(result)
+        misses = self.path.frames(window).measured(poses)
+        part = at_poses(_frames(result, window), poses, misses, self.path)
+        parts = [_frames(result, slice(0, window.start)), part]
+        rest = slice(window.stop, len(self))
+        if rest.start < len(self):
+            same = np.abs(difference(chain, own[rest.start - 1], poses[-1])).max()
+            if self.moving or same < UNCHANGED:
+                parts.append(_frames(result, rest))
+            else:
+                starts = np.broadcast_to(part.coordinates[-1], self.start.shape)
+                parts.append(self.solved(rest, starts))
+        return _concatenated(parts)
+
+
+def _frames(result: IkResult, frames: slice) -> IkResult:
+    """Return some of the frames of a result."""
+    own = {name: getattr(result, name)[frames] for name in _by_frame()}
+    return replace(result, **own)
+
+
+def _concatenated(parts: Sequence[IkResult]) -> IkResult:
+    """Return the frames of some results, one after the other."""
+    own: dict[str, Any] = {}
+    for name in _by_frame():
+        values = [getattr(part, name) for part in parts]
+        if name == "statuses":
+            own[name] = tuple(status for part in values for status in part)
+        else:
+            own[name] = np.concatenate(values)
+    return replace(parts[0], **own)
+
+
+def _by_frame() -> list[str]:
+    """Return the names of what a result has for each frame."""
+    return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]

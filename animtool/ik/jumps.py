@@ -1,0 +1,166 @@
+"""Joints that step farther in one frame than the motion a solve started from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
+from animtool.maths.pops import turn_pops
+from animtool.rig.joints import LocalTransforms
+
+# A joint jumps that moves by more than this [rad], or share of the chain's length, and
+# this a second; at low rates a turn by more than the most is one all the same.
+MIN_JUMP, MIN_SPEED, MAX_TURN = 0.1, 8.0, 0.5
+# Goals explain a step up to so many times what they move by, and a little more.
+MORE_THAN_TARGETS = 2.0
+# Slower ones are named too, where the joint moves so many times farther than within
+# so many frames before and after.
+MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A joint that moves much farther in a frame than it did before the solve.
+
+    Attributes:
+        frame: Index of the frame that is jumped to.
+        joint: Its name.
+        size: How far the joint turns [rad], or slides [m].
+        source: How far it does in the motion that the solve started from.
+        slides: Whether these are lengths.
+        by_goals: Whether the goals move far enough in this frame to explain it.
+    """
+
+    frame: int
+    joint: str
+    size: float
+    source: float = 0.0
+    slides: bool = False
+    by_goals: bool = False
+
+
+def largest_step(fps: float) -> float:
+    """Return how far a joint may turn in a frame [rad], or slide [chain lengths]."""
+    return min(MIN_JUMP + MIN_SPEED / fps, MAX_TURN)
+
+
+def find_jumps(
+    names: Sequence[str],
+    before: LocalTransforms | None,
+    after: LocalTransforms,
+    goal_moves: FloatArray,
+    *,
+    fps: float,
+    length: float,
+    windings: FloatArray | None = None,
+) -> tuple[Jump, ...]:
+    """Return the jumps of joints, by frame and joint.
+
+    A joint jumps where it turns by more than `largest_step` beyond what the source
+    does, or by more than .5 rad and .1 rad beyond it; where it jerks, slower, out of
+    rest and back to it; and where the motion around a step does not predict it, as
+    rule MOT202 has it.
+
+    Args:
+        names: Of J joints.
+        before: The F poses that the solve started from; None is one pose for all.
+        after: The poses that it found.
+        goal_moves: How far the goals move from frame to frame ``(F - 1,)`` [rad],
+            [chain lengths].
+        fps: Frames a second.
+        length: Of the chain [m].
+        windings: Whole turns of joints from frame to frame ``(F - 1, J)`` [rad], which
+            rotations do not show; None is none.
+    """
+    count = len(after.rotations)
+    if count < 2:
+        return ()
+    turns = _turns(after.rotations)
+    angles = np.linalg.norm(turns, axis=2)
+    if windings is not None:
+        angles = angles + windings
+    old = np.zeros_like(turns) if before is None else _turns(before.rotations)
+    old_angles = np.linalg.norm(old, axis=2)
+    excess = angles - old_angles
+    far = (angles > MAX_TURN) & (excess > MIN_JUMP)
+    cuts = np.zeros(count - 1, np.bool_)
+    pops = turn_pops(turns, 1.0 / fps, cuts)[0]
+    pops &= ~turn_pops(old, 1.0 / fps, cuts)[0]
+    moves = goal_moves[:, None]
+    flags = far | pops | (excess > largest_step(fps)) | _jerking(excess, moves)
+    flags &= excess > 0
+    found = [*_named(names, flags, angles, old_angles, moves, slides=False)]
+    shifts = _shifts(after.translations) / length
+    old_shifts = (
+        np.zeros_like(shifts)
+        if before is None
+        else _shifts(before.translations) / length
+    )
+    excess = shifts - old_shifts
+    flags = (excess > largest_step(fps)) | _jerking(excess, moves)
+    found += [
+        Jump(
+            jump.frame,
+            jump.joint,
+            jump.size * length,
+            jump.source * length,
+            jump.slides,
+            jump.by_goals,
+        )
+        for jump in _named(names, flags, shifts, old_shifts, moves, slides=True)
+    ]
+    return tuple(sorted(found, key=lambda jump: jump.frame))
+
+
+def _turns(rotations: FloatArray) -> FloatArray:
+    """Return rotation vectors from frame to frame ``(F - 1, J, 3)``."""
+    return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
+
+
+def _shifts(translations: FloatArray) -> FloatArray:
+    """Return distances from frame to frame ``(F - 1, J)``."""
+    return np.asarray(np.linalg.norm(np.diff(translations, axis=0), axis=2))
+
+
+def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
+    """Return which steps ``(F - 1, N)`` are far larger than those about them."""
+    around = np.zeros_like(steps)
+    for away in range(1, NEIGHBOURS + 1):
+        around[away:] = np.maximum(around[away:], steps[:-away])
+        around[:-away] = np.maximum(around[:-away], steps[away:])
+    least = np.maximum(
+        MORE_THAN_NEIGHBOURS * around, MIN_JUMP + MORE_THAN_TARGETS * goal_moves
+    )
+    jerks = steps > least
+    # Of the first and the last, nothing is known on one side.
+    jerks[:1] = jerks[-1:] = False
+    return np.asarray(jerks, np.bool_)
+
+
+def _named(
+    names: Sequence[str],
+    flags: BoolArray,
+    steps: FloatArray,
+    old: FloatArray,
+    goal_moves: FloatArray,
+    *,
+    slides: bool,
+) -> list[Jump]:
+    """Return the steps that are flagged ``(F - 1, J)``."""
+    explained = steps - old <= MIN_JUMP + MORE_THAN_TARGETS * goal_moves
+    places: IntArray = np.argwhere(flags)
+    return [
+        Jump(
+            int(t) + 1,
+            names[int(j)],
+            float(steps[t, j]),
+            float(old[t, j]),
+            slides,
+            bool(explained[t, j]) and bool(goal_moves[t, 0] > 0),
+        )
+        for t, j in places
+    ]

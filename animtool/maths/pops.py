@@ -1,0 +1,144 @@
+"""Steps from one frame to the next that the motion around them does not predict."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+
+# A smaller difference to the motion around is seen as a part of it [rad].
+MIN_TURN = math.radians(18.5)
+# No motion at the rates in use turns a joint so far in one frame [rad].
+FLIP = math.radians(120.0)
+# A pop is as many times rougher than the motion around: kicks, claps and landings at
+# 24 to 120 fps come to 6, and 20 degrees in a smooth walk to 9 and more [1]. Motion is
+# never taken for smoother than this, which is the noise of captures [rad].
+STANDS_OUT = 8.0
+TURN_NOISE = math.radians(1.0)
+# Of the steps beside it [1]; fast motion begins and ends over several frames.
+ABOVE_NEIGHBOURS = 5.5
+# Motion around: this long before and after, but some steps at least [s], [1].
+REACH_SECONDS, MIN_STEPS = 0.12, 12
+# Steps beside a pop that it disturbs itself [1].
+GAP = 2
+# Fewer frames do not show what is usual in them.
+MIN_FRAMES = 8
+
+
+def turn_pops(
+    turns: FloatArray, interval: float, cuts: BoolArray
+) -> tuple[BoolArray, FloatArray]:
+    """Return the steps at which joints pop ``(S, N)``, and their surprise [rad].
+
+    Args:
+        turns: Rotation vectors from each frame to the next ``(S, N, 3)`` [rad].
+        interval: Time of a step [s].
+        cuts: Steps that are no motion ``(S,)``.
+
+    Fewer than 8 frames have no pops.
+    """
+    if len(turns) + 1 < MIN_FRAMES or not turns.shape[1]:
+        empty = np.zeros(turns.shape[:2])
+        return empty.astype(bool), empty
+    amounts = surprises(turns, cuts)
+    flags = stands_out(amounts, MIN_TURN, TURN_NOISE, interval)
+    # Where every other step is one, none is above what is around it.
+    flips = np.linalg.norm(turns, axis=2) > FLIP
+    flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
+    return flags, amounts
+
+
+def stands_out(
+    amounts: FloatArray, least: float, noise: float, interval: float
+) -> BoolArray:
+    """Return where surprises are far above those around ``(S, N)``."""
+    candidates = (amounts > least).any(axis=0)
+    flags = np.zeros(amounts.shape, bool)
+    if not candidates.any():
+        return flags
+    amounts = amounts[:, candidates]
+    reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
+    usual = noise + mean_around(amounts, reach, GAP)
+    flags[:, candidates] = (
+        (amounts > least)
+        & (amounts > STANDS_OUT * usual)
+        & (amounts > ABOVE_NEIGHBOURS * around(amounts))
+    )
+    return flags
+
+
+def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+    """Return how far each step is from those around it ``(S, N)``.
+
+    The prediction is the mean of the middle two of the two steps before and the two
+    after, by component, so that one bad step does not spoil that of its neighbours.
+
+    ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
+    """
+    if len(steps) < 3:
+        return np.zeros(steps.shape[:2])
+    steps = _without(steps, cuts)
+    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    a, b, c, d = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    most = np.maximum(np.maximum(a, b), np.maximum(c, d))
+    least = np.minimum(np.minimum(a, b), np.minimum(c, d))
+    off = steps - 0.5 * (a + b + c + d - most - least)
+    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", off, off)))
+
+
+def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
+    """Return steps in which cuts do what the nearest other step does."""
+    if not cuts.any() or cuts.all():
+        return steps
+    kept = np.flatnonzero(~cuts)
+    place = np.searchsorted(kept, np.arange(len(steps))).clip(0, len(kept) - 1)
+    return np.asarray(steps[kept[place]])
+
+
+def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
+    """Return the mean of the rows within reach, the nearest left out ``(S, N)``.
+
+    ``values`` ``(S, N)``.
+    """
+    count = len(values)
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
+    i = np.arange(count)
+    low = np.clip(np.stack([i - reach, i + gap + 1]), 0, count)
+    high = np.maximum(np.clip(np.stack([i - gap, i + reach + 1]), 0, count), low)
+    sums = (total[high] - total[low]).sum(axis=0)
+    return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
+
+
+def around(values: FloatArray) -> FloatArray:
+    """Return the larger of the values beside a step that may stay or come back.
+
+    A joint that jumps and stays makes one bad step, one that is back in the next
+    frame makes two: of the ways to leave such a neighbour out, the one that leaves
+    the least counts.
+
+    ``values`` ``(S, N)``.
+    """
+    rows = np.pad(values, ((2, 2), (0, 0)))
+    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    stays = np.maximum(before, after)
+    comes_back = np.maximum(before, after2)
+    came_back = np.maximum(before2, after)
+    return np.asarray(np.minimum(stays, np.minimum(comes_back, came_back)))
+
+
+def changes(steps: FloatArray) -> FloatArray:
+    """Return how far the steps after each differ from those before ``(S, N)``.
+
+    A ball that bounces goes on another way, and a root that jumps goes on as before.
+    As in `around`, of the ways to leave out a neighbour the best one counts.
+
+    ``steps`` ``(S, N, 3)``.
+    """
+    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    pairs = ((before, after), (before, after2), (before2, after))
+    return np.asarray(
+        np.min([np.linalg.norm(late - early, axis=2) for early, late in pairs], axis=0)
+    )
