@@ -79,12 +79,14 @@ def measure_rounding(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,)
     world position in float64 and in the values written, and where it is.
     """
 
-def fit_cubics(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], anchors: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+def fit_cubics(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], anchors: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], low: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], high: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], straight: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
     """
     Keys of cubic segments through samples ``(F, D)``, as few as a greedy search finds.
 
     The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
-    of the frames ``anchors``, ascending, first and last excluded. Handles lie at
+    of the frames ``anchors``, ascending, first and last excluded. No component leaves
+    ``low`` to ``high`` ``(D,)`` between samples within, and from the frames ``straight``
+    a straight segment leads to the next. Handles lie at
     thirds of a segment in time.
 
     Values are finite, bounds above 0.

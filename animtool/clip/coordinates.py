@@ -330,6 +330,8 @@ class _OneJoint:
     ) -> Track:
         joint = self.joint
         still: BoolArray = (samples == samples[:1]).all()
+        name = f"joint/{joint.name}."
+        alone = not any(target.startswith(name) for target in self.stated)
         return Track(
             kind,
             self.index,
@@ -339,6 +341,7 @@ class _OneJoint:
             before,
             joint.rotation,
             joint.axis,
+            joint.limits if alone else None,
         )
 
 

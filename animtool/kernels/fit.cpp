@@ -1,6 +1,7 @@
 // Sparse cubic segments through dense samples, within a bound at every sample.
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "checks.h"
@@ -26,8 +27,13 @@ struct Normal {
 
 class Fitter {
  public:
-  Fitter(const double* values, const double* bounds, std::size_t width)
-      : values_(values), bounds_(bounds), width_(width) {
+  // `low` and `high` (D,) are what no component of a segment goes beyond, but for samples
+  // that do. `straight` (F,) counts the frames before each from which a straight segment
+  // leads to the next.
+  Fitter(const double* values, const double* bounds, const double* low, const double* high,
+         const std::vector<std::size_t>& straight, std::size_t width)
+      : values_(values), bounds_(bounds), low_(low), high_(high), straight_(straight),
+        width_(width) {
     normal_.at_first.resize(width);
     normal_.at_second.resize(width);
   }
@@ -38,8 +44,10 @@ class Fitter {
   bool fit(std::size_t a, std::size_t b, Segment& s) {
     start(a, b, s);
     if (b - a == 1) return true;
+    if (is_straight(s)) return false;
     gather(s, normal_);
     solve(s, normal_);
+    confine(s);
     double worst = largest(s);
     if (worst <= kKept) return true;
     if (b - a <= kExact || worst > kHopeless) return false;
@@ -48,6 +56,7 @@ class Fitter {
       reweigh(s);
       gather(s, normal_, lawson_.data());
       solve(s, normal_);
+      confine(s);
       const double now = largest(s);
       if (now <= kKept) return true;
       // Convergence is linear: what gains little will not get there.
@@ -85,6 +94,7 @@ class Fitter {
   // One slope on both sides of the key between two segments, if the bounds allow.
   // The start of the left one stays where it is if it is held.
   bool join(Segment& left, bool held, Segment& right) {
+    if (is_straight(left) || is_straight(right)) return false;
     const double before = static_cast<double>(left.b - left.a) / 3;
     const double behind = static_cast<double>(right.b - right.a) / 3;
     const double* at = row(left.b);
@@ -110,7 +120,7 @@ class Fitter {
         n.second[d] = r.second > 0 ? (r.at_second[d] - r.mixed * n.first[d]) / r.second
                                    : (to[d] - at[d]) * (2.0 / 3);
       }
-      if (largest(p) <= kKept && largest(n) <= kKept) {
+      if (largest(p) <= kKept && largest(n) <= kKept && confined(p) && confined(n)) {
         std::swap(left, p);
         std::swap(right, n);
         return true;
@@ -141,6 +151,54 @@ class Fitter {
   static constexpr int kRounds = 4;
 
   const double* row(std::size_t i) const { return values_ + i * width_; }
+
+  bool is_straight(const Segment& s) const { return straight_[s.b] > straight_[s.a]; }
+
+  // How far a component of a segment may go from its first sample.
+  struct Room {
+    double low, high;
+    bool holds(double offset) const { return offset >= low && offset <= high; }
+  };
+
+  Room room(const Segment& s, std::size_t d) const {
+    const double from = row(s.a)[d], to = row(s.b)[d];
+    return {std::min({low_[d] - from, 0.0, to - from}),
+            std::max({high_[d] - from, 0.0, to - from})};
+  }
+
+  // Whether a component stays in its room: where its control values do, or where it turns.
+  bool confined(const Segment& s, std::size_t d) const {
+    const Room room = this->room(s, d);
+    const double f = s.first[d], g = s.second[d], w = row(s.b)[d] - row(s.a)[d];
+    if (room.holds(f) && room.holds(g)) return true;
+    // f (1 - u)^2 + 2 (g - f) u (1 - u) + (w - g) u^2 = 0
+    const double a = w - 3 * g + 3 * f, b = 2 * g - 4 * f, c = f;
+    const double under = b * b - 4 * a * c;
+    if (under < 0) return true;
+    const double q = -0.5 * (b + std::copysign(std::sqrt(under), b));
+    for (const double u : {a != 0 ? q / a : -1.0, q != 0 ? c / q : -1.0}) {
+      if (!(u > 0 && u < 1)) continue;
+      const double v = 1 - u;
+      if (!room.holds(3 * u * v * v * f + 3 * u * u * v * g + u * u * u * w)) return false;
+    }
+    return true;
+  }
+
+  bool confined(const Segment& s) const {
+    for (std::size_t d = 0; d < width_; ++d)
+      if (!confined(s, d)) return false;
+    return true;
+  }
+
+  // Brings control values into the room of their components, which keeps the curve there.
+  void confine(Segment& s) const {
+    for (std::size_t d = 0; d < width_; ++d) {
+      if (confined(s, d)) continue;
+      const Room room = this->room(s, d);
+      s.first[d] = std::clamp(s.first[d], room.low, room.high);
+      s.second[d] = std::clamp(s.second[d], room.low, room.high);
+    }
+  }
 
   void start(std::size_t a, std::size_t b, Segment& s) {
     s.a = a;
@@ -244,6 +302,9 @@ class Fitter {
 
   const double* values_;
   const double* bounds_;
+  const double* low_;
+  const double* high_;
+  const std::vector<std::size_t>& straight_;
   std::size_t width_;
   std::vector<double> lawson_;
   Normal normal_;
@@ -252,11 +313,17 @@ class Fitter {
 }  // namespace
 
 FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
-                        In<std::int64_t, 1> anchors) {
+                        In<std::int64_t, 1> anchors, In<double, 1> low, In<double, 1> high,
+                        In<std::int64_t, 1> straight) {
   const std::size_t frames = values.shape(0), width = values.shape(1);
   check::shape("values", values, {check::ANY, check::ANY});
   check::shape("bounds", bounds, {frames});
   check::shape("anchors", anchors, {check::ANY});
+  check::shape("low", low, {width});
+  check::shape("high", high, {width});
+  for (std::size_t d = 0; d < width; ++d)
+    if (!(low.data()[d] <= high.data()[d]))
+      check::refuse("low", "it is not at most high at index " + check::text(d));
   if (!frames || !width) check::refuse("values", "the array is empty");
   check::finite("values", values);
   for (std::size_t i = 0; i < frames; ++i) check::positive("bounds", bounds.data()[i]);
@@ -265,12 +332,16 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
   for (std::size_t k = 1; k < anchors.shape(0); ++k)
     if (anchor[k] <= anchor[k - 1])
       check::refuse("anchors", "it does not ascend at index " + check::text(k));
+  check::indices("straight", straight, 0, static_cast<std::int64_t>(frames));
+  std::vector<std::size_t> counts(frames + 1, 0);
+  for (std::size_t k = 0; k < straight.shape(0); ++k) counts[straight.data()[k] + 1] = 1;
+  std::partial_sum(counts.begin(), counts.end(), counts.begin());
   std::vector<Segment> segments;
   std::vector<char> smooth;
   bool rests;
   {
     nb::gil_scoped_release release;
-    Fitter fitter(values.data(), bounds.data(), width);
+    Fitter fitter(values.data(), bounds.data(), low.data(), high.data(), counts, width);
     rests = fitter.rests(frames);
     if (!rests) {
       std::size_t a = 0;

@@ -83,7 +83,8 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
                                 std::optional<In<float, 3>> written_scales);
 
 FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
-                        In<std::int64_t, 1> anchors);
+                        In<std::int64_t, 1> anchors, In<double, 1> low, In<double, 1> high,
+                        In<std::int64_t, 1> straight);
 
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,

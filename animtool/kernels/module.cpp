@@ -73,11 +73,14 @@ takes the one nearest to the frame before; the first, the one nearest to zero.)"
 Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
 world position in float64 and in the values written, and where it is.)");
 
-  m.def("fit_cubics", &fit_cubics, "values"_a, "bounds"_a, "anchors"_a,
+  m.def("fit_cubics", &fit_cubics, "values"_a, "bounds"_a, "anchors"_a, "low"_a,
+        "high"_a, "straight"_a,
         R"(Keys of cubic segments through samples ``(F, D)``, as few as a greedy search finds.
 
 The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
-of the frames ``anchors``, ascending, first and last excluded. Handles lie at
+of the frames ``anchors``, ascending, first and last excluded. No component leaves
+``low`` to ``high`` ``(D,)`` between samples within, and from the frames ``straight``
+a straight segment leads to the next. Handles lie at
 thirds of a segment in time.
 
 Values are finite, bounds above 0.

@@ -43,6 +43,8 @@ def fit_keys(
     *,
     share: ArrayLike | None = None,
     anchors: ArrayLike = (),
+    within: tuple[ArrayLike, ArrayLike] | None = None,
+    straight: ArrayLike = (),
 ) -> FittedKeys:
     """Return few keys whose cubic segments stay within a tolerance of samples.
 
@@ -54,8 +56,8 @@ def fit_keys(
 
     Limits: the search is greedy, so a few keys fewer may do. The bound holds at the
     samples: two control values pass through any two samples, so of pure noise
-    every third sample stays a key, and between samples the curve may swing out. A
-    tolerance below 1e-13 of the values is less than their rounding.
+    every third sample stays a key, and between samples the curve may swing out, but
+    not beyond ``within``. A tolerance below 1e-13 of the values is less than their rounding.
 
     Args:
         values: Even samples ``(F, D)``, F > 0, D > 0.
@@ -65,13 +67,16 @@ def fit_keys(
         share: How much of the tolerance each frame has ``(F,)`` [1], > 0; None is 1.
         anchors: Frames inside that are keys in any case, ascending [frame]. The keys
             between two anchors depend on nothing outside, their slopes apart.
+        within: Least and largest of each component ``(D,)`` that curves keep to
+            between samples that do; infinite, or None, is none.
+        straight: Frames from which a straight segment leads to the next [frame].
 
     Returns:
         One key where all samples are within the tolerance of the first.
 
     Raises:
         ValueError: A shape does not fit, a value is not finite, a tolerance or share
-            is not above 0, or anchors do not ascend.
+            is not above 0, anchors do not ascend, or ``within`` is reversed.
 
     References:
         C. L. Lawson, Contributions to the theory of linear least maximum
@@ -99,8 +104,18 @@ def fit_keys(
     if not np.isfinite(samples).all():
         frame = int(np.argmin(np.isfinite(samples).all(axis=1)))
         raise ValueError(f"values are not finite at frame {frame}")
+    bounds = within or (-np.inf, np.inf)
+    low, high = (
+        np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / limits)
+        for bound in bounds
+    )
     at, ins, outs = _kernels.fit_cubics(
-        samples / limits, shares, np.ascontiguousarray(anchors, np.int64)
+        samples / limits,
+        shares,
+        np.ascontiguousarray(anchors, np.int64),
+        low,
+        high,
+        np.ascontiguousarray(straight, np.int64),
     )
     return FittedKeys(at, samples[at], ins * limits, outs * limits)
 

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from animtool.clip.file import load_clip_of
 from animtool.clip.reduction.points import SHELL, attached_points, point_errors
+from animtool.clip.sample import sample_channels
+from animtool.rig.file import load_rig
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.sources import open_source
@@ -164,3 +167,40 @@ def test_speech_comes_back_within_the_tolerance_of_weights(
         bake(source, tmp_path / "speech.usdc")
         source = tmp_path / "speech.usdc"
     check_back(source, tmp_path)
+
+
+LIMITED = """joints:
+- {name: a, type: pin, axis: [0, 0, 1], limits: [-30, 60]}
+- {name: b, type: prismatic, parent: a, axis: [1, 0, 0], limits: [0, 0.5]}
+"""
+
+
+def test_keys_of_pins_and_slides_keep_limits_between_frames(tmp_path: Path) -> None:
+    """Joints that stop dead at their limits, and leave one for the other in a frame."""
+    keys = ((1, -30), (9, 60), (20, 60), (21, -30), (30, -30), (40, 10))
+    rows = [{"t": t, "v": v} for t, v in keys]
+    slides = [{"t": t, "v": (v + 30) / 180} for t, v in keys]
+    text = f"""clip: animtool/1
+rig: rig.rig.yaml
+fps: 24
+range: [1, 40]
+channels:
+- {{target: joint/a.angle, interp: linear, keys: {rows}}}
+- {{target: joint/b.slide, interp: linear, keys: {slides}}}
+"""
+    (tmp_path / "rig.rig.yaml").write_text(f"rig: animtool/1\nname: rig\n{LIMITED}")
+    source = tmp_path / "stops.clip.yaml"
+    source.write_text(text.replace("'", ""))
+    bake(source, tmp_path / "stops.usdc")
+    back = tmp_path / "back.clip.yaml"
+    convert(tmp_path / "stops.usdc", back)
+    rig = load_rig(tmp_path / "rig.rig.yaml")
+    clip = load_clip_of(back, rig)
+    times = np.linspace(1, 40, 39 * 16 + 1)
+    motion = sample_channels(clip.channels, rig, times).motion
+    angles = 2 * np.arctan2(*motion.rotations.dense()[:, 0, 2:].T)
+    slide = motion.translations.dense()[:, 1, 0]
+    assert np.degrees(angles).min() >= -30 - 1e-9
+    assert np.degrees(angles).max() <= 60 + 1e-9
+    assert slide.min() >= -1e-12
+    assert slide.max() <= 0.5 + 1e-12

@@ -9,17 +9,24 @@ import pytest
 from conftest import data_folder
 
 from animtool._types import FloatArray
-from animtool.clip.reduction.keys import ChannelKind, Reduction, evaluate_reduction
+from animtool.clip.coordinates import Same, joint_motions, joint_tracks
+from animtool.clip.reduction.keys import (
+    ChannelKind,
+    Reduction,
+    channel_values,
+    evaluate_reduction,
+)
 from animtool.clip.reduction.points import attached_points, point_errors
-from animtool.clip.reduction.reduce import reduce_motion
+from animtool.clip.reduction.reduce import LIMIT_SLACK, reduce_motion
 from animtool.clip.reduction.tracks import euler_order, pose_of
 from animtool.clock import Clock
 from animtool.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
 from animtool.motion import Channel, Motion
+from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Shape
-from animtool.rig.skeleton import Joint, Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.take import Take
 
 ROOM = 1 + 1e-9
@@ -253,3 +260,33 @@ def test_wrong_tolerances_have_a_code(options) -> None:
     with pytest.raises(OptionError) as caught:
         reduce_motion(take_of(arm(), swing(20)), **{"tolerance": 1e-3, **options})
     assert [fault.code for fault in caught.value.faults] == ["CLIP020"]
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 5e-3])
+def test_keys_of_a_ball_keep_its_limits_between_frames(tolerance: float) -> None:
+    limit = BallLimit((0.5, 0.5), (-0.2, 0.2), (0.0, 1.0, 0.0))
+    rig = arm(2)
+    ball = replace(rig.joints[0], type=JointType.BALL, limits=limit)
+    rig = replace(rig, joints=(ball, rig.joints[1]))
+    turns = swing(joints=2, size=2.5)
+    turns[:, 0] = limit.clamped(turns[:, 0])
+    motions = joint_motions(rig, take_of(rig, turns).motion, Same(1e-9, 1e-9, 1e-9))
+    tracks = joint_tracks(rig, motions, {}, {}, Same(1e-9, 1e-9, 1e-9))
+    found = reduce_motion(take_of(rig, turns), tolerance, tracks=tracks)
+    assert found.held
+    beyond = limit.excess(evaluated(found, "j0", 8)).max()
+    # The slack, and what a straight segment of Euler angles adds at 5 degrees a frame.
+    assert beyond < LIMIT_SLACK + 2e-4
+    # A fit that does not know of them swings out.
+    free = [replace(track, limits=None) for track in tracks]
+    loose = reduce_motion(take_of(rig, turns), tolerance, tracks=free)
+    assert limit.excess(evaluated(loose, "j0", 8)).max() > 10 * beyond
+
+
+def evaluated(found: Reduction, joint: str, times: int) -> FloatArray:
+    """Return a joint's rotations at so many times the rate ``(N, 4)``."""
+    channel = next(
+        c for c in found.channels if c.joint == joint and c.order is not None
+    )
+    last = int(channel.keys.frames[-1])
+    return channel_values(channel, np.linspace(0, last, times * last + 1))

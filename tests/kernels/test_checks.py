@@ -73,12 +73,13 @@ def test_curves_without_end(
 
 
 def test_samples_that_are_not_finite_do_not_rest() -> None:
-    anchors = np.zeros(0, np.int64)
+    none = np.zeros(0, np.int64)
+    rest = none, np.full(2, -INF), np.full(2, INF), none
     for bad in (NAN, INF):
         with pytest.raises(ValueError, match=r"^values: "):
-            _kernels.fit_cubics(np.full((9, 2), bad), np.ones(9), anchors)
+            _kernels.fit_cubics(np.full((9, 2), bad), np.ones(9), *rest)
         with pytest.raises(ValueError, match=r"^bounds: "):
-            _kernels.fit_cubics(np.zeros((9, 2)), np.full(9, bad), anchors)
+            _kernels.fit_cubics(np.zeros((9, 2)), np.full(9, bad), *rest)
 
 
 @pytest.mark.parametrize("columns", [2**31, 2**61, 2**63])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -113,12 +113,14 @@ class Budget:
     # Of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
     values: FloatArray  # of these keys at every frame ``(F, D)``
+    # Frames from which a straight segment leads to the next.
+    straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
     def of(track: Track, tolerance: float) -> Budget:
         """Return a track with its first keys."""
         frames = len(track.samples)
-        keys = fit_keys(track.samples, tolerance)
+        keys = fit_keys(track.samples, tolerance, within=track.within)
         blank = np.zeros(frames)
         budget = Budget(track, tolerance, np.ones(frames), keys, blank, track.samples)
         budget.settle()
@@ -153,10 +155,20 @@ class Budget:
             held[(both + 1).clip(max=len(starts) - 1)] = False
         self.fit(starts[1:-1][held[1:-1]])
 
+    def straighten(self, frames: IntArray) -> None:
+        """Fit again with straight segments from more frames to the next."""
+        self.straight = np.union1d(self.straight, frames)
+        self.tighten(frames, self.share[frames] * self.tolerance, spread=False)
+
     def fit(self, anchors: ArrayLike = ()) -> None:
         """Fit keys with the tolerance and shares as they are."""
         self.keys = fit_keys(
-            self.track.samples, self.tolerance, share=self.share, anchors=anchors
+            self.track.samples,
+            self.tolerance,
+            share=self.share,
+            anchors=anchors,
+            within=self.track.within,
+            straight=self.straight,
         )
         self.settle()
 

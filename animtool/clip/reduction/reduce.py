@@ -20,10 +20,11 @@ from animtool.clip.reduction.points import (
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
 from animtool.clip.reduction.tracks import Pose, Track, pose_of, tracks_of
-from animtool.maths.fit import FittedKeys, fit_keys
+from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
@@ -33,6 +34,9 @@ CALIBRATING = 3
 ROUNDS = 40
 # From this round on no key moves, so that each adds keys and the errors go down.
 SPLITTING = 8
+# Keys of balls keep their limits to within this between samples [rad], measured so many
+# times a frame.
+LIMIT_SLACK, BETWEEN = 1e-4, 4
 # Frames that may be beyond the tolerance when calibrated [1].
 QUANTILE = 0.95
 
@@ -60,7 +64,10 @@ def reduce_motion(
     where a joint is then off by too much, the channels of its chain that have the
     largest part in it are tightened around that frame. Same take, same bytes.
 
-    Limits: between frames nothing is measured. A tolerance near rounding
+    Pins and slides keep their limits between frames too, and balls theirs to within
+    some hundredths of a degree, where all that they do is keyed.
+
+    Limits: between frames no error is measured. A tolerance near rounding
     (1e-12 of the rig's size) may not be reached; ``held`` says so. Controls are left
     out, as joints and weights hold what they drive.
 
@@ -195,14 +202,38 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
         errors = world.measure(budgets)
         rounds += 1
     ratio = float((errors / world.bounds).max())
-    while ratio > 1 and rounds < ROUNDS:
-        changed = _tighten(world, budgets, errors, spread=rounds < SPLITTING)
+    while rounds < ROUNDS:
+        changed = []
+        if ratio > 1:
+            changed = _tighten(world, budgets, errors, spread=rounds < SPLITTING)
+        for budget in budgets:
+            frames = _beyond_limits(budget)
+            if len(frames):
+                budget.straighten(frames)
+                changed.append(budget)
         if not changed:
             break
         errors = world.measure(changed)
         ratio = float((errors / world.bounds).max())
         rounds += 1
     return _Reached([b.keys for b in budgets], errors, ratio, rounds)
+
+
+def _beyond_limits(budget: Budget) -> IntArray:
+    """Return the frames behind which a ball's keys leave its limits between samples.
+
+    Samples beyond the limits stay where they are, and so may what is between them.
+    """
+    track = budget.track
+    if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
+        return np.zeros(0, np.int64)
+    own = track.excess(track.samples)
+    most = np.repeat(np.maximum(own[:-1], own[1:]), BETWEEN - 1) + LIMIT_SLACK
+    at = np.arange(1, BETWEEN * (len(own) - 1))
+    between = at[at % BETWEEN != 0] / BETWEEN
+    beyond = track.excess(evaluate_keys(budget.keys, between)) > most
+    first = np.unique(np.floor(between[beyond]).astype(np.int64))
+    return np.setdiff1d(first, budget.straight)
 
 
 def _tighten(

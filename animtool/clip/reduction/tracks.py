@@ -13,6 +13,7 @@ from animtool.maths import euler, so3
 from animtool.maths.additive import scaled, shifted, turned
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, Rig
 
 # Parts of a joint that hold it as a whole, in its parent's space.
@@ -44,6 +45,8 @@ class Track:
     rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
     # Of a pin's angle or a slide, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    # Of the joint, where the samples are all that it does; None is none.
+    limits: RangeLimit | BallLimit | None = None
 
     def local(self, values: FloatArray) -> FloatArray:
         """Return values ``(F, D)`` in the space of the joint's parent."""
@@ -58,6 +61,23 @@ class Track:
             return values
         moved = values * np.array(self.axis) if values.shape[1] == 1 else values
         return np.asarray(self.before + so3.rotate(self.rest, moved))
+
+    @property
+    def within(self) -> tuple[float, float] | None:
+        """Least and largest of the samples' one component, in their unit."""
+        if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
+            return None
+        low, high = self.limits.low, self.limits.high
+        if self.kind is ChannelKind.ROTATION:
+            return float(np.degrees(low)), float(np.degrees(high))
+        return low, high
+
+    def excess(self, values: FloatArray) -> FloatArray:
+        """Return how far values ``(F, D)`` of a ball are beyond its limits [rad]."""
+        if not isinstance(self.limits, BallLimit) or self.order is None:
+            return np.zeros(len(values))
+        turns = so3.multiply(so3.conjugate(np.array(self.rest)), self.local(values))
+        return self.limits.excess(turns)
 
     @property
     def moves(self) -> bool:

@@ -63,10 +63,14 @@ def _fit(rng: Rng) -> dict[str, Any]:
     frames, width = int(rng.integers(1, 40)), int(rng.integers(1, 4))
     inner = np.arange(1, max(frames - 1, 1))
     count = int(rng.integers(0, min(len(inner), 3) + 1))
+    limit = rng.choice([0.1, 3.0, np.inf])
     return {
         "values": np.cumsum(rng.normal(size=(frames, width)), axis=0),
         "bounds": rng.uniform(0.01, 3, frames),
         "anchors": np.sort(rng.choice(inner, count, replace=False)),
+        "low": np.full(width, -limit),
+        "high": np.full(width, limit),
+        "straight": rng.integers(0, frames, rng.integers(0, 3)),
     }
 
 
