@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.maths.pops import turn_pops
+from animtool.maths.pops import shift_pops, turn_pops
 from animtool.rig.joints import LocalTransforms
 
 # A joint jumps that moves by more than this [rad], or share of the chain's length, and
@@ -20,6 +20,9 @@ MORE_THAN_TARGETS = 2.0
 # Slower ones are named too, where the joint moves so many times farther than within
 # so many frames before and after.
 MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
+# Slides that the motion around does not predict, and noise [chain lengths]: half of
+# what rule MOT202 takes, as a chain may be longer than its rig at rest.
+MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,51 +82,36 @@ def find_jumps(
     count = len(after.rotations)
     if count < 2:
         return ()
-    turns = _turns(after.rotations)
-    angles = np.linalg.norm(turns, axis=2)
+    cuts = np.zeros(count - 1, np.bool_)
+    moves = goal_moves[:, None]
+    turns, old = _turns(after.rotations), _turns(after.rotations[:1].repeat(count, 0))
+    if before is not None:
+        old = _turns(before.rotations)
+    angles, old_angles = np.linalg.norm(turns, axis=2), np.linalg.norm(old, axis=2)
     if windings is not None:
         angles = angles + windings
-    old = np.zeros_like(turns) if before is None else _turns(before.rotations)
-    old_angles = np.linalg.norm(old, axis=2)
     excess = angles - old_angles
-    far = (angles > MAX_TURN) & (excess > MIN_JUMP)
-    cuts = np.zeros(count - 1, np.bool_)
+    flags = (angles > MAX_TURN) & (excess > MIN_JUMP)
+    flags |= (excess > largest_step(fps)) | _jerking(excess, moves)
     pops = turn_pops(turns, 1.0 / fps, cuts)[0]
-    pops &= ~turn_pops(old, 1.0 / fps, cuts)[0]
-    moves = goal_moves[:, None]
-    flags = far | pops | (excess > largest_step(fps)) | _jerking(excess, moves)
-    flags &= excess > 0
-    found = [*_named(names, flags, angles, old_angles, moves, slides=False)]
-    shifts = _shifts(after.translations) / length
-    old_shifts = (
-        np.zeros_like(shifts)
-        if before is None
-        else _shifts(before.translations) / length
-    )
-    excess = shifts - old_shifts
+    flags |= pops & ~turn_pops(old, 1.0 / fps, cuts)[0]
+    found = _named(names, flags, angles, old_angles, moves)
+    shifts = np.diff(after.translations, axis=0)
+    old = np.zeros_like(shifts)
+    if before is not None:
+        old = np.diff(before.translations, axis=0)
+    sizes, old_sizes = (np.linalg.norm(rows, axis=2) / length for rows in (shifts, old))
+    excess = sizes - old_sizes
     flags = (excess > largest_step(fps)) | _jerking(excess, moves)
-    found += [
-        Jump(
-            jump.frame,
-            jump.joint,
-            jump.size * length,
-            jump.source * length,
-            jump.slides,
-            jump.by_goals,
-        )
-        for jump in _named(names, flags, shifts, old_shifts, moves, slides=True)
-    ]
+    limits = (1.0 / fps, cuts, MIN_SLIDE * length, SLIDE_NOISE * length)
+    flags |= shift_pops(shifts, *limits)[0] & ~shift_pops(old, *limits)[0]
+    found += _named(names, flags, sizes, old_sizes, moves, length=length)
     return tuple(sorted(found, key=lambda jump: jump.frame))
 
 
 def _turns(rotations: FloatArray) -> FloatArray:
     """Return rotation vectors from frame to frame ``(F - 1, J, 3)``."""
     return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
-
-
-def _shifts(translations: FloatArray) -> FloatArray:
-    """Return distances from frame to frame ``(F - 1, J)``."""
-    return np.asarray(np.linalg.norm(np.diff(translations, axis=0), axis=2))
 
 
 def _jerking(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
@@ -147,19 +135,18 @@ def _named(
     steps: FloatArray,
     old: FloatArray,
     goal_moves: FloatArray,
-    *,
-    slides: bool,
+    length: float | None = None,
 ) -> list[Jump]:
-    """Return the steps that are flagged ``(F - 1, J)``."""
+    """Return the steps that are flagged ``(F - 1, J)``: with a length, slides."""
     explained = steps - old <= MIN_JUMP + MORE_THAN_TARGETS * goal_moves
     places: IntArray = np.argwhere(flags)
     return [
         Jump(
             int(t) + 1,
             names[int(j)],
-            float(steps[t, j]),
-            float(old[t, j]),
-            slides,
+            float(steps[t, j]) * (length or 1.0),
+            float(old[t, j]) * (length or 1.0),
+            length is not None,
             bool(explained[t, j]) and bool(goal_moves[t, 0] > 0),
         )
         for t, j in places

@@ -18,6 +18,7 @@ from animtool.ik.jumps import Jump
 from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
+from animtool.ik.tracks import GoalTrack
 from animtool.quantities import angle_text, length_text
 from animtool.rig.skeleton import JointType
 from animtool.units import parse_length
@@ -266,6 +267,10 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
             left = "leaves turns of "
             left += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
         return f"--smooth {steadier.seconds:g} {left}"
+    fading = _fading(solved, worst)
+    if fading is not None:
+        hint = f"the goal {fading.name!r} comes or goes there within "
+        return f"{hint}{counted(round(fading.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
         return "its goals move or turn as fast there: keys farther apart slow them"
     goal = _stretching(solved, worst)
@@ -279,16 +284,32 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
     return f"{hint}that ask for less may leave one"
 
 
+def _fading(solved: TakeIk, worst: Jump) -> GoalTrack | None:
+    """Return a goal that moves the joint and comes or goes at a jump."""
+    time = float(solved.take.clock.times[worst.frame])
+    for track in solved.tracks.goals:
+        ends = [(first - track.ease, first) for first, _ in track.during]
+        ends += [(last, last + track.ease) for _, last in track.during]
+        fades = any(start < time <= end + 1 for start, end in ends)
+        if fades and worst.joint in _moving(solved, track):
+            return track
+    return None
+
+
+def _moving(solved: TakeIk, track: GoalTrack) -> list[str]:
+    """Return the joints that a goal hangs from."""
+    rig = solved.take.rig
+    return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
+
+
 def _stretching(solved: TakeIk, worst: Jump) -> str | None:
     """Return the goal in or out of whose reach a limb snaps straight, if one does."""
-    rig = solved.take.rig
     rows = slice(worst.frame - 1, worst.frame + 1)
     for e, track in enumerate(solved.tracks.goals):
-        above = [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
         missed = solved.misses[rows, e, 0] > MISSED_LENGTH
         asked = solved.asked[rows, e, 0].all()
         snaps = asked and missed[0] != missed[1] and not track.goal.soft
-        if snaps and worst.joint in above:
+        if snaps and worst.joint in _moving(solved, track):
             return track.name
     return None
 

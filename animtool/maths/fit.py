@@ -57,7 +57,8 @@ def fit_keys(
     Limits: the search is greedy, so a few keys fewer may do. The bound holds at the
     samples: two control values pass through any two samples, so of pure noise
     every third sample stays a key, and between samples the curve may swing out, but
-    not beyond ``within``. A tolerance below 1e-13 of the values is less than their rounding.
+    not beyond ``within``. A tolerance below 1e-13 of the values is less than their
+    rounding.
 
     Args:
         values: Even samples ``(F, D)``, F > 0, D > 0.

@@ -19,6 +19,9 @@ STANDS_OUT = 8.0
 TURN_NOISE = math.radians(1.0)
 # Of the steps beside it [1]; fast motion begins and ends over several frames.
 ABOVE_NEIGHBOURS = 5.5
+# A move is as many times what the speed changes by: a ball that bounces turns its speed
+# round in one step, and that is the jump [1].
+ABOVE_CHANGE = 2.5
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, MIN_STEPS = 0.12, 12
 # Steps beside a pop that it disturbs itself [1].
@@ -48,6 +51,22 @@ def turn_pops(
     flips = np.linalg.norm(turns, axis=2) > FLIP
     flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
     return flags, amounts
+
+
+def shift_pops(
+    shifts: FloatArray, interval: float, cuts: BoolArray, least: float, noise: float
+) -> tuple[BoolArray, FloatArray]:
+    """Return the steps at which joints pop ``(S, N)``, and their surprise [m].
+
+    As `turn_pops`, of moves ``(S, N, 3)`` [m] against the parent. ``least`` is the
+    smallest surprise that counts and ``noise`` what is no motion [m].
+    """
+    if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
+        empty = np.zeros(shifts.shape[:2])
+        return empty.astype(bool), empty
+    amounts = surprises(shifts, cuts)
+    flags = stands_out(amounts, least, noise, interval)
+    return flags & (amounts > ABOVE_CHANGE * changes(shifts)), amounts
 
 
 def stands_out(

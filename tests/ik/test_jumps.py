@@ -73,9 +73,9 @@ def test_pops_of_the_motion_rule_are_jumps() -> None:
     assert [jump.frame for jump in found(back)] == [20, 21]
 
 
-@pytest.mark.parametrize(("beside", "count"), [(0.0, 1), (0.03, 1), (0.08, 0)])
-def test_a_jerk_is_a_jump_that_is_no_fast_one(beside: float, count: int) -> None:
-    steps = np.array([0, 0, beside, beside, 0.2, beside, beside, 0, 0])
+@pytest.mark.parametrize(("near", "count"), [(0.0, 1), (0.03, 1), (0.08, 0)])
+def test_a_jerk_is_a_jump_that_is_no_fast_one(near: float, count: int) -> None:
+    steps = np.array([0, 0, near, near, 0.2, near, near, 0, 0])
     jumps = found(np.concatenate([[0.0], np.cumsum(steps)]))
     assert [jump.frame for jump in jumps] == [5] * count
 

@@ -10,14 +10,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, listed
-from animtool.maths.pops import (
-    MIN_FRAMES,
-    STANDS_OUT,
-    changes,
-    stands_out,
-    surprises,
-    turn_pops,
-)
+from animtool.maths.pops import MIN_FRAMES, STANDS_OUT, shift_pops, turn_pops
 from animtool.validation.motion.subject import MotionSubject
 
 
@@ -37,9 +30,6 @@ def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
 MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
 # What the noise of captures moves joints by [size].
 SHIFT_NOISE = 0.002
-# A move is as many times what the speed changes by: a ball that bounces turns its speed
-# round in one step, and that is the jump [1].
-ABOVE_CHANGE = 2.5
 # So many joints that jump from the first frame are a reference pose.
 REFERENCE_JOINTS = 3
 # Below this many degrees a joint starts from rest, and does not leave a pose.
@@ -131,20 +121,15 @@ def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
 
 
 def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
-    joints = subject.moving[columns]
-    if subject.frames < MIN_FRAMES or not len(columns):
-        return _no_pops(joints)
-    shifts = subject.shifts[:, columns]
-    amounts = surprises(shifts, _ignored(subject))
     size = subject.size
-    flags = stands_out(amounts, least * size, SHIFT_NOISE * size, subject.interval)
-    flags &= amounts > ABOVE_CHANGE * changes(shifts)
-    return _Pops(joints, flags, amounts, "m")
-
-
-def _no_pops(joints: IntArray) -> _Pops:
-    empty = np.zeros((0, len(joints)))
-    return _Pops(joints, empty.astype(bool), empty, "rad")
+    flags, amounts = shift_pops(
+        subject.shifts[:, columns],
+        subject.interval,
+        _ignored(subject),
+        least * size,
+        SHIFT_NOISE * size,
+    )
+    return _Pops(subject.moving[columns], flags, amounts, "m")
 
 
 def _ignored(subject: MotionSubject) -> BoolArray:
