@@ -127,6 +127,12 @@ CASES = [
         ),
     ),
     Case(
+        "says_number",
+        says("the pin is 58.41 m off\n  346 kB written in 59 ms"),
+        {"value": [58.41], "tolerance": 0.001},
+        ({"value": [59.0], "tolerance": 0.001},),
+    ),
+    Case(
         "files",
         writes("p.svg", "<svg/>"),
         {"names": ["p.svg"]},

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from support.cli import Done
+from support.normalise import normalise
 from support.printed import ROOT, files_in
 
 _CODE = re.compile(r"(?<!\w)[A-Z]{2,5}\d{3}(?!\w)")
@@ -102,9 +103,9 @@ class Outcome:
     def lines(self, code: str | None = None) -> list[str]:
         """Return what it says, line by line; of a code only those that have it.
 
-        A finding in JSON counts as one line.
+        A finding in JSON counts as one line. How long it took is left out.
         """
-        lines = self.text.splitlines()
+        lines = normalise(self.text).splitlines()
         if self.done.stdout.lstrip().startswith("{"):
             lines += [
                 " ".join(map(str, found.values())) for found in _findings(self.report)
