@@ -6,6 +6,8 @@ shares nothing with the code under test.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -62,6 +64,7 @@ class ReferenceBvh:
     offsets: list[list[float]] = field(default_factory=list)
     channels: list[list[str]] = field(default_factory=list)
     rows: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    frame_time: float = 0.0  # [s]
 
     def size(self) -> float:
         """Return the longest chain of offsets: the skeleton's size."""
@@ -73,11 +76,28 @@ class ReferenceBvh:
 
     def positions(self, frames: npt.ArrayLike) -> Floats:
         """Return world positions ``(F, J, 3)`` of some frames, float64."""
-        rows = self.rows[np.asarray(frames)]
         world_r: list[Rotation] = []
         world_t: list[Floats] = []
+        for parent, (local_r, local_t) in zip(
+            self.parents, self._local(frames), strict=True
+        ):
+            if parent < 0:
+                world_t.append(local_t)
+                world_r.append(local_r)
+            else:
+                world_t.append(world_t[parent] + world_r[parent].apply(local_t))
+                world_r.append(world_r[parent] * local_r)
+        return np.stack(world_t, axis=1)
+
+    def rotations(self, frames: npt.ArrayLike) -> Floats:
+        """Return turns against the parents, xyzw ``(F, J, 4)``, of some frames."""
+        return np.stack([turn.as_quat() for turn, _ in self._local(frames)], axis=1)
+
+    def _local(self, frames: npt.ArrayLike) -> Iterator[tuple[Rotation, Floats]]:
+        """Yield how each joint is turned and moved against its parent."""
+        rows = self.rows[np.asarray(frames)]
         column = 0
-        for joint, parent in enumerate(self.parents):
+        for joint in range(len(self.parents)):
             local_t = np.repeat([self.offsets[joint]], len(rows), axis=0).astype(float)
             local_r = Rotation.identity(len(rows))
             for name in self.channels[joint]:
@@ -88,13 +108,7 @@ class ReferenceBvh:
                     turn = Rotation.from_euler(axis, rows[:, [column]], degrees=True)
                     local_r = local_r * turn
                 column += 1
-            if parent < 0:
-                world_t.append(local_t)
-                world_r.append(local_r)
-            else:
-                world_t.append(world_t[parent] + world_r[parent].apply(local_t))
-                world_r.append(world_r[parent] * local_r)
-        return np.stack(world_t, axis=1)
+            yield local_r, local_t
 
 
 def read_reference(path: Path) -> ReferenceBvh:
@@ -122,6 +136,8 @@ def read_reference(path: Path) -> ReferenceBvh:
         elif keyword == "}":
             stack.pop()
     lines = [line for line in motion.split("\n") if line.strip()][2:]
+    stated = re.search(r"Frame Time\s*:\s*(\S+)", motion, re.IGNORECASE)
+    bvh.frame_time = float(stated[1]) if stated else 0.0
     bvh.rows = np.array([[float(w) for w in line.split()] for line in lines])
     return bvh
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 
@@ -25,6 +25,8 @@ class Done:
     code: int
     stdout: str
     stderr: str
+    # Of its process, and of those that it waited for; of `Killable` alone [MB].
+    peak_mb: float = field(default=0.0, compare=False)
 
 
 def animtool(*arguments: object, cwd: Path | None = None) -> Done:
@@ -52,7 +54,8 @@ def animtool_process(
 
 
 # Forks for each line of its input: what a command imports is imported once. The fork
-# counts the calls of a command, and kills itself outright at one if told which.
+# counts the calls of a command, and kills itself outright at one if told which; it does
+# neither where none is told.
 _KILLABLE = """
 import contextlib, ctypes, json, os, signal, sys
 import animtool.batch.run, animtool.cli.bake, animtool.cli.batch
@@ -70,12 +73,16 @@ def count(frame, event, argument):
 
 def command(arguments, cwd, said):
     os.chdir(cwd)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number in (1, 2):
         os.dup2(os.open(f"{said}.{number}", os.O_CREAT | os.O_WRONLY), number)
-    sys.setprofile(count)
+    if last is not None:
+        sys.setprofile(count)
     code = run(arguments)
     sys.setprofile(None)
-    print(calls, flush=True)
+    if last is not None:
+        print(calls)
+    sys.stdout.flush()
     return code
 
 if sys.platform == "linux":
@@ -86,13 +93,16 @@ for line in sys.stdin:
     child = os.fork()
     if not child:
         os._exit(command(*rest))
-    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    _, status, usage = os.wait4(child, 0)
+    ended = os.waitstatus_to_exitcode(status)
     # The processes that it began live a moment longer, and may write in it.
     with contextlib.suppress(ChildProcessError):
         while True:
             os.wait()
-    print(ended, flush=True)
+    print(ended, usage.ru_maxrss, flush=True)
 """
+# Of the largest memory of a process, as the system states it [MB].
+_PEAK_UNIT = 1e-6 if sys.platform == "darwin" else 1e-3
 
 
 class Killable:
@@ -101,12 +111,14 @@ class Killable:
     def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
         self.process, self.folder = process, folder
 
-    def __call__(self, last: int, *arguments: object, cwd: Path | None = None) -> Done:
+    def __call__(
+        self, last: int | None, *arguments: object, cwd: Path | None = None
+    ) -> Done:
         """Run a command.
 
         Args:
             last: The call that kills it; 0 lets it end, and how many there were is the
-                last line that it says.
+                last line that it says. None counts none.
             arguments: Of the command.
             cwd: Where it runs.
         """
@@ -114,22 +126,29 @@ class Killable:
         assert self.process.stdout is not None
         said = self.folder / "said"
         words = [str(argument) for argument in arguments]
-        line = json.dumps([int(last), words, str(cwd or Path.cwd()), str(said)])
+        line = json.dumps([last, words, str(cwd or Path.cwd()), str(said)])
         self.process.stdin.write(f"{line}\n")
         self.process.stdin.flush()
-        code = int(self.process.stdout.readline())
+        code, peak = map(int, self.process.stdout.readline().split())
         texts = [Path(f"{said}.{number}") for number in (1, 2)]
-        done = Done(code, *(path.read_text("utf-8") for path in texts))
+        stdout, stderr = (path.read_text("utf-8") for path in texts)
+        done = Done(code, stdout, stderr, _PEAK_UNIT * peak)
         for path in texts:
             path.unlink()
         return done
 
 
 @contextmanager
-def killable(folder: Path) -> Iterator[Killable]:
-    """Yield what runs commands that are killed; a folder has what they say."""
+def killable(folder: Path, *preloaded: str) -> Iterator[Killable]:
+    """Yield what runs commands that are killed; a folder has what they say.
+
+    Args:
+        folder: Of files of its own.
+        preloaded: Further modules that commands need.
+    """
+    imports = "".join(f"import {module}\n" for module in preloaded)
     with subprocess.Popen(
-        [sys.executable, "-P", "-c", _KILLABLE],
+        [sys.executable, "-P", "-c", imports + _KILLABLE],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
