@@ -274,14 +274,13 @@ def _evened(
 ) -> FloatArray:
     """Return the best path, its speed evened out.
 
-    Where it still jumps and begins with the clip, its first pose is any, as no motion
-    has to be kept.
+    Where it still jumps and begins with the clip, its first pose is any.
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.path.frames(window)
     best = path.evened(clip.best(interval, paths, costs, closed=closed))[0]
     least = clip.strain(best, window.start)
-    if window.start > 0 or clip.moving or least <= 1:
+    if window.start > 0 or least <= 1:
         return best
     other = clip.best(interval, paths, costs, closed=closed, opened=True)
     other = path.evened(other, opened=True)[0]
@@ -326,11 +325,14 @@ def _eased(clip: ClipPath, poses: FloatArray) -> FloatArray:
         for seconds in (FIRST_BACK, 2 * FIRST_BACK, 4 * FIRST_BACK):
             reach = max(round(seconds * clip.options.fps), 2)
             window = slice(max(frame - reach, 0), min(frame + reach, len(clip)))
-            eased = clip.path.frames(window).evened(poses[window])[0]
-            before = clip.strain(poses[window], window.start)
-            after = clip.strain(eased, window.start)
-            if after < SMALLER * before:
-                poses[window] = eased
-            if min(before, after) <= SMOOTH_ENOUGH:
+            path = clip.path.frames(window)
+            best = clip.strain(poses[window], window.start)
+            # The first pose of the clip moves only where that makes a jump smaller.
+            for opened in (False, True)[: 2 if window.start == 0 else 1]:
+                eased = path.evened(poses[window], opened=opened)[0]
+                strain = clip.strain(eased, window.start)
+                if strain < SMALLER * best:
+                    poses[window], best = eased, strain
+            if best <= SMOOTH_ENOUGH:
                 break
     return poses
