@@ -10,7 +10,7 @@ from animtool.cli.console import finite
 from animtool.cli.convert_summary import channel_lines, channels_json
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
-from animtool.ik.report import BEYOND, limit_counts, status_counts
+from animtool.ik.report import BEYOND, limit_counts, status_counts, status_text
 from animtool.quantities import angle_text, duration_text, length_text, plain
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def ik_text(report: IkReport) -> list[str]:
     solved = report.solved
     clock, problem = solved.take.clock, solved.problem
     frames = len(solved.statuses)
-    ends = ", ".join(f"{n} {status}" for status, n in status_counts(solved).items())
+    ends = status_text(solved)
     restarts = int((solved.descents - 1).clip(min=0).sum())
     lines = [
         f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {report.span}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,9 +111,13 @@ def forgiving(costs: FloatArray, slack: float) -> FloatArray:
     beyond the least costs as little as that.
     """
     least = costs.min(axis=0)
-    misses = np.sqrt(np.maximum(least / MISSED - 1.0, 0.0))
-    limit = np.where(least > 0, MISSED * (1.0 + (misses + slack) ** 2), 0.0)
+    limit = np.where(least > 0, MISSED * (1.0 + (missed_by(least) + slack) ** 2), 0.0)
     return np.where(costs <= limit, least, costs)
+
+
+def missed_by(costs: FloatArray) -> FloatArray:
+    """Return how far poses of some cost miss their goals, see `price`."""
+    return np.sqrt(np.maximum(costs / MISSED - 1.0, 0.0))
 
 
 def branches(
@@ -205,8 +209,14 @@ def _scattered(
     interval: Interval, home: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
     """Return poses anywhere within the limits, or about one where there are none."""
-    rng = np.random.default_rng([seed, interval.broken])
-    chain = interval.chain
+    return random_poses(interval.chain, home, count, [seed, interval.broken])
+
+
+def random_poses(
+    chain: Chain, home: FloatArray, count: int, seed: Sequence[int]
+) -> Iterator[FloatArray]:
+    """Yield poses anywhere within the limits, or about one where there are none."""
+    rng = np.random.default_rng(seed)
     for i in range(count):
         step = rng.normal(size=chain.degrees) * SPREAD[i % len(SPREAD)]
         pose = moved(chain, home, step)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.ik.branches import Interval, best_path, forgiving, price
+from animtool.ik.branches import Interval, best_path, forgiving, missed_by, price
 from animtool.ik.chain import difference
 from animtool.ik.goals import Targets, rows_of
 from animtool.ik.jumps import largest_step
 from animtool.ik.options import IkMethod
 from animtool.ik.path import at_poses, jumping_frames, path_of
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult
+from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import IkOptions, pose_rows, solve
 
 # A step of this share of the largest that is no jump is smooth: no steadier one is
@@ -25,6 +25,8 @@ SMOOTH_ENOUGH = 0.4
 # A goal out of reach may be missed by this much more where that makes a path steadier
 # [m]: a few such changes stay within the millimetre that counts as the nearest.
 SLACK = 2.5e-4
+# What is this much nearer is another place [m].
+NEAR = 1e-3
 # Poses nearer than this are the same [rad], [share of the length].
 UNCHANGED = 1e-9
 
@@ -62,6 +64,7 @@ class ClipPath:
         prefer: Poses that ``rest_weight`` draws to ``(F, Q)``.
         reference: The start as the chain has it ``(F, C)``.
         largest: The largest step that is no jump [rad], [share of the length].
+        least: What each frame costs at the least that was found ``(F,)``, see `price`.
     """
 
     def __init__(
@@ -85,6 +88,7 @@ class ClipPath:
         )
         self.reference = problem.chain.from_rig(self.start)
         self.largest = largest_step(options.fps)
+        self.least = np.full(len(self.start), np.inf)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -164,6 +168,17 @@ class ClipPath:
             away = difference(self.problem.chain, interval.reference, paths)
             costs = costs + near * (away**2).sum(axis=2)
         return best_path(interval, paths, costs, closed=closed, opened=opened)
+
+    def judged(self, result: IkResult) -> IkResult:
+        """Return a result whose frames that are not the nearest say so."""
+        whole = slice(0, len(self))
+        costs = self.interval(self.poses(result), whole, 0).costs
+        beyond = (missed_by(costs) - missed_by(self.least)) * self.problem.length
+        statuses = tuple(
+            IkStatus.STEADIER if status is IkStatus.NEAREST and far else status
+            for status, far in zip(result.statuses, beyond > NEAR, strict=True)
+        )
+        return replace(result, statuses=statuses)
 
     def joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
         """Return a result with a window replaced, and what comes after it."""

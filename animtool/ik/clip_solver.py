@@ -18,12 +18,11 @@ from animtool.ik.branches import (
     search_branches,
 )
 from animtool.ik.clip_path import SMOOTH_ENOUGH, ClipPath, FollowOptions
-from animtool.ik.goals import Targets, rows_of
-from animtool.ik.options import IkMethod
+from animtool.ik.goals import Targets
+from animtool.ik.nearest import frames_out_of_reach, settled
 from animtool.ik.path import jumps_of, rate_faults, smooth
 from animtool.ik.problem import Problem
-from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solving import solve
+from animtool.ik.result import IkResult
 
 # An interval that is searched begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
@@ -141,7 +140,9 @@ def _followed(clip: ClipPath) -> IkResult:
         done = int(left[0])
         if _can_be_passed(clip, poses, done):
             result = _mended(clip, result, done)
-    return _rewoven(clip, result) if clip.moving else result
+    if clip.moving:
+        result = _rewoven(clip, result)
+    return clip.judged(result)
 
 
 def _is_thin(clip: ClipPath) -> bool:
@@ -195,23 +196,17 @@ def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
     A frame that follows one short of its goals stays on that branch; here it leaves
     for one that is nearer.
     """
-    options = clip.options.solving
-    short = np.array([status is IkStatus.NEAREST for status in result.statuses])
-    frames = np.flatnonzero(short)
-    if not len(frames) or options.seconds > 0 or options.restarts == 0:
+    frames = frames_out_of_reach(result, clip.options.solving)
+    if not len(frames):
         return result
-    alone = solve(
-        clip.problem,
-        result.coordinates[frames],
-        rows_of(clip.targets, frames),
-        replace(options, ordered=False, warm=False, method=IkMethod.DAMPED),
-        prefer=clip.prefer[frames],
+    alone = settled(
+        clip.problem, result, clip.targets, clip.options.solving, clip.prefer
     )
-    poses, other = clip.poses(result), clip.poses(result)
-    other[frames] = clip.poses(alone)
+    poses, other = clip.poses(result), clip.poses(alone)
     whole = slice(0, len(clip))
     interval = clip.interval(poses, whole, int(frames[0]))
     costs = clip.interval(other, whole, int(frames[0])).costs
+    clip.least = np.minimum(interval.costs, costs)
     least = forgiving(np.stack([interval.costs, costs]), clip.slack)
     gains = np.where(least[0] > least[1], interval.costs - costs, 0.0)
     if not gains.any():

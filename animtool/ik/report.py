@@ -60,7 +60,8 @@ class MissedSpan:
     distance: float
     angle: float  # of the worst frame [rad]
     frame: float  # time code of the worst
-    status: IkStatus  # how the solve of the worst ended
+    # How the solve of the worst ended; or that one is on a steadier path.
+    status: IkStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,9 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
                 float(run[:, METRIC].max()),
                 float(run[:, ~METRIC].max()),
                 float(times[worst]),
-                solved.statuses[worst],
+                IkStatus.STEADIER
+                if IkStatus.STEADIER in solved.statuses[first:end]
+                else solved.statuses[worst],
             )
         )
     return spans
@@ -379,6 +382,8 @@ def _missed(report: GoalReport) -> str:
         by.append(angle_text(float(np.degrees(worst.angle))))
     message = f"{report.name!r} is not reached at {where}: "
     message += f"{' and '.join(by)} off at frame {frame_label(worst.frame)}"
+    if any(span.status is IkStatus.STEADIER for span in report.spans):
+        return f"{message}, {IkStatus.STEADIER}"
     return f"{message}, {worst.status}"
 
 
@@ -393,6 +398,23 @@ def _frames(span: MissedSpan) -> str:
     if span.first == span.last:
         return f"frame {frame_label(span.first)}"
     return f"frames {span_label(span.first, span.last)}"
+
+
+def status_text(solved: TakeIk) -> str:
+    """Return how many frames ended how, in words.
+
+    Only where all frames out of reach are at the nearest is that said of them.
+    """
+    counts = {IkStatus(name): count for name, count in status_counts(solved).items()}
+    steadier = counts.pop(IkStatus.STEADIER, 0)
+    if steadier:
+        missed = steadier + counts.pop(IkStatus.NEAREST, 0)
+        tail = f"{steadier} of them on a steadier path than the nearest poses make"
+        return ", ".join(
+            [*(f"{n} {status}" for status, n in counts.items()),
+             f"{missed} out of reach ({tail})"]
+        )  # fmt: skip
+    return ", ".join(f"{count} {status}" for status, count in counts.items())
 
 
 def status_counts(solved: TakeIk) -> dict[str, int]:

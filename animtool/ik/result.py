@@ -31,8 +31,9 @@ class IkStatus(StrEnum):
 
     Attributes:
         CONVERGED: Every goal is reached.
-        NEAREST: A goal that is missed is out of reach by itself too, as far as descent
-            from the pose found tells.
+        NEAREST: A goal that is missed is out of reach by itself too, and no other
+            start ended nearer to it by a millimetre.
+        STEADIER: Likewise, and another pose is nearer, but on a path that jumps.
         YIELDED: Goals are missed only for harder ones, for the pose preferred, or for
             an extension that eases out.
         CONFLICT: Every goal can be reached, but not those of one priority together:
@@ -45,6 +46,7 @@ class IkStatus(StrEnum):
 
     CONVERGED = "converged"
     NEAREST = "at the nearest reachable"
+    STEADIER = "out of reach, on a steadier path"
     YIELDED = "given way to what is preferred"
     CONFLICT = "between goals that contradict each other"
     STALLED = "stopped on the way"

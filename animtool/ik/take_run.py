@@ -13,6 +13,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import Part
 from animtool.ik.goals import PARTS, Goal, Targets, rows_of
 from animtool.ik.jumps import Jump, find_jumps
+from animtool.ik.nearest import settled
 from animtool.ik.options import IkMethod, TakeOptions
 from animtool.ik.path import goal_moves, jumps_of, rate_faults, smooth, windings
 from animtool.ik.problem import Problem, build, rest_faults
@@ -350,6 +351,10 @@ class TakeRun:
             result = follow(problem, starts, targets, way, prefer=prefer)
         else:
             result = solve(problem, starts, targets, chosen, prefer=prefer)
+            if options.method in FOLLOWED and restarts is None:
+                rows = result.coordinates if prefer is None else prefer
+                wished = np.broadcast_to(rows, result.coordinates.shape)
+                result = settled(problem, result, targets, chosen, wished)
         return result, time.perf_counter() - began
 
     def _chosen(

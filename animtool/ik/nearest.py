@@ -1,0 +1,141 @@
+"""Frames out of reach, each searched on its own for the pose nearest to its goals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from itertools import product
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.ik.branches import price, random_poses
+from animtool.ik.chain import BALL, Chain, with_periods
+from animtool.ik.goals import Targets, by_unit, rows_of
+from animtool.ik.options import IkMethod
+from animtool.ik.problem import Problem
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.solving import IkOptions, solve
+
+# Starts: so many combinations of limits, and a third as many random poses; chains of
+# more degrees of freedom have a ninth of them.
+MAX_STARTS, MANY_DEGREES = 27, 12
+# Steps from each.
+DESCENT = 100
+
+
+def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
+    """Return the frames that miss goals and may be searched for nearer poses."""
+    if options.seconds > 0 or options.restarts == 0:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero([status is IkStatus.NEAREST for status in result.statuses])
+
+
+def nearest(
+    problem: Problem,
+    result: IkResult,
+    targets: Targets,
+    options: IkOptions,
+    prefer: ArrayLike,
+) -> IkResult:
+    """Return B problems out of reach, each at the nearest pose that was found.
+
+    A descent from random starts ends in whichever minimum is wide, and what is out of
+    reach is as a rule nearest at limits: combinations of those are starts here too.
+
+    ``result`` and ``targets`` are of the B problems, ``prefer`` ``(B, Q)``.
+    """
+    chosen = replace(options, ordered=False, warm=False, method=IkMethod.DAMPED)
+    wished = np.asarray(prefer, np.float64)
+    best = result
+    trial = solve(problem, result.coordinates, targets, chosen, prefer=wished)
+    best = _better(best, trial)
+    once = replace(chosen, restarts=0, iterations=DESCENT, near=False)
+    for start in _starts(problem, result.coordinates[0], options.seed):
+        starts = np.repeat(start[None], len(result.coordinates), axis=0)
+        rows = problem.chain.into_rig(starts, result.coordinates)
+        best = _better(best, solve(problem, rows, targets, once, prefer=wished))
+    return best
+
+
+def settled(
+    problem: Problem,
+    result: IkResult,
+    targets: Targets,
+    options: IkOptions,
+    prefer: FloatArray,
+) -> IkResult:
+    """Return a result whose frames out of reach are at the nearest, each on its own."""
+    rows = frames_out_of_reach(result, options)
+    if not len(rows):
+        return result
+    some = _picked(result, rows)
+    found = nearest(problem, some, rows_of(targets, rows), options, prefer[rows])
+    return _placed(result, found, rows, np.arange(len(rows)))
+
+
+def cost_of(result: IkResult) -> FloatArray:
+    """Return what the misses of a result cost ``(B,)``, see `price`."""
+    misses = result.misses / by_unit(result.problem.chain.length, 1.0)
+    return price(misses, result.converged)
+
+
+def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
+    """Yield poses ``(C,)``: ends and middles of limits, and random ones."""
+    chain = problem.chain
+    most = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
+    pose = chain.from_rig(home[None])[0]
+    yield from _corners(chain, pose, most)
+    yield from random_poses(chain, pose, most // 3, [seed])
+
+
+def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
+    """Yield combinations of the first limits, as many as ``most`` allows."""
+    ranges = []
+    for (kind, _, column, follows), numbers in zip(
+        chain.nodes[:, :4], with_periods(chain), strict=True
+    ):
+        low, high = numbers[14:16]
+        if kind != BALL and not follows and np.isfinite([low, high]).all():
+            ranges.append((int(column), (low, (low + high) / 2, high)))
+    held = ranges[: int(np.log(most) / np.log(3))]
+    for values in product(*(values for _, values in held)):
+        pose = home.copy()
+        pose[[column for column, _ in held]] = values
+        yield pose
+
+
+def _better(one: IkResult, other: IkResult) -> IkResult:
+    """Return of each problem the result that misses less."""
+    rows = np.flatnonzero(cost_of(other) < cost_of(one))
+    return _placed(one, other, rows, rows)
+
+
+def _placed(
+    result: IkResult, other: IkResult, rows: IntArray, from_rows: IntArray
+) -> IkResult:
+    """Return a result with some rows of another in place."""
+    if not len(rows):
+        return result
+    statuses = list(result.statuses)
+    for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
+        statuses[row] = other.statuses[source]
+    arrays = {}
+    for name in _arrays():
+        values = getattr(result, name).copy()
+        values[rows] = getattr(other, name)[from_rows]
+        arrays[name] = values
+    return replace(result, statuses=tuple(statuses), **arrays)
+
+
+def _picked(result: IkResult, rows: IntArray) -> IkResult:
+    """Return some of the problems of a result."""
+    arrays = {name: getattr(result, name)[rows] for name in _arrays()}
+    statuses = tuple(result.statuses[row] for row in rows.tolist())
+    return replace(result, statuses=statuses, **arrays)
+
+
+def _arrays() -> list[str]:
+    """Return the names of the arrays that a result has for each problem."""
+    others = {"problem", "jumps", "statuses"}
+    return [field.name for field in fields(IkResult) if field.name not in others]
