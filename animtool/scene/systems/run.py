@@ -109,7 +109,9 @@ class SystemRun:
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
-        self._open: list[EntryRun] = open_systems(systems, last, own, self._shown(last))
+        self._open: list[EntryRun] = open_systems(
+            systems, last, own, self._shown(last), self._warnings
+        )
 
     def _shown(self, last: float) -> SystemProgress | None:
         """Return where systems tell how far they are."""

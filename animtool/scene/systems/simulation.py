@@ -13,6 +13,7 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
+from animtool.scene.systems.pinned import far_pins
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
@@ -153,13 +154,17 @@ def open_systems(
     last: float = 0.0,
     own: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
+    warnings: list[Fault] | None = None,
 ) -> list[EntryRun]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
-    ``last`` [s].
+    ``last`` [s]; what is odd about how they begin is added to ``warnings``.
     """
     context = BuildContext(last, characters_with(own), progress=progress)
-    return build_systems(systems, context)
+    built = build_systems(systems, context)
+    if warnings is not None:
+        warnings += far_pins(systems, context.characters)
+    return built
 
 
 def build_systems(

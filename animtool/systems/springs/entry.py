@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,7 @@ from animtool._types import IntArray
 from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
-from animtool.systems.fields import Member
+from animtool.systems.fields import Carried, Member
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
@@ -35,6 +36,16 @@ class SpringEntry:
     def joined(self) -> list[tuple[str, str]]:
         """Systems that it is one with, and the keys that say so."""
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
+
+    @property
+    def carried(self) -> list[Carried]:
+        """Particles that others carry, such as joints of a character."""
+        points = self.body.body.positions
+        return [
+            Carried(pin.where, pin.carrier, partial(pin.inside, points=points))
+            for pin in self.pins
+            if pin.carrier is not None
+        ]
 
     @property
     def reads(self) -> list[str]:

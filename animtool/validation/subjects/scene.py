@@ -19,6 +19,9 @@ from animtool.rules import Kind
 from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene
+from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.pinned import far_pins
+from animtool.scene.systems.simulation import characters_with
 from animtool.take import Take
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
@@ -75,8 +78,8 @@ def open_scene(document: Document) -> CheckedFile:
     path = str(document.path)
     checked = CheckedFile(Kind.SCENE)
     if not scene.sources:
-        # It has no take: its reader has checked all that there is to check.
-        checked.faults = list(scene.notices)
+        # It has no take: its reader has checked all but where pins begin.
+        checked.faults = [*scene.notices, *_far_pins(scene)]
         return checked
     try:
         checked.subject, notices = _played(document, scene)
@@ -87,9 +90,22 @@ def open_scene(document: Document) -> CheckedFile:
         # sense alone.
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
+        faults += _far_pins(scene, checked.subject.take)
     faults = [f if f.path else replace(f, path=path) for f in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
+
+
+def _far_pins(scene: Scene, take: Take | None = None) -> list[Fault]:
+    """Return warnings of pins that begin far from the joints of characters."""
+    if not scene.systems:
+        return []
+    own = None if take is None else motion_of(scene.path, take)
+    try:
+        return far_pins(scene.systems, characters_with(own))
+    except AnimtoolError:
+        # What keeps the file of a character from being read is said of that file.
+        return []
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
