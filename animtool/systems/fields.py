@@ -395,8 +395,8 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
-    """Points that something else carries."""
+class PinnedPoints:
+    """Points that are held by something else."""
 
     where: str  # the key that says so
     carrier: Any  # what carries them, for `SimContext.poses`

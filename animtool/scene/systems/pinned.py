@@ -15,8 +15,8 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
-from animtool.systems.fields import Carried
-from animtool.units import unit_name
+from animtool.systems.fields import PinnedPoints
+from animtool.units import LengthUnit, unit_name
 
 
 def far_pins(
@@ -30,13 +30,16 @@ def far_pins(
     faults = []
     for system in systems:
         record = system.setup.record
-        for carried in getattr(record, "carried", ()):
-            if not isinstance(carried.carrier, OnJoint | OnVertex):
+        for pinned in getattr(record, "pinned", ()):
+            if not isinstance(pinned.carrier, OnJoint | OnVertex):
                 continue
-            path = carried.carrier.file
+            path = pinned.carrier.file
             if path not in first.by_path:
                 first.by_path[path] = _first_frame(characters.of(path))
-            faults += [system.place.put(fault) for fault in _faults(carried, first)]
+            faults += [
+                system.place.put(fault)
+                for fault in _faults(pinned, first, system.unit or LengthUnit.M)
+            ]
     return faults
 
 
@@ -50,12 +53,17 @@ def _first_frame(character: CharacterMotion) -> CharacterMotion:
     )
 
 
-def _faults(carried: Carried, characters: CharacterMotions) -> Iterator[Fault]:
-    """Yield the warning of what is carried, if it is far from what carries it."""
-    carrier: OnJoint | OnVertex = carried.carrier
+def _faults(
+    pinned: PinnedPoints, characters: CharacterMotions, counted: LengthUnit
+) -> Iterator[Fault]:
+    """Yield the warning of what is pinned, if it is far from what carries it.
+
+    counted: what lengths of the system count.
+    """
+    carrier: OnJoint | OnVertex = pinned.carrier
     rig = characters.of(carrier.file).rig
     tall, size = _sizes(rig)
-    inside = carried.inside(carrier.poses(characters))
+    inside = pinned.inside(carrier.poses(characters))
     away = float(np.linalg.norm(inside, axis=-1).min(initial=np.inf))
     if not size or away <= size or not np.isfinite(away):
         return
@@ -69,12 +77,13 @@ def _faults(carried: Carried, characters: CharacterMotions) -> Iterator[Fault]:
         f"{rig.name!r} span {plain(tall)} m"
     )
     hint = "begin it at what carries it, or give the pin an offset"
-    if unit != "m":
-        message += f"; systems count metres, this rig is in {unit}"
+    if unit != counted:
+        counts = "metres" if counted is LengthUnit.M else str(counted)
+        message += f"; systems count {counts}, this rig is in {unit}"
         hint = f"units: {{length: {unit}}} of the scene counts as the rig does; or "
         hint += "begin it at what carries it"
     yield Fault(
-        "SIM168", message, hint=hint, where=carried.where, severity=Severity.WARNING
+        "SIM168", message, hint=hint, where=pinned.where, severity=Severity.WARNING
     )
 
 

@@ -14,7 +14,7 @@ from animtool._types import IntArray
 from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
-from animtool.systems.fields import Carried, Member
+from animtool.systems.fields import PinnedPoints, Member
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
@@ -38,11 +38,11 @@ class SpringEntry:
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
 
     @property
-    def carried(self) -> list[Carried]:
+    def pinned(self) -> list[PinnedPoints]:
         """Particles that others carry, such as joints of a character."""
         points = self.body.body.positions
         return [
-            Carried(pin.where, pin.carrier, partial(pin.inside, points=points))
+            PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
             for pin in self.pins
             if pin.carrier is not None
         ]

@@ -80,3 +80,17 @@ def test_a_pin_far_from_its_joint_is_said(tmp_path: Path, name: str) -> None:
 def test_a_pin_near_its_joint_is_fine(tmp_path: Path, keys: dict[str, str]) -> None:
     path = scene(tmp_path, 0.9, **keys)
     assert "SIM168" not in [fault.code for fault in validate(path)]
+
+
+def test_a_scene_that_counts_as_the_rig_does_is_that_in_metres(tmp_path: Path) -> None:
+    bake(scene(tmp_path, 0.9), tmp_path / "m.usda", BakeOptions())
+    centimetres = ROPE.replace("0.3", "30")
+    head = f"units: {{length: cm}}\n{OWN}"
+    path = scene(tmp_path, 90, where=centimetres, head=head)
+    assert "SIM168" not in [fault.code for fault in validate(path)]
+    bake(path, tmp_path / "cm.usda", BakeOptions())
+    one, other = (tmp_path / f"{name}.usda" for name in ("m", "cm"))
+    assert one.read_bytes() == other.read_bytes()
+    far = scene(tmp_path, 9000, where=centimetres, head=head)
+    (found,) = [fault for fault in validate(far) if fault.code == "SIM168"]
+    assert "systems count" not in found.message
