@@ -14,7 +14,7 @@ from animtool._types import IntArray
 from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
-from animtool.systems.fields import PinnedPoints, Member
+from animtool.systems.fields import Member, PinnedPoints
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
