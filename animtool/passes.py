@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, excerpt, listed
+from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
 from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.rig.skeleton import Rig
@@ -211,6 +213,19 @@ def _no_checks(_: object) -> OptionChecks:
 
 
 @dataclass(frozen=True, slots=True)
+class EvenTime:
+    """Time t of a take comes at ``first + (t - start) · ratio`` of another."""
+
+    start: float  # [time code]
+    ratio: float  # above 0
+    first: float  # [time code]
+
+
+def _not_even(_: object, __: Clock) -> EvenTime | None:
+    return None
+
+
+@dataclass(frozen=True, slots=True)
 class Pass:
     """One entry of the table of passes."""
 
@@ -235,6 +250,9 @@ class Pass:
     # take; it keeps the frames that it is given.
     settles: bool = False
     tells: bool = False  # it takes its time, and tells the context its progress
+    # Of options and the clock of a take, how its times run evenly in the result, see
+    # `EvenTime`: curves of controls stay curves. None changes time otherwise, or more.
+    even: Callable[[Any, Clock], EvenTime | None] = _not_even
 
 
 def find_pass(name: str) -> Pass:
@@ -299,7 +317,8 @@ def apply_pass(
     """Return a take with a pass applied; a CLIP pass reads the whole at once.
 
     Notices and details of the source stay with the stream, and the curves of the
-    controls whose frames and values a CLIP pass leaves alone. A take whose source
+    controls whose frames and values a CLIP pass leaves alone, or whose time it changes
+    evenly. A take whose source
     states no first frame still states none, unless the pass moves the frame.
     """
     _check_points(stream, pass_)
@@ -316,7 +335,7 @@ def apply_pass(
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
     take = cast(ClipRun, pass_.run)(before, options, context)
-    kept = _untouched(before, take) if stream.control_curves else set()
+    kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
     if not _same_rows(before.rig, take.rig):
         take = replace(take, curve=None)
     result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
@@ -328,8 +347,24 @@ def apply_pass(
         details=stream.details,
         simulated=stream.simulated,
         scores=stream.scores,
-        control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
+        control_curves=kept,
     )
+
+
+def _kept_curves(
+    stream: TakeStream, before: Take, after: Take, even: EvenTime | None
+) -> dict[str, Curves]:
+    """Return the curves of controls that still hold, at the times of the result."""
+    curves = stream.control_curves
+    if not curves:
+        return {}
+    if even is None or before.clock == after.clock:
+        kept = _untouched(before, after)
+        return {name: curve for name, curve in curves.items() if name in kept}
+    return {
+        name: curve.retimed(even.start, even.ratio, even.first)
+        for name, curve in curves.items()
+    }
 
 
 def _same_rows(rig: Rig, other: Rig) -> bool:

@@ -20,6 +20,7 @@ from animtool.maths import filters, so3
 from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
+    EvenTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -322,6 +323,13 @@ def _checks(options: ResampleOptions) -> OptionChecks:
     return {"fps": lambda: rate_option(fps)}
 
 
+def _even(options: ResampleOptions, clock: Clock) -> EvenTime | None:
+    if options.fps is None or options.lowpass:
+        return None
+    start = float(clock.start)
+    return EvenTime(start, float(rate_option(options.fps) / clock.fps), start)
+
+
 PASS = Pass(
     "resample",
     "Sample at another rate",
@@ -331,4 +339,5 @@ PASS = Pass(
     _checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
+    even=_even,
 )

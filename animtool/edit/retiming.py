@@ -21,6 +21,7 @@ from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
+    EvenTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -222,6 +223,13 @@ def _scaled(take: Take, options: TimeScaleOptions, context: PassContext) -> Take
     return result
 
 
+def _even(options: TimeScaleOptions, clock: Clock) -> EvenTime | None:
+    if options.speed <= 0:
+        return None
+    pivot = float(clock.start) if options.pivot is None else options.pivot
+    return EvenTime(pivot, 1 / options.speed, pivot)
+
+
 TIME_SCALE = Pass(
     "time_scale",
     "Play at another speed",
@@ -231,6 +239,7 @@ TIME_SCALE = Pass(
     _scale_checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
+    even=_even,
 )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
+from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.scene.clips import open_clip_source
 from animtool.take import Take
 
 # As close as curves are promised to be; they come closer.
@@ -226,3 +229,31 @@ def test_a_curve_that_the_samples_are_not_of_is_left_alone(tmp_path: Path) -> No
     other = replace(take.motion, translations=Channel.still(np.zeros((2, 3)), 13))
     strange = replace(take, curve=lambda _: other)
     assert "translations" not in Between.of(strange).curved
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "kept"),
+    [
+        ("time_scale", {"speed": 0.3}, True),
+        ("time_scale", {"speed": 2, "pivot": 7}, True),
+        ("time_scale", {"speed": -1}, False),
+        ("resample", {"fps": "30000/1001"}, True),
+        ("resample", {"fps": 12, "lowpass": True}, False),
+        ("time_warp", {"curve": ((1, 1), (9, 12))}, False),
+    ],
+)
+def test_curves_of_controls_stay_curves_where_time_runs_evenly(
+    tmp_path: Path, name: str, options: dict[str, Any], kept: bool
+) -> None:
+    keyed(tmp_path, "control", "ease")
+    stream = open_clip_source(tmp_path / "shot.clip.yaml")
+    pass_ = find_pass(name)
+    context = PassContext(lambda _: stream.collect(), tmp_path)
+    done = apply_pass(stream, pass_, pass_.options(**options), context)
+    curves, take = done.control_curves, done.collect()
+    assert ("curl" in curves) is kept
+    if kept:
+        assert take.motion.controls is not None
+        i = [control.name for control in take.rig.controls].index("curl")
+        own = take.motion.controls.gather(np.array([i]))[:, 0, 0]
+        assert_allclose(curves["curl"].sample(take.clock.times)[0], own, atol=EXACT)
