@@ -1,4 +1,4 @@
-"""Pins that begin far from what carries them."""
+"""Systems that do not fit the characters beside them."""
 
 from __future__ import annotations
 
@@ -94,3 +94,39 @@ def test_a_scene_that_counts_as_the_rig_does_is_that_in_metres(tmp_path: Path) -
     far = scene(tmp_path, 9000, where=centimetres, head=head)
     (found,) = [fault for fault in validate(far) if fault.code == "SIM168"]
     assert "systems count" not in found.message
+
+
+FREE = {"carrier": "moves: [[0, 0, 0, 0]]"}
+DROPS = """\
+scene: animtool/1
+fps: 24
+source: {file: pair.clip.yaml}
+systems:
+- particles:
+    emitters: [{bursts: [[0, 3]], at: [0, 90, 0]}]
+output: {file: o.usdc}
+"""
+
+
+@pytest.mark.parametrize(
+    ("y", "width", "said"),
+    [(90, 0.3, True), (0.9, 60, True), (0.9, 0.3, False), (9000, 0.3, False)],
+)
+def test_a_system_that_would_fit_in_the_unit_of_the_rig(
+    tmp_path: Path, y: float, width: float, said: bool
+) -> None:
+    path = scene(tmp_path, y, where=ROPE.replace("0.3", f"{width:g}"), **FREE)
+    found = [fault for fault in validate(path) if fault.code == "SIM169"]
+    assert len(found) == said
+    for fault in found:
+        assert "in cm" in fault.message
+        report = bake(path, tmp_path / "o.usdc", BakeOptions(overwrite=True))
+        assert fault.message in [notice.message for notice in report.notices]
+
+
+def test_emitters_count_by_where_they_are(tmp_path: Path) -> None:
+    path = scene(tmp_path, 1)
+    path.write_text(DROPS, "utf-8")
+    assert "SIM169" in [fault.code for fault in validate(path)]
+    path.write_text(DROPS.replace("fps", "units: {length: cm}\nfps", 1), "utf-8")
+    assert "SIM169" not in [fault.code for fault in validate(path)]
