@@ -20,7 +20,6 @@ from animtool.scene.systems.carriers import OnJoint, OnVertex
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.surroundings import AROUND
 from animtool.systems.fields import PinnedPoints, PlacedModel
-from animtool.systems.springs.bodies import SpringBody
 from animtool.units import LengthUnit, UpAxis, unit_name, up_from_up
 
 # A system this many times as far from a character as that is large, or this many times
@@ -106,9 +105,9 @@ def _out_of_scale(
 
 def _points(system: SceneSystem) -> FloatArray:
     """Return where a system is at 0 s, as far as its entry says it ``(N, 3)`` [m]."""
-    body = getattr(system.setup.record, "body", None)
-    if isinstance(body, SpringBody):
-        return body.body.positions
+    positions: FloatArray | None = getattr(system.setup.record, "positions", None)
+    if positions is not None:
+        return positions
     spec = system.setup.spec
     places = [
         entry.at

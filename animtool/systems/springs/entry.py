@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
@@ -38,9 +38,14 @@ class SpringEntry:
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
 
     @property
+    def positions(self) -> FloatArray:
+        """Where particles are as built ``(N, 3)`` [m]."""
+        return self.body.body.positions
+
+    @property
     def pinned(self) -> list[PinnedPoints]:
         """Particles that others carry, such as joints of a character."""
-        points = self.body.body.positions
+        points = self.positions
         return [
             PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
             for pin in self.pins
