@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -204,3 +205,7 @@ class Motion:
                 for name in blocks[0].points
             },
         )
+
+
+# From times ``(F,)`` [time codes of a take], in any order, to its motion there.
+MotionCurve: TypeAlias = Callable[[FloatArray], Motion]

@@ -7,7 +7,7 @@ names both. The table holds the passes by name; they are imported when used.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -15,9 +15,12 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, excerpt, listed
+from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
 from animtool.plugins import load_object, load_plugin, plugin_points
+from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores
 from animtool.similar import similar
 from animtool.take import Take, TakeStream
@@ -170,6 +173,8 @@ class PassContext:
     # Whether a pass writes files beside the take, which its options name as ``writes``:
     # a bake does, what only looks at a take does not.
     keeps: bool = True
+    # Codes of notes that are said once, however many passes find them.
+    said: set[str] = field(default_factory=set)
     # Whether time codes of the take are shot frames, which its samples need not be on.
     in_shot: bool = False
     # Told the share done of the frames in hand, 0 to 1, by passes that say that they
@@ -179,6 +184,13 @@ class PassContext:
     # by name or number, and the one before it at every frame of a take, the latter
     # first ``(F, 2, 3)`` [m]. None where there is no scene.
     segments: Segments | None = None
+
+    def note_once(self, notices: Iterable[Fault]) -> None:
+        """Add notices whose code is not said yet."""
+        for notice in notices:
+            if notice.code not in self.said:
+                self.said.add(notice.code)
+                self.notices.append(notice)
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.
@@ -198,6 +210,19 @@ StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 def _no_checks(_: object) -> OptionChecks:
     return {}
+
+
+@dataclass(frozen=True, slots=True)
+class EvenTime:
+    """Time t of a take comes at ``first + (t - start) · ratio`` of another."""
+
+    start: float  # [time code]
+    ratio: float  # above 0
+    first: float  # [time code]
+
+
+def _not_even(_: object, __: Clock) -> EvenTime | None:
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +250,9 @@ class Pass:
     # take; it keeps the frames that it is given.
     settles: bool = False
     tells: bool = False  # it takes its time, and tells the context its progress
+    # Of options and the clock of a take, how its times run evenly in the result, see
+    # `EvenTime`: curves of controls stay curves. None changes time otherwise, or more.
+    even: Callable[[Any, Clock], EvenTime | None] = _not_even
 
 
 def find_pass(name: str) -> Pass:
@@ -289,7 +317,8 @@ def apply_pass(
     """Return a take with a pass applied; a CLIP pass reads the whole at once.
 
     Notices and details of the source stay with the stream, and the curves of the
-    controls whose frames and values a CLIP pass leaves alone. A take whose source
+    controls whose frames and values a CLIP pass leaves alone, or whose time it changes
+    evenly. A take whose source
     states no first frame still states none, unless the pass moves the frame.
     """
     _check_points(stream, pass_)
@@ -300,13 +329,15 @@ def apply_pass(
     if pass_.scope is not Scope.CLIP:
         done = cast(StreamRun, pass_.run)(stream, options, context)
         stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
-        # What the source was between its frames, the result is no more.
         curves = stream.control_curves if stays else {}
-        done = replace(done, control_curves=curves, curve=None, count=0)
+        curve = stream.curve if _same_rows(stream.rig, done.rig) else None
+        done = replace(done, control_curves=curves, curve=curve, altered=True, count=0)
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
     take = cast(ClipRun, pass_.run)(before, options, context)
-    kept = _untouched(before, take) if stream.control_curves else set()
+    kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
+    if not _same_rows(before.rig, take.rig):
+        take = replace(take, curve=None)
     result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
     unstated = stream.start is None and take.clock.start == Fraction(1)
     return replace(
@@ -316,7 +347,32 @@ def apply_pass(
         details=stream.details,
         simulated=stream.simulated,
         scores=stream.scores,
-        control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
+        control_curves=kept,
+    )
+
+
+def _kept_curves(
+    stream: TakeStream, before: Take, after: Take, even: EvenTime | None
+) -> dict[str, Curves]:
+    """Return the curves of controls that still hold, at the times of the result."""
+    curves = stream.control_curves
+    if not curves:
+        return {}
+    if even is None or before.clock == after.clock:
+        kept = _untouched(before, after)
+        return {name: curve for name, curve in curves.items() if name in kept}
+    return {
+        name: curve.retimed(even.start, even.ratio, even.first)
+        for name, curve in curves.items()
+    }
+
+
+def _same_rows(rig: Rig, other: Rig) -> bool:
+    """Return whether motions of two rigs have the same joints, shapes and controls."""
+    return (
+        rig.names == other.names
+        and [shape.name for shape in rig.shapes] == [s.name for s in other.shapes]
+        and [one.name for one in rig.controls] == [c.name for c in other.controls]
     )
 
 

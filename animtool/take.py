@@ -6,7 +6,7 @@ held whole, or is gathered into one `Take` where an operation needs all of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import pairwise
@@ -17,7 +17,7 @@ from animtool._types import FloatArray
 from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.curves import Curves
-from animtool.motion import Channel, Motion
+from animtool.motion import Channel, Motion, MotionCurve
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -131,6 +131,10 @@ class Take:
         motion: What they hold.
         notices: Warnings and notes about where it comes from.
         tracks: Things beside the rig; most takes have none.
+        curve: What it was sampled from, where that is a function of time, at any times
+            ``(F,)`` [time codes]; None where there are samples only. It counts for
+            what the samples still are the curve's of, which a pass may have changed:
+            see `animtool.edit.between.Between`.
 
     Raises:
         OptionError: The motion's arrays are not of the rig's joints, shapes and
@@ -144,6 +148,7 @@ class Take:
     motion: Motion
     notices: tuple[Fault, ...] = ()
     tracks: tuple[Track, ...] = ()
+    curve: MotionCurve | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check that rig, clock and motion fit together."""
@@ -209,7 +214,9 @@ class TakeStream:
         details: What the source states beyond this, for reports.
         curve: Where the source is a function of time, gives its motion at any times
             ``(F,)`` [time codes of the source]; None where it has samples only.
-        count: Number of frames, where ``curve`` is given.
+        altered: Whether the blocks may hold something else than ``curve`` gives, as
+            passes have run: it counts for what they still are the curve's of.
+        count: Number of frames, where ``curve`` is given and not altered.
         control_curves: The curves that controls were keyed with, by name, one each,
             over time codes of the source; those that still hold.
         tracks: Things beside the rig, whose times are in the blocks; most takes have
@@ -227,7 +234,8 @@ class TakeStream:
     blocks: Iterator[Motion]
     notices: list[Fault] = field(default_factory=list)
     details: dict[str, object] = field(default_factory=dict)
-    curve: Callable[[FloatArray], Motion] | None = None
+    curve: MotionCurve | None = None
+    altered: bool = False
     count: int = 0
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
@@ -245,7 +253,9 @@ class TakeStream:
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
         start = Fraction(1) if self.start is None else self.start
         clock = Clock(self.fps, start, self.step, motion.frames)
-        return Take(self.rig, clock, motion, tuple(self.notices), self.tracks)
+        return Take(
+            self.rig, clock, motion, tuple(self.notices), self.tracks, self.curve
+        )
 
     @staticmethod
     def of(take: Take) -> TakeStream:
@@ -258,6 +268,8 @@ class TakeStream:
             clock.step,
             iter([take.motion]),
             list(take.notices),
+            curve=take.curve,
+            altered=True,
             tracks=take.tracks,
             points=frozenset(take.motion.points),
         )

@@ -11,12 +11,14 @@ from itertools import chain
 from pathlib import Path
 from typing import TypeVar, cast
 
+from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.clock import MAX_FRAMES, Clock, time_codes
 from animtool.documents.names import flow, number, scaled, text
 from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.maths.curves import Extrapolation, Interp
 from animtool.maths.tangents import Parametrization, Tangent
+from animtool.motion import Motion
 from animtool.plugins import load_object
 from animtool.rates import FractionLike, rate_label, rate_option
 from animtool.rig.skeleton import Rig
@@ -127,8 +129,15 @@ class Clip:
         count = self.frame_count(rate, each)
         times = time_codes(self.first, each * self.fps / rate, count)
         sampled = sample_channels(self.channels, rig, times, clamp=clamp)
+        first, ratio = float(self.first), float(self.fps / rate)
+
+        def curve(codes: FloatArray) -> Motion:
+            at = first + (codes - first) * ratio
+            return sample_channels(self.channels, rig, at, clamp=clamp).motion
+
         clock = Clock(rate, self.first, each, count)
-        return Take(rig, clock, sampled.motion, tuple(sampled.notices))
+        notices = tuple(sampled.notices)
+        return Take(rig, clock, sampled.motion, notices, curve=curve)
 
     def __repr__(self) -> str:
         """Return the name, and how much there is of what."""

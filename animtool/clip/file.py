@@ -143,19 +143,24 @@ def check_clip(file: ClipFile) -> None:
     _ClipReader(file.document, file.model, None).clip()
 
 
+def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
+    """Return the units of the numbers in a clip: its own, else its rig's."""
+    length, angle = model.units.length, model.units.angle
+    units = ClipUnits(1.0, 1.0)
+    if rig is not None:
+        units = ClipUnits(rig.meters_per_unit, rig.radians_per_unit)
+    if length is not None:
+        units = replace(units, length=LengthUnit(length).meters)
+    if angle is not None:
+        radians = math.radians(1.0) if angle == "deg" else 1.0
+        units = replace(units, angle=radians)
+    return units
+
+
 class _ClipReader:
     def __init__(self, document: Document, model: ClipModel, rig: Rig | None) -> None:
         self.document, self.model, self.rig = document, model, rig
-        length, angle = model.units.length, model.units.angle
-        units = ClipUnits(1.0, 1.0)
-        if rig is not None:
-            units = ClipUnits(rig.meters_per_unit, rig.radians_per_unit)
-        if length is not None:
-            units = replace(units, length=LengthUnit(length).meters)
-        if angle is not None:
-            radians = math.radians(1.0) if angle == "deg" else 1.0
-            units = replace(units, angle=radians)
-        self.units = units
+        self.units = file_units(model, rig)
         self.curves = ChannelReader(document)
 
     def clip(self) -> Clip:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, evaluate_channels
-from animtool.errors import Fault, FormatError, Severity
+from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import DrivenValues, evaluate_controls
@@ -75,7 +75,45 @@ def sample_channels(
     Raises:
         FormatError: An expression of the rig has no value at some frame (CLIP015).
     """
-    return sample_values(evaluate_channels(channels, times), rig, times, clamp=clamp)
+    values = evaluate_channels(channels, times)
+    sampled = sample_values(values, rig, times, clamp=clamp)
+    named = [_with_keys(notice, channels, rig, times) for notice in sampled.targeted]
+    return replace(sampled, targeted=named)
+
+
+# Frames of keys that a message names.
+MAX_NAMED = 8
+
+
+def _with_keys(
+    notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
+) -> ClipNotice:
+    """Return a notice of a control out of range with the frames of its keys there."""
+    if notice.fault.code != "CLIP101":
+        return notice
+    name = notice.target.removeprefix("control/")
+    control = next(one for one in rig.controls if one.name == name)
+    assert control.low is not None
+    assert control.high is not None
+    limits = RangeLimit(control.low, control.high)
+    keys = [
+        float(t)
+        for channel in channels
+        if channel.target == notice.target
+        for t in channel.times[
+            np.abs(limits.excess(channel.values[:, 0])) > LIMIT_TOLERANCE
+        ]
+        if times.min() <= t <= times.max()
+    ]
+    if not keys or keys == [notice.frame]:
+        return notice
+    message = notice.fault.message.removesuffix(_CLAMPED)
+    clamped = _CLAMPED if message != notice.fault.message else ""
+    many = f"{len(keys)} keys are" if len(keys) > 1 else "a key is"
+    word = "frames" if len(keys) > 1 else "frame"
+    frames = listed([f"{frame:g}" for frame in keys], MAX_NAMED)
+    message += f"; {many} outside, at {word} {frames}{clamped}"
+    return replace(notice, fault=replace(notice.fault, message=message))
 
 
 def sample_values(
@@ -146,7 +184,7 @@ def _range_notices(
                 f"control {control.name!r} {done} {values[worst]:.6g} at frame "
                 f"{frame:g}, outside {control.low:g} to {control.high:g}"
             )
-            message += ": clamped" if clamp else ""
+            message += _CLAMPED if clamp else ""
             hint = None if clamp else _CLAMP
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
@@ -155,6 +193,7 @@ def _range_notices(
 
 
 _CLAMP = "--clamp brings it inside"
+_CLAMPED = ": clamped"
 
 
 def _parts_by_joint(

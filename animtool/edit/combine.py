@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.edit.between import Between
 from animtool.edit.travel import even_places
 from animtool.errors import Fault, OptionError
 from animtool.maths import additive, so3
@@ -230,7 +231,7 @@ _MIX = Operations(_line, _arc, _line, _line)
 
 
 def other_frames(
-    other: Take,
+    other: Take | Between,
     rate: Fraction,
     first: int,
     count: int,
@@ -239,9 +240,11 @@ def other_frames(
     """Return another take at ``count`` frames of a rate [1/s], held at its ends.
 
     First frames coincide, whatever the time codes say; ``delay`` starts it later
-    [frame].
+    [frame]. What it has curves of is evaluated. Given as `Between`, it may be asked for
+    block by block: all share the rows that move.
     """
-    ratio = other.clock.rate / rate
+    between = other if isinstance(other, Between) else Between.of(other)
+    clock = between.take.clock
     index = np.arange(first, first + count)
-    places = even_places(index, -delay, ratio, other.clock.count)
-    return other.motion.map(places.blend)
+    places = even_places(index, -delay, clock.rate / rate, clock.count)
+    return between.at(places, shared=between is other)

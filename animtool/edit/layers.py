@@ -13,6 +13,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clock import Clock, time_codes
+from animtool.edit.between import Between
 from animtool.edit.combine import (
     Strength,
     add,
@@ -191,9 +192,9 @@ def _without(stream: TakeStream, base: Take) -> TakeStream:
 
 def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
     first, previous = 0, None
-    rate = stream.fps / stream.step
+    rate, between = stream.fps / stream.step, Between.of(base)
     for block in stream.blocks:
-        below = other_frames(base, rate, first, block.frames)
+        below = other_frames(between, rate, first, block.frames)
         motion = continuous(subtract(block, below), previous)
         yield motion
         first, previous = first + block.frames, motion.rotations.values[-1]
@@ -326,12 +327,13 @@ class _Plan:
         delay = exact(self.delay, "delay") / stream.step
         operation = mix if self.mode is LayerMode.OVERRIDE else add
         steady = isinstance(self.weight, (int, float))
+        between = Between.of(self.other)
         first, previous = 0, None
         for block in stream.blocks:
             begin = start + first * stream.step
             weights = self._weights(time_codes(begin, stream.step, block.frames))
             rate = stream.fps / stream.step
-            above = other_frames(self.other, rate, first, block.frames, delay)
+            above = other_frames(between, rate, first, block.frames, delay)
             strength = Strength(weights, steady, self.joints)
             motion = continuous(operation(block, above, strength), previous)
             yield motion

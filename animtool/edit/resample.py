@@ -11,13 +11,16 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
+from animtool.edit.between import Between
 from animtool.edit.frames import check_count
+from animtool.edit.straight import straight_notices
 from animtool.edit.travel import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import filters, so3
 from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
+    EvenTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -195,31 +198,31 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
 
 
 def sample(
-    take: Take, times: SampleTimes, *, smooth: bool = False
+    take: Take | Between, times: SampleTimes, *, smooth: bool = False
 ) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
     A sample on a frame of the source is that frame exactly; between frames
     rotations go along the shortest arc at constant speed (slerp), the rest in a
     straight line. With ``smooth`` joints go along curves of class C1; weights and
-    controls, which may have bounds, do not.
+    controls, which may have bounds, do not. What the take has curves of is evaluated.
     """
-    motion, last = take.motion, None
-    for begin in range(0, len(times.codes), BLOCK_FRAMES):
-        part = slice(begin, begin + BLOCK_FRAMES)
+    between = take if isinstance(take, Between) else Between.of(take)
+    last = None
+    # Only of the whole is it known what curves move, as blocks have to share it.
+    length = max(1, len(times.codes)) if between.curved else BLOCK_FRAMES
+    for begin in range(0, len(times.codes), length):
+        part = slice(begin, begin + length)
         at = Places(times.frames[part], times.fractions[part])
-        blended = motion.map(at.blend)
+        motion = between.at(at, smooth=smooth)
         if smooth:
-            scales = None if motion.scales is None else at.curve(motion.scales)
-            turns = at.curve(motion.rotations)
-            blended = replace(
-                blended,
-                translations=at.curve(motion.translations),
-                rotations=replace(turns, values=so3.align_signs(turns.values, last)),
-                scales=scales,
+            turns = motion.rotations
+            signed = so3.align_signs(turns.values, last)
+            motion, last = (
+                replace(motion, rotations=replace(turns, values=signed)),
+                signed[-1],
             )
-            last = blended.rotations.values[-1]
-        yield times.codes[part], blended
+        yield times.codes[part], motion
 
 
 # A filter before fewer frames a second leaves half at this share of them, a 400th of
@@ -265,14 +268,25 @@ def resampled(
     if lowpass and fps < rate:
         cutoff = CUTOFF_SHARE * float(fps)
         source = replace(take, motion=slowed(take.motion, cutoff, float(rate)))
+    between = Between.of(source)
     motion = Motion.concatenate(
-        [block for _, block in sample(source, times, smooth=smooth)]
+        [block for _, block in sample(between, times, smooth=smooth)]
     )
-    clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
-    notices = take.notices
+    start, ratio = take.clock.start, float(take.clock.fps / fps)
+    clock, notices = Clock(fps, start, Fraction(1), motion.frames), take.notices
+    if not smooth:
+        at = Places(times.frames, times.fractions)
+        notices = (*notices, *straight_notices(between, at))
     if times.dropped:
         notices = (*notices, dropped_notice(times.dropped, fps, times.last))
-    return replace(take, clock=clock, motion=motion, notices=notices)
+    first = float(start)
+    return replace(
+        take,
+        clock=clock,
+        motion=motion.map(Channel.compact) if between.curved else motion,
+        notices=notices,
+        curve=between.curve(lambda codes: first + (codes - first) * ratio),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +312,7 @@ def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
     result = resampled(
         take, options.fps, lowpass=options.lowpass, smooth=options.smooth
     )
-    context.notices.extend(result.notices[len(take.notices) :])
+    context.note_once(result.notices[len(take.notices) :])
     return result
 
 
@@ -307,6 +321,13 @@ def _checks(options: ResampleOptions) -> OptionChecks:
         return {}
     fps = options.fps
     return {"fps": lambda: rate_option(fps)}
+
+
+def _even(options: ResampleOptions, clock: Clock) -> EvenTime | None:
+    if options.fps is None or options.lowpass:
+        return None
+    start = float(clock.start)
+    return EvenTime(start, float(rate_option(options.fps) / clock.fps), start)
 
 
 PASS = Pass(
@@ -318,4 +339,5 @@ PASS = Pass(
     _checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
+    even=_even,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -11,14 +11,17 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
+from animtool.edit.between import Between
 from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, check_range, exact, frame_refusal
-from animtool.edit.travel import even_places, nearby_places
+from animtool.edit.straight import straight_notices
+from animtool.edit.travel import Places, even_places, nearby_places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
+    EvenTime,
     OptionChecks,
     Pass,
     PassContext,
@@ -146,6 +149,9 @@ class TimeScaleOptions:
 def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     """Return the take at another speed, sampled on its own frame grid.
 
+    What it has curves of is evaluated between its frames; the rest goes in straight
+    lines, and a notice says by how much these may be off (TAKE007).
+
     Time code t of the result shows ``pivot + (t - pivot) · speed`` of the take.
     The speed is taken as the decimal it is written as, so that frames which
     coincide are the source's exactly.
@@ -172,11 +178,32 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     check_count(high - low + 1)
     index = np.arange(low, high + 1)
     places = even_places(index, centre / rate - centre, rate, clock.count)
-    motion = take.motion.map(places.blend)
+    pivoted, factor = float(fixed), float(rate)
+    return _retimed(
+        take,
+        replace(clock, start=clock.start + low * clock.step, count=len(index)),
+        places,
+        lambda times: pivoted + (times - pivoted) * factor,
+    )
+
+
+def _retimed(
+    take: Take,
+    clock: Clock,
+    places: Places,
+    shown: Callable[[FloatArray], FloatArray],
+) -> Take:
+    """Return a take with its frames at places between its own.
+
+    clock: of the result, whose time t shows time ``shown(t)`` of the take.
+    """
+    between = Between.of(take)
     return replace(
         take,
-        clock=replace(clock, start=clock.start + low * clock.step, count=len(index)),
-        motion=continuous(motion).map(Channel.compact),
+        clock=clock,
+        motion=continuous(between.at(places)).map(Channel.compact),
+        notices=(*take.notices, *straight_notices(between, places)),
+        curve=between.curve(shown),
     )
 
 
@@ -190,8 +217,17 @@ def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
     return {"speed": lambda: _check_speed(options.speed)}
 
 
-def _scaled(take: Take, options: TimeScaleOptions, _: PassContext) -> Take:
-    return time_scale(take, options.speed, options.pivot)
+def _scaled(take: Take, options: TimeScaleOptions, context: PassContext) -> Take:
+    result = time_scale(take, options.speed, options.pivot)
+    context.note_once(result.notices[len(take.notices) :])
+    return result
+
+
+def _even(options: TimeScaleOptions, clock: Clock) -> EvenTime | None:
+    if options.speed <= 0:
+        return None
+    pivot = float(clock.start) if options.pivot is None else options.pivot
+    return EvenTime(pivot, 1 / options.speed, pivot)
 
 
 TIME_SCALE = Pass(
@@ -203,6 +239,7 @@ TIME_SCALE = Pass(
     _scale_checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
+    even=_even,
 )
 
 
@@ -228,7 +265,9 @@ def time_warp(
     """Return the take retimed, from the curve's first frame to its last.
 
     The result has the frames of the take's own grid, carried on beyond its ends
-    where the curve reaches there. The curve may go back in time or stand still.
+    where the curve reaches there. The curve may go back in time or stand still. What
+    the take has curves of is evaluated between its frames; the rest goes in straight
+    lines, and a notice says by how much these may be off (TAKE007).
 
     Args:
         take: F frames.
@@ -240,19 +279,23 @@ def time_warp(
             not or none of the grid (SCN013), or has too many (SCN021).
     """
     clock = take.clock
-    times, values = key_arrays(curve, "curve")
+    key_times, values = key_arrays(curve, "curve")
     _check_inside(clock, values)
-    low = math.ceil((exact(times[0], "curve") - clock.start) / clock.step)
-    high = math.floor((exact(times[-1], "curve") - clock.start) / clock.step)
+    low = math.ceil((exact(key_times[0], "curve") - clock.start) / clock.step)
+    high = math.floor((exact(key_times[-1], "curve") - clock.start) / clock.step)
     if low > high:
-        message = f"the curve from {times[0]:g} to {times[-1]:g} holds no whole frame"
+        first, last = key_times[0], key_times[-1]
+        message = f"the curve from {first:g} to {last:g} holds no whole frame"
         raise frame_refusal(message)
     check_count(high - low + 1)
     start, step = float(clock.start), float(clock.step)
     at = replace(clock, start=clock.start + low * clock.step, count=high - low + 1)
-    shown = keyed(times, values, at.times, interpolation)
-    motion = take.motion.map(nearby_places((shown - start) / step, clock.count).blend)
-    return replace(take, clock=at, motion=continuous(motion).map(Channel.compact))
+
+    def shown(times: FloatArray) -> FloatArray:
+        return keyed(key_times, values, times, interpolation)
+
+    places = nearby_places((shown(at.times) - start) / step, clock.count)
+    return _retimed(take, at, places, shown)
 
 
 def _check_inside(clock: Clock, values: FloatArray) -> None:
@@ -264,10 +307,12 @@ def _check_inside(clock: Clock, values: FloatArray) -> None:
         raise frame_refusal(f"{message}{first:g}-{last:g}")
 
 
-def _warped(take: Take, options: TimeWarpOptions, _: PassContext) -> Take:
+def _warped(take: Take, options: TimeWarpOptions, context: PassContext) -> Take:
     if not options.curve:
         return take
-    return time_warp(take, options.curve, options.interpolation)
+    result = time_warp(take, options.curve, options.interpolation)
+    context.note_once(result.notices[len(take.notices) :])
+    return result
 
 
 def _warp_checks(options: TimeWarpOptions) -> OptionChecks:

@@ -211,6 +211,17 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
     return np.asarray(q * flips[..., None])
 
 
+def align_to(q: ArrayLike, other: ArrayLike) -> FloatArray:
+    """Return quaternions ``(..., 4)``, each with the sign that is nearer to another.
+
+    >>> align_to([[0, 0, 0, -1.0]], [[0, 0, 0.6, 0.8]])[:, 3].tolist()
+    [1.0]
+    """
+    q = np.asarray(q, np.float64)
+    dots = np.sum(q * np.asarray(other), axis=-1, keepdims=True)
+    return np.where(dots < 0, -q, q)
+
+
 def to_matrix(q: ArrayLike) -> FloatArray:
     """Return rotation matrices ``(..., 3, 3)`` of unit quaternions.
 

@@ -59,10 +59,16 @@ def clip_stream(
     count = _frame_count(file, clip)
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
+    said: set[tuple[str, str]] = set()
+
     def curve(times: FloatArray) -> Motion:
         with _named(path):
             sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
-        stream.notices += [_located(file, rig, note) for note in sampled.targeted]
+        for note in sampled.targeted:
+            # A clip may be sampled again, at other times.
+            if (note.fault.code, note.target) not in said:
+                said.add((note.fault.code, note.target))
+                stream.notices.append(_located(file, rig, note))
         return sampled.motion
 
     def blocks() -> Iterator[Motion]:

@@ -19,6 +19,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 from animtool.systems.fields import EntryRecord, SystemSpec
 from animtool.transforms import PropRequest
+from animtool.units import LengthUnit
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +218,8 @@ class SceneSystem:
     setup: SystemSetup  # what it is made of
     place: Place  # of the entry
     written: bool = True  # whether it goes into the output; else another needs it
+    # What lengths of its entry count, as the scene states it; None states nothing.
+    unit: LengthUnit | None = None
 
 
 class OutputKind(StrEnum):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from animtool.scene.schema import (
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.links import check_links
 from animtool.scene.tracks import TrackNames
+from animtool.systems.conversion import SceneUnits
 from animtool.systems.fields import SystemColliderModel
 from animtool.systems.kinds import SYSTEM_KINDS
 
@@ -127,11 +128,13 @@ class _SceneReader:
         roots = project_roots(document.path)
         self.keys = KeyReader(document, (*roots, *named), "SCN003")
         self.output_roots = (*roots, *written)
+        self.units = SceneUnits.of(model.units.length, model.units.angle)
 
     def scene(self) -> Scene:
         model = self.model
         rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
-        passes = tuple(_read_passes(self.keys, model.passes, self.output_roots))
+        read = _PassReader(self.keys, self.output_roots, self.units)
+        passes = tuple(read.passes(model.passes))
         outputs = OutputReader(self.keys, model, self.output_roots)
         return Scene(
             self.document.path,
@@ -168,12 +171,11 @@ class _SceneReader:
         given = getattr(entry, kind)
         # Loaded by name: systems open scenes themselves.
         read: Any = load_object("animtool.scene.systems.derived:read_spec")
-        setup = read(self.document, at, given, self.keys.roots)
+        setup = read(self.document, at, given, self.keys.roots, self.units)
         if setup is None:
             return None
-        return SceneSystem(
-            given.name, kind, setup, place_of_entry(self.document, at, given)
-        )
+        place = place_of_entry(self.document, at, given)
+        return SceneSystem(given.name, kind, setup, place, unit=self.units.stated)
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
         """Return the kind that an entry names."""
@@ -293,67 +295,67 @@ class _SceneReader:
         )
 
 
-def _read_passes(
-    keys: KeyReader,
-    entries: Sequence[Mapping[str, Any]],
-    output_roots: Sequence[Path],
-) -> Iterator[ScenePass]:
-    """Yield the passes of entries; files that they write are in ``output_roots``."""
-    for i, entry in enumerate(entries):
-        for name, given in entry.items():
-            at: Location = ("passes", i, name)
-            pass_ = _read_pass(keys, at, name, given or {}, output_roots)
-            if pass_ is not None:
-                yield pass_
+@dataclass(frozen=True, slots=True)
+class _PassReader:
+    """Reads passes; files that they write are in ``output_roots``."""
 
+    keys: KeyReader
+    output_roots: Sequence[Path]
+    units: SceneUnits
 
-def _read_pass(
-    keys: KeyReader,
-    at: Location,
-    name: str,
-    values: dict[str, Any],
-    output_roots: Sequence[Path],
-) -> ScenePass | None:
-    document = keys.document
-    try:
-        pass_ = find_pass(name)
-    except AnimtoolError as error:
-        fault = error.faults[0]
-        document.add(fault.code, at, fault.message, fault.hint)
-        return None
-    options, faults = record_of_options(pass_.options, values, name)
-    for place, fault in faults:
-        document.add(fault.code, (*at, *place), fault.message, fault.hint)
-    if options is None:
-        return None
-    options, files = _with_colliders(keys, at, options)
-    _check_pass(keys, at, pass_, options)
-    for written in getattr(options, "writes", ()):
-        referred(document, at, str(written), output_roots, written=True)
-    if faults:
-        return None
-    return ScenePass(pass_, options, place_of_entry(document, at), files)
+    def passes(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[ScenePass]:
+        """Yield the passes of entries."""
+        for i, entry in enumerate(entries):
+            for name, given in entry.items():
+                pass_ = self._pass(("passes", i, name), name, given or {})
+                if pass_ is not None:
+                    yield pass_
 
+    def _pass(
+        self, at: Location, name: str, values: dict[str, Any]
+    ) -> ScenePass | None:
+        document = self.keys.document
+        try:
+            pass_ = find_pass(name)
+        except AnimtoolError as error:
+            fault = error.faults[0]
+            document.add(fault.code, at, fault.message, fault.hint)
+            return None
+        given = self.units.pass_options(name, values)
+        options, faults = record_of_options(pass_.options, given, name)
+        for place, fault in faults:
+            document.add(fault.code, (*at, *place), fault.message, fault.hint)
+        if options is None:
+            return None
+        options, files = self._with_colliders(at, options)
+        _check_pass(self.keys, at, pass_, options)
+        for written in getattr(options, "writes", ()):
+            referred(document, at, str(written), self.output_roots, written=True)
+        if faults:
+            return None
+        return ScenePass(pass_, options, place_of_entry(document, at), files)
 
-def _with_colliders(
-    keys: KeyReader, at: Location, options: Any
-) -> tuple[Any, tuple[Path, ...]]:
-    """Return options with what they run into, and the files that this goes with."""
-    entries = {
-        field.name: value
-        for field in fields(options)
-        if isinstance(value := getattr(options, field.name), list)
-        and any(isinstance(one, SystemColliderModel) for one in value)
-    }
-    if not entries:
-        return options, ()
-    kind: Any = load_object(COLLIDER_READER)
-    reader = kind(keys.document, keys.roots)
-    read = {
-        name: tuple(reader.colliders((*at, name), models))
-        for name, models in entries.items()
-    }
-    return replace(options, **read), tuple(reader.files)
+    def _with_colliders(
+        self, at: Location, options: Any
+    ) -> tuple[Any, tuple[Path, ...]]:
+        """Return options with what they run into, and the files that this goes with."""
+        entries = {
+            field.name: value
+            for field in fields(options)
+            if isinstance(value := getattr(options, field.name), list)
+            and any(isinstance(one, SystemColliderModel) for one in value)
+        }
+        if not entries:
+            return options, ()
+        kind: Any = load_object(COLLIDER_READER)
+        reader = kind(self.keys.document, self.keys.roots, self.units)
+        read = {
+            name: tuple(
+                reader.colliders((*at, name), list(map(self.units.converted, models)))
+            )
+            for name, models in entries.items()
+        }
+        return replace(options, **read), tuple(reader.files)
 
 
 def _check_pass(keys: KeyReader, at: Location, pass_: Pass, options: Any) -> None:

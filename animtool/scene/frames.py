@@ -12,18 +12,21 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.clock import Clock, frame_label, time_codes
+from animtool.edit.between import Between
 from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
     plan_samples,
     sample,
 )
+from animtool.edit.straight import straight_notices
+from animtool.edit.travel import Places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.shot import FrameRange, Shot, frame_spans
-from animtool.take import Take, TakeStream
+from animtool.take import TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterWatch
@@ -80,14 +83,29 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     )
     if as_is:
         return TimedTake(_streamed(plan, stream), stream.rig)
-    if stream.curve is not None and options.rest_frame is None:
-        return _sampled(plan, stream, stream.curve)
+    curve = None if stream.altered else stream.curve
+    if curve is not None and options.rest_frame is None:
+        return _sampled(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
-    rig = take.rig
+    rig, between = take.rig, Between.of(take)
     if options.rest_frame is not None:
-        rig = _with_rest(plan, take, options.rest_frame)
-    return TimedTake(sample(take, times), rig, times)
+        rig = _with_rest(plan, between, options.rest_frame)
+    plan.notices.extend(_straight_notices(plan, between, times))
+    return TimedTake(sample(between, times), rig, times)
+
+
+def _straight_notices(
+    plan: TakePlan, between: Between, times: SampleTimes
+) -> list[Fault]:
+    """Say by how much straight lines may be off, unless a pass of the take did."""
+    said = {notice.code for notice in plan.stream.notices}
+    places = Places(times.frames, times.fractions)
+    return [
+        replace(notice, path=str(plan.source))
+        for notice in straight_notices(between, places)
+        if notice.code not in said
+    ]
 
 
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
@@ -214,11 +232,11 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     return notices
 
 
-def _with_rest(plan: TakePlan, take: Take, frame: int) -> Rig:
+def _with_rest(plan: TakePlan, between: Between, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
-    frames = FrameRange(frame, frame)
+    frames, take = FrameRange(frame, frame), between.take
     times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
-    ((_, pose),) = sample(take, times)
+    ((_, pose),) = sample(between, times)
     translations, rotations, _ = pose.dense()
     joints = tuple(
         replace(joint, translation=tuple(t), rotation=tuple(r))

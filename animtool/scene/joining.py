@@ -25,6 +25,7 @@ from animtool.scene.tracks import (
     Tracks,
     chosen_tracks,
     moving_tracks,
+    still_motion,
     with_tracks,
 )
 from animtool.take import Take, TakeStream
@@ -207,6 +208,9 @@ class _Joining:
         if self.base.curve is not None:
             joined.curve = self._curve
             self._say_frames(self.base.count)
+        elif any(layer.part.stream.curve is not None for layer in self.layers):
+            # What others bring has curves still, where the first has samples.
+            joined.curve, joined.altered = self._curve, True
         return joined
 
     @property
@@ -230,12 +234,17 @@ class _Joining:
             self._say_frames(first)
 
     def _curve(self, times: FloatArray) -> Motion:
-        assert self.base.curve is not None
-        motion = self.base.curve(times)
+        motion = self._base_at(times)
         seconds = (times - float(self._start)) / float(self.base.fps)
         for layer in self.layers:
             motion = with_tracks(self.base.rig, motion, layer.at(seconds), layer.tracks)
         return motion
+
+    def _base_at(self, times: FloatArray) -> Motion:
+        """Return the motion of the first source; of samples at rest."""
+        if self.base.curve is not None:
+            return self.base.curve(times)
+        return still_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
         """Return the curves of controls, each of the source that brings it."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from fractions import Fraction
 from pathlib import Path
 from typing import cast
 
+from animtool.clock import Clock
 from animtool.errors import counted, listed
 from animtool.motion import Motion
 from animtool.passes import TakePart, sees_tracks
@@ -247,6 +249,10 @@ def _prop_step(prop: SceneProp, track: Track) -> Step:
 
 def _drops(entry: ScenePass) -> bool:
     """Return whether a pass may take the curves of controls away."""
+    # How even time is does not depend on the frames.
+    any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+    if entry.pass_.even(entry.options, any_clock) is not None:
+        return False
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
 

@@ -37,8 +37,13 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
 
     The take's own frames keep their time codes.
     """
-    given = stream.blocks
+    given, curve = stream.blocks, stream.curve
     start = Fraction(1) if stream.start is None else stream.start
+    first = float(start)
+
+    def held(times: FloatArray) -> Motion:
+        assert curve is not None
+        return curve(np.maximum(times, first))
 
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(given):
@@ -50,7 +55,8 @@ def begun_early(stream: TakeStream, count: int) -> TakeStream:
         stream,
         start=start - count * stream.step,
         blocks=blocks(),
-        curve=None,
+        curve=None if curve is None else held,
+        altered=True,
         count=0,
         control_curves={},
     )

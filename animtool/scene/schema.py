@@ -118,6 +118,21 @@ class PropModel(FileModel):
     )
 
 
+class SceneUnitsModel(FileModel):
+    """Units of the numbers of systems and passes."""
+
+    length: Literal["m", "cm", "mm", "in"] | None = key(
+        "Of lengths, and of those in speeds, densities, forces and all else that is "
+        "given in metres: m/s is cm/s then, N is kg cm/s². What is not given keeps its "
+        "default; expressions and meshes of USD files keep their units. Not given: m.",
+        "cm",
+        default=None,
+    )
+    angle: Literal["deg", "rad"] | None = key(
+        "Of what is given in degrees. Not given: deg.", "deg", default=None
+    )
+
+
 class SystemModel(FileModel):
     """One simulation, of one kind."""
 
@@ -193,6 +208,12 @@ class SceneModel(FileModel):
         "names, else the joints of the first source.",
         "hero.rig.yaml",
         default=None,
+    )
+    units: SceneUnitsModel = key(
+        "Units of the numbers of `systems` and `passes`, and of arrays that they name. "
+        "Not given: metres and degrees, whatever the rig counts.",
+        {"length": "cm"},
+        default=SceneUnitsModel(),
     )
     fps: Real | str | None = key(
         "Frames a second of the output. Not given: the rig layer's, or the source's.",

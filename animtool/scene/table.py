@@ -136,19 +136,20 @@ def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     stream = plan.takes[0].stream
     take = stream.collect()
     clock = take.clock
-    per_frame = FINE if stream.curve is not None else 1
+    curve = None if stream.altered else stream.curve
+    per_frame = FINE if curve is not None else 1
     count = (clock.count - 1) * per_frame + 1
     picked = np.unique(
         np.linspace(0, count - 1, min(count, MAX_INSTANTS)).astype(np.int64)
     )
     frames = picked / per_frame
-    if stream.curve is None:
+    if curve is None:
         motion = take.motion.select(picked)
     else:
-        motion = stream.curve(float(clock.start) + frames * float(clock.step))
+        motion = curve(float(clock.start) + frames * float(clock.step))
     world = forward(take.rig, *motion.dense())
     seconds = frames / float(clock.rate)
-    return _Truth(take.rig, seconds, world, stream.curve is not None), take
+    return _Truth(take.rig, seconds, world, curve is not None), take
 
 
 def _baked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeAlias
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator, Field
 
+from animtool._types import FloatArray
 from animtool.contacts import Contact, Material
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -391,6 +392,16 @@ class Member:
     spec: Any
     parts: Mapping[str, Any]  # what its keys are read as, by key
     record: Any = None  # what its spec makes of it when it is read
+
+
+@dataclass(frozen=True, slots=True)
+class PinnedPoints:
+    """Points that are held by something else."""
+
+    where: str  # the key that says so
+    carrier: Any  # what carries them, for `SimContext.poses`
+    # From where that is over time to where they are in its frame ``(P, 3)`` [m].
+    inside: Callable[[Any], FloatArray]
 
 
 class EntryRecord(Protocol):

@@ -407,3 +407,19 @@ def test_shapes_of_combined_shapes_in_any_order(
     assert weights is not None
     found = weights.dense()[:, order.index(3), 0]
     np.testing.assert_allclose(found, 0.25 * np.clip(FRAMES / 4, 0, 1))
+
+
+def test_a_control_out_of_range_names_the_frames_of_all_its_keys(
+    tmp_path: Path,
+) -> None:
+    keys = ", ".join(f"{{t: {t}, v: {2 if t % 2 else 0.5}}}" for t in range(5))
+    rig = load_rig(write_rig(tmp_path))
+    text = f"- {{target: control/curl, keys: [{keys}]}}\n"
+    clip = load_clip(open_clip(write_clip(tmp_path, text)), rig)
+    for clamp in (False, True):
+        notices = sample_channels(clip.channels, rig, FRAMES, clamp=clamp).notices
+        (note,) = [one for one in notices if one.code == "CLIP101"]
+        assert "2 keys are outside, at frames 1, 3" in note.message
+        assert note.message.endswith("clamped") is clamp
+    few = sample_channels(clip.channels, rig, FRAMES[:3]).notices
+    assert [n.message.count("outside") for n in few if n.code == "CLIP101"] == [1]

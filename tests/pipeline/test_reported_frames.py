@@ -220,8 +220,9 @@ def test_what_is_dropped_at_an_end_is_noted(
 ) -> None:
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), count)
     report = baked(clock, BakeOptions(start=Fraction(1), **options))
-    assert [notice.code for notice in report.notices] == ([code] if code else [])
-    assert all(says in notice.message for notice in report.notices)
+    notices = [notice for notice in report.notices if notice.code != "TAKE007"]
+    assert [notice.code for notice in notices] == ([code] if code else [])
+    assert all(says in notice.message for notice in notices)
 
 
 def test_samples_between_frames_are_counted(baked: Baked) -> None:

@@ -40,8 +40,9 @@ def test_the_last_frame_of_a_take_lasts_until_the_next_would_come(
     assert timed.frames == (1001, last)
     codes = np.concatenate([codes for codes, _ in timed.blocks])
     assert codes.tolist() == list(range(1001, last + 1))
-    assert all(missing in notice.message for notice in plan.notices)
-    assert bool(plan.notices) is bool(missing)
+    notices = [notice for notice in plan.notices if notice.code != "TAKE007"]
+    assert all(missing in notice.message for notice in notices)
+    assert bool(notices) is bool(missing)
 
 
 def moving(take: Take, **options: bool) -> list[str]:

@@ -17,6 +17,7 @@ from support.takes import takes
 from animtool import open_source
 from animtool.clock import Clock
 from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.maths import so3
 from animtool.maths.curves import cubic_curves
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import Control, Drive
@@ -420,3 +421,51 @@ def test_curves_of_a_face_start_when_its_frames_do(
     (curves,) = stream.control_curves.values()
     since = (np.array([1003.0, 1033.5]) - 1001) / fps + seconds
     np.testing.assert_allclose(curves.times, 7010 / 7 + 24 * since, atol=1e-9)
+
+
+SLOWED = """scene: animtool/1
+source:
+- {file: body.bvh, units: m}
+- {file: face.clip.yaml}
+rig: hero.rig.yaml
+passes: [PASSES]
+output: {file: joined.usda}
+"""
+
+
+def jaw_of(path: Path, *options: str) -> np.ndarray:
+    done = animtool("bake", path, "--overwrite", *options)
+    assert done.code == 0, done.stderr
+    take = open_source(path.parent / "joined.usda").collect()
+    turns = take.motion.rotations.gather(np.array([take.rig.index("jaw")]))[:, 0]
+    return np.degrees(so3.log(turns)[:, 0])
+
+
+@pytest.mark.parametrize("first", ["clip", "bvh"])
+@pytest.mark.parametrize(
+    ("passes", "options", "speed"),
+    [
+        ("time_scale: {speed: 0.25}", (), 0.25),
+        ("trim: {first: 1}", ("--fps", "96"), 0.25),
+        ("time_scale: {speed: 0.5}", ("--fps", "48"), 0.25),
+        ("resample: {fps: 30}", (), 0.8),
+    ],
+)
+def test_keys_of_a_source_are_evaluated_behind_passes(
+    place: Path, first: str, passes: str, options: tuple[str, ...], speed: float
+) -> None:
+    """Whether the first has curves or samples: an ease has its polynomial."""
+    ease = "keys: [{t: 1, v: 0, out: flat}, {t: 61, v: 1, in: flat}]"
+    face = FACE.replace("keys: [{t: 1, v: 0}, {t: 61, v: 1}]", ease)
+    (place / "face.clip.yaml").write_text(face, "utf-8")
+    text = SLOWED.replace("PASSES", f"{{{passes}}}")
+    if first == "clip":
+        text = text.replace("body.bvh, units: m", "body.clip.yaml")
+    else:
+        done = animtool("convert", place / "body.clip.yaml", place / "body.bvh")
+        assert done.code == 0, done.stderr
+    path = place / "slow.scene.yaml"
+    path.write_text(text, "utf-8")
+    found = jaw_of(path, *options)
+    u = np.minimum(np.arange(len(found)) * speed / 24, 1)
+    np.testing.assert_allclose(found, 30 * (3 * u**2 - 2 * u**3), atol=1e-4)

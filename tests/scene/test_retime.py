@@ -8,17 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool._types import FloatArray
 from animtool.formats.bvh import read_bvh
+from animtool.motion import Motion
 from animtool.scene.retime import begun_early
 from animtool.take import TakeStream
 
 
-def test_the_first_frame_is_held_and_no_curve_tells_otherwise(walk: Path) -> None:
+def test_the_first_frame_is_held_by_the_frames_and_by_the_curve(walk: Path) -> None:
     take = read_bvh(walk).collect()
-    stream = TakeStream.of(take)
-    keyed = replace(stream, curve=lambda _: take.motion, count=take.motion.frames)
+    asked: list[float] = []
+
+    def curve(times: FloatArray) -> Motion:
+        asked.extend(times.tolist())
+        return take.motion
+
+    keyed = replace(TakeStream.of(take), curve=curve, count=take.motion.frames)
     early = begun_early(keyed, 3)
-    assert early.curve is None
+    assert early.altered
+    assert early.curve is not None
+    first = float(take.clock.start)
+    early.curve(np.array([first - 2.5, first + 0.5]))
+    assert asked == [first, first + 0.5]
     found = early.collect()
     assert found.clock.start == take.clock.start - 3 * Fraction(take.clock.step)
     for name in ("translations", "rotations"):

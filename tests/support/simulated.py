@@ -148,8 +148,10 @@ class Simulator:
     folder: Path
     written: int = field(default=0, init=False)
 
-    def scene(self, systems: Sequence[dict[str, Any]], view: View = View()) -> Scene:
-        """Return systems as they are read from the file of a scene."""
+    def scene(
+        self, systems: Sequence[dict[str, Any]], view: View = View(), **keys: Any
+    ) -> Scene:
+        """Return systems as they are read from the file of a scene with other keys."""
         self.written += 1
         path = self.folder / f"shot{self.written}.scene.yaml"
         arrays: dict[str, np.ndarray] = {}
@@ -157,7 +159,7 @@ class Simulator:
         if arrays:
             np.savez(self.folder / f"{path.name}.npz", **arrays)
         made = {"scene": "animtool/1", "fps": 24, "range": [1, 9], "systems": text}
-        path.write_text(json.dumps(made), "utf-8")
+        path.write_text(json.dumps({**made, **keys}), "utf-8")
         return load_scene(path)
 
     def _plain(self, node: Any, view: View, arrays: dict[str, Any], file: str) -> Any:

@@ -216,7 +216,8 @@ def test_joints_that_only_one_side_has(take: Path, tmp_path: Path) -> None:
     layer_over(take, tmp_path)
     options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda")
     report = bake(path, tmp_path / "over.usda", options)
-    assert [n.code for n in report.notices] == ["USD102", "USD111", "TAKE006"]
+    codes = ["USD102", "USD111", "TAKE006", "TAKE007"]
+    assert [n.code for n in report.notices] == codes
     assert report.result.joints == 1
     none = tmp_path / "none.bvh"
     renamed = HEADER.replace("Spine", "Tail").replace("Hips", "Base")

@@ -468,7 +468,7 @@ def test_takes_over_a_rig_may_have_other_joints(
     report = library([sources[0], hips], tmp_path / "lib.usda", options)
     # Each of the takes ends between two frames of the rig's rate.
     codes = sorted(n.code for n in report.notices)
-    assert codes == ["TAKE006", "TAKE006", "USD102", "USD111"]
+    assert codes == ["TAKE006", "TAKE006", "TAKE007", "TAKE007", "USD102", "USD111"]
     assert [take.written.joints for take in report.takes] == [2, 1]
 
 

@@ -69,7 +69,9 @@ class SystemPrims:
             held = float((self.start - prims.start) / job.metadata.fps)
             own = replace(own, times=own.times + held)
         systems = self.scene.systems
-        run = SystemRun(systems, prims.seconds(codes[-1]), own, draft.progress)
+        main_rig = None if self.watch is None else plan.takes[0].stream.rig
+        last = prims.seconds(codes[-1])
+        run = SystemRun(systems, last, own, draft.progress, main_rig)
         keep = plan.options.keep_stopped
         rows = run.rows(codes, prims.start, job.metadata.fps, keep_stopped=keep)
         if draft.report is None:

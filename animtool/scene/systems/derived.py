@@ -28,6 +28,7 @@ from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.surroundings import AROUND, Surroundings
+from animtool.systems.conversion import METRES, SceneUnits
 from animtool.systems.fields import (
     CarryingJointModel,
     CarryingPrimModel,
@@ -122,8 +123,13 @@ class PartReader(EntryReader):
         carriers: Files of what carries others.
     """
 
-    def __init__(self, document: Document, roots: Sequence[Path]) -> None:
-        super().__init__(document, roots)
+    def __init__(
+        self,
+        document: Document,
+        roots: Sequence[Path],
+        units: SceneUnits = METRES,
+    ) -> None:
+        super().__init__(document, roots, units)
         self.carriers: list[Path] = []
         # Populations often share their gaits, which take long to read.
         self._gaits: dict[GaitsSource, GaitsSource] = {}
@@ -150,7 +156,13 @@ class PartReader(EntryReader):
             read = self._reader(declared.annotation, declared.metadata, check=check)
             if placing or read is None or value is None:
                 continue
-            if isinstance(value, list):
+            if Part.ARRAY in _marks(declared.annotation, declared.metadata):
+                values = read((*at, key), value)
+                factor = self.units.array_factor(declared.description)
+                parts[key] = values
+                if values is not None and factor != 1.0:
+                    parts[key] = values * factor
+            elif isinstance(value, list):
                 each = [read((*at, key, i), entry) for i, entry in enumerate(value)]
                 parts[key] = [part for part in each if part is not None]
             else:
@@ -347,15 +359,29 @@ class PartReader(EntryReader):
         return part
 
 
+def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
+    """Return what marks a type, or one that it may be."""
+    inner = [_marks(one, ()) for one in get_args(annotation)]
+    own = getattr(annotation, "__metadata__", ())
+    return [*marks, *own, *(mark for found in inner for mark in found)]
+
+
 def read_spec(
-    document: Document, at: Location, spec: SystemSpec, roots: Sequence[Path]
+    document: Document,
+    at: Location,
+    spec: SystemSpec,
+    roots: Sequence[Path],
+    units: SceneUnits = METRES,
 ) -> SystemSetup | None:
     """Return the setup of an entry; None where faults leave none.
+
+    ``units`` are those of the scene, which arrays of files that it names count too.
 
     What the keys `colliders`, `characters`, `systems` and `meshes` name is what it runs
     into, where the spec has them; other keys are read as their types say.
     """
-    outside, reader = PartReader(document, roots), PartReader(document, roots)
+    spec = units.converted(spec)
+    outside, reader = (PartReader(document, roots, units) for _ in range(2))
     outer = outside.parts(at, spec, AROUND[:1])
     # Systems that are named are looked for, whatever else makes no sense.
     sound = outside.sound

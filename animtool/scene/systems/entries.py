@@ -31,6 +31,7 @@ from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
+from animtool.systems.conversion import METRES, SceneUnits
 from animtool.systems.fields import (
     CharacterModel,
     MovingMeshModel,
@@ -69,10 +70,16 @@ class EntryReader:
         roots: Folders that files may be in.
         sound: Whether nothing was noted.
         files: USD files that entries go with.
+        units: Of arrays of numbers; those of entries are in metres already.
     """
 
-    def __init__(self, document: Document, roots: Sequence[Path]) -> None:
-        self.document, self.roots = document, tuple(roots)
+    def __init__(
+        self,
+        document: Document,
+        roots: Sequence[Path],
+        units: SceneUnits = METRES,
+    ) -> None:
+        self.document, self.roots, self.units = document, tuple(roots), units
         self.sound = True
         self.files: list[Path] = []
 
@@ -309,12 +316,15 @@ class EntryReader:
         )
         if unknown or points is None or triangles is None:
             return None
+        points = points * self.units.length
         return Mesh(points, np.asarray(triangles, np.int64))
 
     def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh of the heights that a file has."""
         what = "a height field has heights, such as hill.npz"
         heights = self._named_array(at, given, "heights", what)
+        if heights is not None:
+            heights = heights * self.units.length
         rest = {key: value for key, value in given.items() if key != "heights"}
         field = self.record(at, HeightField, rest, "height_field")
         if heights is None or field is None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.errors import Fault, FormatError, Severity, ToleranceError, excerpt
 from animtool.quantities import plain
+from animtool.rig.skeleton import Rig
 from animtool.scene.entries import SceneSystem
 from animtool.scene.prims import MeshReport
 from animtool.scene.progress import Phases, Progress, TimeProgress
@@ -87,8 +88,9 @@ class SystemRun:
         last: float,
         own: CharacterMotion | None = None,
         progress: Progress = None,
+        main_rig: Rig | None = None,
     ) -> None:
-        """Begin: ``last`` [s]."""
+        """Begin: ``last`` [s]; ``main_rig`` is the rig of the scene's own character."""
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
@@ -109,7 +111,9 @@ class SystemRun:
         if progress is not None:
             progress(0.0)
             self._phases = Phases(progress)
-        self._open: list[EntryRun] = open_systems(systems, last, own, self._shown(last))
+        self._open: list[EntryRun] = open_systems(
+            systems, last, own, self._shown(last), self._warnings, main_rig
+        )
 
     def _shown(self, last: float) -> SystemProgress | None:
         """Return where systems tell how far they are."""

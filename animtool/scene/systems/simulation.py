@@ -9,10 +9,12 @@ from typing import Any, cast
 
 from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
+from animtool.rig.skeleton import Rig
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.links import in_order, member_of
+from animtool.scene.systems.proportions import misplaced
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.systems.fields import SystemSpec
 from animtool.systems.kinds import SYSTEM_KINDS
@@ -153,13 +155,19 @@ def open_systems(
     last: float = 0.0,
     own: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
+    warnings: list[Fault] | None = None,
+    main_rig: Rig | None = None,
 ) -> list[EntryRun]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
-    ``last`` [s].
+    ``last`` [s]; what is odd about how they begin, and beside a rig, is added to
+    ``warnings``.
     """
     context = BuildContext(last, characters_with(own), progress=progress)
-    return build_systems(systems, context)
+    built = build_systems(systems, context)
+    if warnings is not None:
+        warnings += misplaced(systems, context.characters, main_rig)
+    return built
 
 
 def build_systems(

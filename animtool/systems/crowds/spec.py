@@ -191,10 +191,11 @@ class ImpactModel(FileModel):
     """What becomes of agents that something hits: how fast it comes [m/s]."""
 
     stagger: Positive = key(
-        "From this on they react, if a clip does.", 0.6, default=1.0
+        "From this on they react, if a clip does [m/s].", 0.6, default=1.0
     )
     fall: Positive = key(
-        "From this on their bodies fall, as their rig's colliders and limits have it.",
+        "From this on their bodies fall, as their rig's colliders and limits have it "
+        "[m/s].",
         3,
         default=2.5,
     )

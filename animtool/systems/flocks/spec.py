@@ -182,12 +182,14 @@ class SpeciesModel(PlacedModel):
         "Other species that they heed as their own.", ["jackdaw"], default=[]
     )
     flees: list[OtherModel] = key(
-        "Species that they flee: repulsion from each.",
+        "Species that they flee: repulsion from each; its weight is their acceleration "
+        "times the distance [m²/s²].",
         [{"species": "hawk", "weight": 40, "radius": 6}],
         default=[],
     )
     chases: list[OtherModel] = key(
-        "Species whose nearest member they are drawn to.",
+        "Species whose nearest member they are drawn to; its weight is their "
+        "acceleration over the way there [1/s²].",
         [{"species": "starling", "weight": 3, "radius": 20}],
         default=[],
     )

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.documents.fields import record_of
 from animtool.errors import Fault, OptionError, counted
 from animtool.options import OF_ENTRY, range_faults
-from animtool.systems.fields import Member
+from animtool.systems.fields import Member, PinnedPoints
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODIES, BodyEntry, SpringBody
 from animtool.systems.springs.checks import check_keeping_apart, check_options
@@ -35,6 +36,21 @@ class SpringEntry:
     def joined(self) -> list[tuple[str, str]]:
         """Systems that it is one with, and the keys that say so."""
         return [(join.to.system, f"{join.where}.system") for join in self.joins]
+
+    @property
+    def positions(self) -> FloatArray:
+        """Where particles are as built ``(N, 3)`` [m]."""
+        return self.body.body.positions
+
+    @property
+    def pinned(self) -> list[PinnedPoints]:
+        """Particles that others carry, such as joints of a character."""
+        points = self.positions
+        return [
+            PinnedPoints(pin.where, pin.carrier, partial(pin.inside, points=points))
+            for pin in self.pins
+            if pin.carrier is not None
+        ]
 
     @property
     def reads(self) -> list[str]:

@@ -40,6 +40,7 @@ class Pin:
     model: PinModel
     particles: IntArray  # which ``(P,)``
     carrier: Any = None  # what carries them, for `SimContext.poses`
+    where: str = "pins"  # key that says so
 
     @property
     def offset(self) -> list[float] | None:
@@ -107,7 +108,7 @@ def read_pins(
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
         else:
             carrier = _carrier(entry, at, model, parts)
-            pins.append(Pin(model, particles, carrier))
+            pins.append(Pin(model, particles, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
 
 

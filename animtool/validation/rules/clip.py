@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
@@ -84,6 +84,13 @@ SAMPLED = 2.0
 # Angles that go farther from a key to the next, while what they mean is nearer, take a
 # way round: by a whole turn, or by half a turn of two of three [rad].
 FAR, NEAR = math.radians(150.0), math.radians(90.0)
+# Keys that are farther apart in time wrap where they go by more than this, which the
+# short way is less than a sixth of a turn of [rad]; angles that flip, two by half a
+# turn, do where the other three are as near.
+ROUND, ROUND_NEAR = math.radians(300.0), math.radians(60.0)
+# What goes on at this part of a speed before or behind is a spin [1].
+SPIN = 0.5
+DEG = "\N{DEGREE SIGN}"
 # Ends of a cycle that differ by less are seen as one [rad]; of all its values [1].
 OPEN = 1e-3
 
@@ -155,29 +162,139 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
     for i, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
-        flips = _flips(channel)
+        flips = np.union1d(_flips(channel), _wraps(channel, subject.rig))
         if not len(flips):
             continue
         k = int(flips[0])
-        steps = np.abs(channel.values[k + 1] - channel.values[k])
-        more = f", and {len(flips) - 1} times more" if len(flips) > 1 else ""
-        message = (
-            f"{channel.target!r} goes {math.degrees(steps.max()):.0f}\N{DEGREE SIGN} "
-            f"round from frame {channel.times[k]:g} to {channel.times[k + 1]:g}, where "
-            f"{math.degrees(_shortest(channel, k)):.0f}\N{DEGREE SIGN} would do{more}"
-        )
-        hint = "an angle that is a whole turn more or less goes the short way"
+        message = _round(channel, k)
+        if len(flips) > 1:
+            frames = listed([f"{channel.times[j + 1]:g}" for j in flips[1:].tolist()])
+            message += f"; {len(flips) - 1} times more, up to frames {frames}"
         at = ("channels", i, "keys", k + 1, "v")
+        hint = _unwrapping(channel, k, subject.units.angle)
         yield subject.fault("CLIP206", at, message, hint)
 
 
+def _round(channel: ClipChannel, k: int) -> str:
+    """Return what to say of an angle that goes round behind a key."""
+    one, two = np.degrees(channel.values[k]), np.degrees(channel.values[k + 1])
+    axis = int(np.argmax(np.abs(two - one)))
+    frames = float(channel.times[k + 1] - channel.times[k])
+    turn = abs(float(two[axis] - one[axis]))
+    name = f" {channel.euler[axis].lower()}" if channel.euler else ""
+    return (
+        f"{channel.target!r}{name} goes {turn:.4g}{DEG} round, from {one[axis]:.5g}"
+        f"{DEG} at frame {channel.times[k]:g} to {two[axis]:.5g}{DEG} at frame "
+        f"{channel.times[k + 1]:g}, {turn / frames:.3g}{DEG} a frame, where "
+        f"{math.degrees(_shortest(channel, k)):.3g}{DEG} would do"
+    )
+
+
+def _unwrapping(channel: ClipChannel, k: int, unit: float) -> str:
+    """Return how to write the key behind another so that it goes the short way.
+
+    unit: of the file [rad].
+    """
+    one, two = channel.values[k], channel.values[k + 1]
+    nearer = one + np.remainder(two - one + math.pi, math.tau) - math.pi
+    flipped = _flipped(channel, one, two)
+    if flipped is not None and _far(one, flipped) < _far(one, nearer):
+        nearer = flipped
+    written, better = (
+        ", ".join(f"{value / unit:.6g}" for value in values) for values in (two, nearer)
+    )
+    if channel.euler:
+        written, better = f"[{written}]", f"[{better}]"
+    return f"write {written} as {better}, which is the same pose"
+
+
+def _far(one: FloatArray, two: FloatArray) -> float:
+    return float(np.abs(two - one).max())
+
+
 def _flips(channel: ClipChannel) -> IntArray:
-    """Return the keys behind which angles go round for nothing."""
+    """Return the keys of a sampled curve behind which angles go round for nothing."""
     near = np.diff(channel.times) <= SAMPLED
     far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
-    moving = np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
-    flips = np.flatnonzero(near & far & moving)
+    flips = np.flatnonzero(near & far & _moving(channel))
     return flips[[_shortest(channel, k) < NEAR for k in flips.tolist()]]
+
+
+def _moving(channel: ClipChannel) -> BoolArray:
+    """Return which keys but the last do not hold until the next ``(K - 1,)``."""
+    return np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
+
+
+def _wraps(channel: ClipChannel, rig: Rig) -> IntArray:
+    """Return the keys behind which an angle wraps, whatever the time to the next.
+
+    Keys that go round on purpose count whole turns on, or end on one; a spin is at the
+    same speed before or behind. What wraps was brought into half a turn on either side
+    of 0, or into one turn from 0, and goes the other way before and behind.
+    """
+    steps = np.diff(channel.values, axis=0)
+    short = np.remainder(steps + math.pi, math.tau) - math.pi
+    wraps = (np.abs(steps) > ROUND) & (np.abs(short) > OPEN) & _moving(channel)[:, None]
+    limits = _range_of(channel, rig)
+    found = [
+        k
+        for k, axis in np.argwhere(wraps).tolist()
+        if _wrapped(channel, k, axis, float(short[k, axis]), limits)
+    ]
+    flipped = [
+        k
+        for k in np.flatnonzero(_moving(channel)).tolist()
+        if _flipped(channel, channel.values[k], channel.values[k + 1]) is not None
+    ]
+    return np.unique(np.array([*found, *flipped], np.int64))
+
+
+def _wrapped(
+    channel: ClipChannel,
+    k: int,
+    axis: int,
+    short: float,
+    limits: RangeLimit | None,
+) -> bool:
+    """Return whether an axis wraps behind a key, the short way being ``short``."""
+    values = channel.values[:, axis]
+    one, two = float(values[k]), float(values[k + 1])
+    if limits is not None and not limits.low <= one + short <= limits.high:
+        return False
+    rates = np.diff(values) / np.diff(channel.times)
+    neighbours = [float(rates[j]) for j in (k - 1, k + 1) if 0 <= j < len(rates)]
+    if any(rate / rates[k] >= SPIN for rate in neighbours):
+        return False
+    if one * two < 0 and max(abs(one), abs(two)) <= math.pi + OPEN:
+        return True
+    # Within another turn only what goes on the other way, before and behind, tells.
+    return len(neighbours) == 2 and all(rate * short > 0 for rate in neighbours)
+
+
+def _range_of(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
+    """Return the limits of the angle of a pin; None where it has none."""
+    joint, _, part = channel.target.removeprefix("joint/").rpartition(".")
+    if part != "angle":
+        return None
+    limits = rig.joints[rig.index(joint)].limits
+    return limits if isinstance(limits, RangeLimit) else None
+
+
+def _flipped(
+    channel: ClipChannel, one: FloatArray, two: FloatArray
+) -> FloatArray | None:
+    """Return the other three angles of a rotation, where they are much nearer to one.
+
+    Two of three differ by half a turn, and the middle one is mirrored; None where
+    that is not so.
+    """
+    if len(two) != 3 or len(set(channel.euler)) < 3:
+        return None
+    other = np.array([two[0] + math.pi, math.pi - two[1], two[2] + math.pi])
+    other = one + np.remainder(other - one + math.pi, math.tau) - math.pi
+    steps = np.abs(two - one)
+    twisted = steps[[0, 2]].min() > FAR
+    return other if twisted and _far(one, other) < ROUND_NEAR else None
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:

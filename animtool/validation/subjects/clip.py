@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import BoolArray
+from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
     check_clip,
     clip_of_document,
+    file_units,
     load_clip,
     load_rig_of,
 )
@@ -35,6 +37,7 @@ class ClipSubject(DocumentSubject):
     clip: Clip  # what it makes
     rig: Rig  # what it moves
     take: Take  # the clip at its frames
+    units: ClipUnits  # of the numbers in the file
 
     @cached_property
     def frames(self) -> list[float]:
@@ -97,7 +100,8 @@ def open_clip_document(document: Document) -> CheckedFile:
     take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), checked)
     if take is not None:
         checked.faults += take.notices
-        subject = ClipSubject(document, clip, rig, take)
+        units = file_units(file.model, rig)
+        subject = ClipSubject(document, clip, rig, take, units)
         motion = MotionSubject(take, subject.fault_at, meant=subject.cuts)
         checked.subject, checked.takes = subject, (motion,)
     return checked

@@ -19,6 +19,9 @@ from animtool.rules import Kind
 from animtool.scene.entries import SceneOutput
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene
+from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.proportions import misplaced
+from animtool.scene.systems.simulation import characters_with
 from animtool.take import Take
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
@@ -75,8 +78,8 @@ def open_scene(document: Document) -> CheckedFile:
     path = str(document.path)
     checked = CheckedFile(Kind.SCENE)
     if not scene.sources:
-        # It has no take: its reader has checked all that there is to check.
-        checked.faults = list(scene.notices)
+        # It has no take: its reader has checked all but how systems fit.
+        checked.faults = [*scene.notices, *_misplaced(scene)]
         return checked
     try:
         checked.subject, notices = _played(document, scene)
@@ -87,9 +90,23 @@ def open_scene(document: Document) -> CheckedFile:
         # sense alone.
         located = {None, path, *checked.subject.targets}
         faults = [fault for fault in notices if fault.path in located]
+        faults += _misplaced(scene, checked.subject.take)
     faults = [f if f.path else replace(f, path=path) for f in faults]
     checked.faults = [*scene.notices, *faults]
     return checked
+
+
+def _misplaced(scene: Scene, take: Take | None = None) -> list[Fault]:
+    """Return warnings of systems that do not fit the characters beside them."""
+    if not scene.systems:
+        return []
+    own = None if take is None else motion_of(scene.path, take)
+    rig = None if take is None else take.rig
+    try:
+        return misplaced(scene.systems, characters_with(own), rig)
+    except AnimtoolError:
+        # What keeps the file of a character from being read is said of that file.
+        return []
 
 
 def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:

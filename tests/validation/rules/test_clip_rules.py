@@ -57,6 +57,74 @@ CASES: dict[str, tuple[str, list[str]]] = {
         ),
         [],
     ),
+    "an angle that wraps in 12 frames": (
+        EULER.format("wheel.angle", "", "{t: 1, v: 179}, {t: 13, v: -179}"),
+        ["CLIP206"],
+    ),
+    "an angle that wraps on its way": (
+        EULER.format(
+            "wheel.angle",
+            "",
+            "{t: 1, v: 150}, {t: 13, v: 170}, {t: 25, v: -170}, {t: 37, v: -150}",
+        ),
+        ["CLIP206"],
+    ),
+    "an angle that wraps at a whole turn": (
+        EULER.format(
+            "wheel.angle",
+            "",
+            "{t: 1, v: 330}, {t: 13, v: 350}, {t: 25, v: 10}, {t: 37, v: 30}",
+        ),
+        ["CLIP206"],
+    ),
+    "three angles that flip in 12 frames": (
+        EULER.format(
+            "hips.rotation",
+            "euler: XYZ, ",
+            "{t: 1, v: [10, 80, 0]}, {t: 13, v: [-170, 95, 180]}",
+        ),
+        ["CLIP206"],
+    ),
+    "the second of three angles that wraps": (
+        EULER.format(
+            "hips.rotation",
+            "euler: ZXY, ",
+            "{t: 1, v: [0, -170, 5]}, {t: 13, v: [0, 165, 5]}",
+        ),
+        ["CLIP206"],
+    ),
+    "an angle that wraps, but steps": (
+        EULER.format(
+            "wheel.angle", "", "{t: 1, v: 179, interp: step}, {t: 13, v: -179}"
+        ),
+        [],
+    ),
+    "a wheel that turns once from half to half": (
+        EULER.format("wheel.angle", "", "{t: 1, v: -180}, {t: 49, v: 180}"),
+        [],
+    ),
+    "a turntable to its last frame": (
+        EULER.format("wheel.angle", "", "{t: 1, v: 0}, {t: 48, v: 352.5}"),
+        [],
+    ),
+    "a turntable that comes back": (
+        EULER.format("wheel.angle", "", "{t: 1, v: 0}, {t: 48, v: 350}, {t: 96, v: 0}"),
+        [],
+    ),
+    "a spin that begins below zero": (
+        EULER.format(
+            "wheel.angle", "", "{t: 1, v: -150}, {t: 49, v: 160}, {t: 97, v: 470}"
+        ),
+        [],
+    ),
+    "a tumble by half a turn": (
+        EULER.format(
+            "hips.rotation",
+            "euler: XYZ, ",
+            "{t: 1, v: [0, 0, 0]}, {t: 25, v: [180, 0, 180]}",
+        ),
+        [],
+    ),
     "angles that flip two of three": (
         EULER.format(
             "hips.rotation",
@@ -126,3 +194,28 @@ def test_overshoot_names_its_key_and_frames(clip: Path) -> None:
     assert fault.lines == (4,)
     assert fault.where == "channels[0].keys[1]"
     assert "frames 10 to 16" in fault.message
+
+
+def test_a_pin_wraps_where_its_limits_leave_a_shorter_way(tmp_path: Path) -> None:
+    turns = EULER.format("wheel.angle", "", "{t: 1, v: 170}, {t: 25, v: -170}")
+    for limits, codes in (("[-180, 180]", set()), ("[-180, 200]", {"CLIP206"})):
+        pin = f"axis: [1, 0, 0], limits: {limits}}}"
+        rig = RIG.replace("axis: [1, 0, 0]}", pin)
+        (tmp_path / "page.rig.yaml").write_text(rig)
+        path = tmp_path / "turn.clip.yaml"
+        path.write_text(HEAD + turns)
+        found = validate(path)
+        assert {f.code for f in found if f.code.startswith("CLIP2")} == codes
+
+
+def test_a_wrap_has_its_numbers_in_the_units_of_the_file(tmp_path: Path) -> None:
+    rig = RIG.replace("name: page\n", "name: page\nunits: {angle: rad}\n")
+    (tmp_path / "page.rig.yaml").write_text(rig.replace("swing: 60", "swing: 1"))
+    path = tmp_path / "wrap.clip.yaml"
+    keys = "{t: 1, v: [0, 0, 3.12]}, {t: 13, v: [0, 0, -3.12]}"
+    path.write_text(HEAD + EULER.format("hips.rotation", "euler: XYZ, ", keys))
+    (found,) = [fault for fault in validate(path) if fault.code == "CLIP206"]
+    for said in ("'joint/hips.rotation' z", "357.5", "178.76", "frame 13", "29.8"):
+        assert said in found.message
+    assert found.hint is not None
+    assert "[0, 0, 3.16319]" in found.hint

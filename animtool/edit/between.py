@@ -1,0 +1,167 @@
+"""A take at and between its frames: curves are evaluated, samples joined straight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.edit.travel import Places, nearby_places
+from animtool.maths import so3
+from animtool.motion import Channel, Motion, MotionCurve
+from animtool.take import Take
+
+# A sample this near to its curve, next to the larger of 1 and its own size, is the
+# curve's: what rounding leaves of times in the millions is less, and it is a tenth of
+# what a curve's value may be off [m], [rad], [1].
+SAME = 1e-10
+# Curves are compared with samples in blocks of so many frames.
+BLOCK_FRAMES = 512
+# Times are rounded to so many decimals [frame]: what is left of a decimal that a
+# person wrote is that decimal again, so that a step is on its own side of its key.
+TIME_DECIMALS = 11
+
+CURVED = ("translations", "rotations", "scales", "weights", "controls")
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """A take that can be sampled at any time.
+
+    A row is a joint, a shape or a control of a channel. Where the take has a curve and
+    all samples of a row are the curve's, the row is evaluated between the frames. Other
+    rows, which have no curve or which a pass changed, go along straight lines, their
+    rotations along the shortest arc at constant speed. On a frame every row is its
+    sample exactly.
+
+    Attributes:
+        take: F frames.
+        curved: Which rows of each channel are evaluated, by the channel's name; a
+            channel without such rows is left out.
+    """
+
+    take: Take
+    curved: Mapping[str, BoolArray]
+
+    @staticmethod
+    def of(take: Take) -> Between:
+        """Return a take between its frames, its samples compared with its curve.
+
+        >>> from fractions import Fraction
+        >>> from animtool.clip.clip import Clip
+        >>> from animtool.rig.skeleton import Joint, Rig
+        >>> clip = Clip("still", Fraction(24), Fraction(1), Fraction(9), ())
+        >>> take = clip.sample(Rig("one", (Joint("a", -1),)))
+        >>> Between.of(take).curved["rotations"].tolist()
+        [True]
+        """
+        if take.curve is None:
+            return Between(take, {})
+        times, curved = take.clock.times, dict[str, BoolArray]()
+        for begin in range(0, len(times), BLOCK_FRAMES):
+            part = slice(begin, begin + BLOCK_FRAMES)
+            given, own = take.curve(times[part]), take.motion.select(part)
+            for name in CURVED:
+                same = _same_rows(getattr(own, name), getattr(given, name))
+                if same is not None:
+                    curved[name] = curved.get(name, same) & same
+        return Between(take, {k: rows for k, rows in curved.items() if rows.any()})
+
+    def at(
+        self, places: Places, *, smooth: bool = False, shared: bool = False
+    ) -> Motion:
+        """Return the take at places between its frames.
+
+        smooth: rows of joints that are not evaluated go along curves of class C1;
+        shared: rows move that move from frame to frame, and no others, as blocks of
+        one motion have to share them.
+        """
+        motion = self.take.motion
+        found = motion.map(places.blend)
+        if smooth:
+            scales = motion.scales
+            found = replace(
+                found,
+                translations=places.curve(motion.translations),
+                rotations=places.curve(motion.rotations),
+                scales=None if scales is None else places.curve(scales),
+            )
+        between = places.fractions > 0
+        if not self.curved or not between.any():
+            return found
+        times = self._times(places)[between]
+        return self._evaluated(found, between, times, shared=shared)
+
+    def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
+        """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
+
+        None where no row is evaluated.
+        """
+        if not self.curved:
+            return None
+        clock = self.take.clock
+        start, step = float(clock.start), float(clock.step)
+
+        def sample(times: FloatArray) -> Motion:
+            return self.at(nearby_places((shown(times) - start) / step, clock.count))
+
+        return sample
+
+    def _times(self, places: Places) -> FloatArray:
+        """Return the time codes of places ``(N,)``."""
+        clock = self.take.clock
+        frames = places.frames + places.fractions
+        times = float(clock.start) + frames * float(clock.step)
+        return np.asarray(np.round(times, TIME_DECIMALS))
+
+    def _evaluated(
+        self, found: Motion, between: BoolArray, times: FloatArray, *, shared: bool
+    ) -> Motion:
+        """Return a motion with its rows that have curves evaluated between frames."""
+        assert self.take.curve is not None
+        given = self.take.curve(times)
+        changed: dict[str, Channel] = {}
+        for name, rows in self.curved.items():
+            own: Channel = getattr(found, name)
+            channel: Channel = getattr(given, name)
+            moves = (own.rest != channel.rest).any(axis=-1)
+            moves[channel.animated] = True
+            moves &= not shared
+            moves[own.animated] = True
+            moving = np.flatnonzero(moves & rows)
+            whole, values = own.gather(moving), channel.gather(moving)
+            if name == "rotations":
+                values = so3.align_to(values, whole[between])
+            whole[between] = values
+            changed[name] = own.put(moving, whole)
+        return replace(
+            found,
+            translations=changed.get("translations", found.translations),
+            rotations=changed.get("rotations", found.rotations),
+            scales=changed.get("scales", found.scales),
+            weights=changed.get("weights", found.weights),
+            controls=changed.get("controls", found.controls),
+        )
+
+
+def _same_rows(own: Channel | None, given: Channel | None) -> BoolArray | None:
+    """Return which rows of two channels have the same values in every frame ``(J,)``.
+
+    None where there is nothing to compare.
+    """
+    if own is None or given is None or own.rest.shape != given.rest.shape:
+        return None
+    moving = np.union1d(own.animated, given.animated)
+    same: BoolArray = _near(own.rest[None], given.rest[None])[0]
+    same[moving] = _near(own.gather(moving), given.gather(moving)).all(axis=0)
+    return same
+
+
+def _near(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Return which values ``(F, J, K)`` are the same ``(F, J)``."""
+    if a.shape[-1] == 4:
+        b = so3.align_to(b, a)
+    bound = SAME * np.maximum(1.0, np.abs(a).max(axis=-1))
+    return np.asarray(np.abs(a - b).max(axis=-1) <= bound)

@@ -1,0 +1,139 @@
+"""By how much straight lines between the frames of a take may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.clock import frame_label
+from animtool.edit.between import Between
+from animtool.edit.travel import Places
+from animtool.errors import Fault, Severity, listed
+from animtool.maths import so3
+from animtool.motion import Channel
+from animtool.quantities import angle_text, length_text, plain
+from animtool.rig.kinematics import rest_size
+
+# What is off by less is not said: a tenth of a degree moves the end of a limb by less
+# than markers tremble, 3 parts in 10,000 of a body are half a millimetre of a person,
+# and a weight is seen from about a hundredth on [rad], [1], [1].
+NEGLIGIBLE_ANGLE = np.radians(0.1)
+NEGLIGIBLE_SHARE = 3e-4
+NEGLIGIBLE_WEIGHT = 5e-3
+# Of samples, so many are looked at in one go.
+BLOCK_FRAMES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class StraightError:
+    """The largest error of one kind of channel between frames."""
+
+    channel: str  # field of a motion
+    row: int  # joint, shape or control
+    frame: float  # of the take, where it is
+    size: float  # estimate [m], [rad], [1]
+
+
+def straight_errors(between: Between, places: Places) -> list[StraightError]:
+    """Return the largest error of each kind of channel that goes in straight lines.
+
+    A smooth curve f leaves the straight line between two frames by at most s (1 - s)
+    / 2 · |f''| at the share s of the way; f'' is taken from the differences of the
+    frames around. Rotations likewise, by the change of the turn from frame to frame.
+    A motion that jumps is off by more than a smooth one would be.
+    """
+    motion = between.take.motion
+    errors = []
+    for name in ("translations", "rotations", "scales", "weights", "controls"):
+        channel: Channel | None = getattr(motion, name)
+        if channel is None:
+            continue
+        straight = np.ones(len(channel.animated), bool)
+        if name in between.curved:
+            straight = ~between.curved[name][channel.animated]
+        found = _largest(channel, np.flatnonzero(straight), places)
+        if found is not None:
+            frame, column, size = found
+            row = int(channel.animated[column])
+            errors.append(StraightError(name, row, frame, size))
+    return errors
+
+
+def straight_notices(between: Between, places: Places) -> list[Fault]:
+    """Return the note of what straight lines may be off by (TAKE007), if it matters."""
+    take = between.take
+    rig = take.rig
+    least = {
+        "translations": NEGLIGIBLE_SHARE * (rest_size(rig) or 1.0),
+        "rotations": NEGLIGIBLE_ANGLE,
+    }
+    said = []
+    for error in straight_errors(between, places):
+        if error.size <= least.get(error.channel, NEGLIGIBLE_WEIGHT):
+            continue
+        size = plain(error.size)
+        kind, names = "joint", list(rig.names)
+        if error.channel == "translations":
+            size = length_text(error.size)
+        elif error.channel == "rotations":
+            size = angle_text(float(np.degrees(error.size)))
+        elif error.channel != "scales":
+            kind = error.channel.replace("weights", "shapes")[:-1]
+            names = [one.name for one in getattr(rig, f"{kind}s")]
+        else:
+            kind = "scale of joint"
+        code = float(take.clock.start) + error.frame * float(take.clock.step)
+        said.append(
+            f"{size} ({kind} {names[error.row]!r}, frame {frame_label(round(code, 2))})"
+        )
+    if not said:
+        return []
+    message = (
+        "the take has samples and no curves there, so between two frames it goes "
+        f"straight, which may be off by about {listed(said)}"
+    )
+    hint = "a resample pass with smooth: true goes along curves; --keep-samples keeps "
+    hint += "the frames as they are"
+    return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
+
+
+def _largest(
+    channel: Channel, columns: IntArray, places: Places
+) -> tuple[float, int, float] | None:
+    """Return frame, column and size of the largest error of some columns."""
+    (inside,) = np.nonzero(places.fractions > 0)
+    count = len(channel.values)
+    if not len(inside) or not len(columns) or count < 3:
+        return None
+    worst: tuple[float, int, float] | None = None
+    for at in _blocks(inside):
+        frames, share = places.frames[at], places.fractions[at]
+        # The bends at the frame before and behind each place.
+        low = int(np.clip(frames.min(), 1, count - 2))
+        high = int(np.clip(frames.max() + 1, 1, count - 2))
+        bends = _bends(channel.values[low - 1 : high + 2][:, columns])
+        before, behind = (
+            bends[np.clip(one, low, high) - low] for one in (frames, frames + 1)
+        )
+        sizes = np.maximum(before, behind) * (share * (1 - share) / 2)[:, None]
+        i, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        size = float(sizes[i, column])
+        if worst is None or size > worst[2]:
+            worst = float(frames[i] + share[i]), int(columns[column]), size
+    return worst
+
+
+def _blocks(indices: IntArray) -> Iterator[IntArray]:
+    for begin in range(0, len(indices), BLOCK_FRAMES):
+        yield indices[begin : begin + BLOCK_FRAMES]
+
+
+def _bends(values: FloatArray) -> FloatArray:
+    """Return the sizes of second differences of values ``(F, A, K)``, ``(F-2, A)``."""
+    if values.shape[-1] == 4:
+        turns = so3.log(so3.multiply(so3.conjugate(values[:-1]), values[1:]))
+        return np.asarray(np.linalg.norm(np.diff(turns, axis=0), axis=-1))
+    return np.asarray(np.linalg.norm(np.diff(values, 2, axis=0), axis=-1))

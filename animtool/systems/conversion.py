@@ -1,0 +1,220 @@
+"""Numbers of scenes that state their units, brought into metres and degrees.
+
+Systems count metres, kilograms, seconds and degrees. What a key counts is said in
+brackets by its description, or by `RECORD_UNITS`; every length in that, of newtons and
+pascals too, is one of the scene's unit.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar, get_args
+
+from animtool.documents.check import FileModel
+from animtool.systems.fields import TimedVector
+from animtool.units import LengthUnit
+
+# Powers of the length in units with a name; of all others it is 0.
+_POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}
+_SUPERSCRIPTS = {"²": 2, "³": 3}
+_BRACKETS = re.compile(r"\[([^\]]+)\]")
+_FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
+
+# Of options that have no description: what each number counts, empty without a unit.
+RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
+    "box": {"size": "m"},
+    "capsule": {"radius": "m", "length": "m", "axis": "", "centre": "m"},
+    "disc": {"radius": "m"},
+    "height_field": {"size": "m"},
+    "plane": {"normal": "", "offset": "m"},
+    "sphere": {"radius": "m", "centre": "m"},
+    # What a distance is raised to is among these, see `_central`.
+    "central": {"centre": "m", "strength": "m/s²", "power": "", "softening": "m"},
+    "charges": {"constant": "N m²/C²", "softening": "m"},
+    "drag": {"linear": "kg/s", "quadratic": "kg/m"},
+    "electromagnetic": {"electric": "V/m", "magnetic": "T"},
+    "friction": {"deceleration": "m/s²", "smooth": "m/s"},
+    "gravity": {"acceleration": "m/s²"},
+    "propulsion": {"thrust": "N", "direction": "", "duration": "s"},
+    "spring": {"anchor": "m", "k": "N/m", "rest": "m", "kd": "kg/s"},
+    "turbulence": {
+        "strength": "m/s²",
+        "size": "m",
+        "change": "1/s",
+        "octaves": "",
+        "seed": "",
+    },
+    "uniform": {"push": "N"},
+    "viscosity": {"viscosity": "Pa s"},
+    "wind": {"velocity": "m/s", "drag": "kg/s"},
+    "field": {},
+}
+# Options of passes that count in metres.
+PASS_UNITS: Mapping[str, Mapping[str, str]] = {
+    "ragdoll": {
+        "density": "kg/m³",
+        "stiffness": "N m/rad",
+        "damping": "N m s/rad",
+        "gravity": "m/s²",
+    },
+    "simulate": {"gravity": "m/s²", "wind": "m/s", "teleport_speed": "m/s"},
+}
+# What points may be coloured by.
+_COLOURS = {
+    "speed": "m/s",
+    "acceleration": "m/s²",
+    "density": "kg/m³",
+    "pressure": "Pa",
+    "energy": "J/kg",
+}
+
+Model = TypeVar("Model", bound=FileModel)
+
+
+def powers(unit: str) -> tuple[int, int]:
+    """Return the powers of the length and of the degree in a unit.
+
+    >>> powers("kg/m³"), powers("N m s/rad"), powers("m³/(kg s²)"), powers("deg/s")
+    ((-3, 0), (2, 0), (3, 0), (0, 1))
+    """
+    length = angle = 0
+    above, _, below = unit.partition(",")[0].partition("/")
+    for text, sign in ((above, 1), (below, -1)):
+        for name, raised in _FACTOR.findall(text):
+            times = sign * _SUPERSCRIPTS.get(raised, 1)
+            length += times * _POWERS.get(name, 0)
+            angle += times * (name == "deg")
+    return length, angle
+
+
+@dataclass(frozen=True, slots=True)
+class SceneUnits:
+    """What the numbers of a scene's systems and passes count.
+
+    Attributes:
+        length: A length of 1 [m].
+        angle: An angle of 1 [deg].
+        stated: What the scene says of lengths; None is nothing.
+    """
+
+    length: float = 1.0
+    angle: float = 1.0
+    stated: LengthUnit | None = None
+
+    @staticmethod
+    def of(length: str | None, angle: str | None) -> SceneUnits:
+        """Return the units of names; None is that of systems."""
+        unit = None if length is None else LengthUnit(length)
+        degrees = math.degrees(1.0) if angle == "rad" else 1.0
+        return SceneUnits(unit.meters if unit else 1.0, degrees, unit)
+
+    @property
+    def usual(self) -> bool:
+        """Whether nothing is to be converted."""
+        return self.length == self.angle == 1.0
+
+    def factor(self, unit: str) -> float:
+        """Return what a number of a unit is times, in metres and degrees.
+
+        >>> SceneUnits.of("cm", None).factor("m/s²")
+        0.01
+        """
+        length, angle = powers(unit)
+        # A quotient of whole numbers keeps more digits than a negative power.
+        scale = self.length**length if length >= 0 else 1 / self.length**-length
+        return scale * float(self.angle**angle)
+
+    def converted(self, model: Model, kind: str = "", weight: str = "") -> Model:
+        """Return the keys of an entry that are given, in metres and degrees.
+
+        Args:
+            model: The entry; what is in it is converted too.
+            weight: What its key ``weight`` counts, where only the key that it belongs
+                to says it.
+            kind: What the joint is that it belongs to, where keys count what that
+                moves by: ``prismatic`` has the second of two units.
+        """
+        if self.usual:
+            return model
+        kind = str(getattr(model, "type", kind))
+        update: dict[str, Any] = {}
+        for key in model.model_fields_set:
+            declared, value = type(model).model_fields[key], getattr(model, key)
+            inherited = weight if key == "weight" else ""
+            units = _BRACKETS.findall(declared.description or "") or [inherited]
+            unit = units[min(len(units) - 1, int(kind == "prismatic"))]
+            if key == "range" and hasattr(model, "ramp"):
+                unit = _COLOURS.get(str(getattr(model, "by", "")), "")
+            timed = _holds(declared.annotation, TimedVector)
+            update[key] = self._value(value, unit, kind, timed=timed)
+        return model.model_copy(update=update)
+
+    def _value(self, value: Any, unit: str, kind: str, *, timed: bool) -> Any:
+        if isinstance(value, FileModel):
+            return self.converted(value, kind, unit)
+        if isinstance(value, dict):
+            return {
+                name: self.options(name, given or {}) for name, given in value.items()
+            }
+        if isinstance(value, list) and any(
+            isinstance(one, FileModel | dict) for one in value
+        ):
+            return [self._value(one, unit, kind, timed=timed) for one in value]
+        if timed and value:
+            return [[row[0], *self._scaled(row[1:], unit)] for row in value]
+        return self._scaled(value, unit)
+
+    def options(self, name: str, given: dict[str, Any]) -> dict[str, Any]:
+        """Return options of a force, a shape or a place by its name, in metres."""
+        units = dict(RECORD_UNITS.get(name, {}))
+        options = {
+            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+        }
+        if name == "central" and isinstance(given.get("strength"), (int, float)):
+            options["strength"] = self._central(given)
+        return options
+
+    def _central(self, given: Mapping[str, Any]) -> float:
+        """Return the acceleration at one metre of one at a length of 1.
+
+        It goes with a power of the distance, which is a number of lengths.
+        """
+        power = given.get("power", -2.0)
+        power = power if isinstance(power, (int, float)) else -2.0
+        return float(given["strength"]) * float(self.length ** (1.0 - power))
+
+    def pass_options(self, name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return those of a pass's options that are given and count, in metres."""
+        units = PASS_UNITS.get(name, {})
+        return {
+            key: self._scaled(value, units.get(key, "")) for key, value in given.items()
+        }
+
+    def _scaled(self, value: Any, unit: str) -> Any:
+        """Return a number, or numbers in lists, of a unit; all else as it is."""
+        factor = self.factor(unit) if unit else 1.0
+        if factor == 1.0 or isinstance(value, bool):
+            return value
+        if isinstance(value, (int, float)):
+            return value * factor
+        if isinstance(value, (list, tuple)):
+            return [self._scaled(one, unit) for one in value]
+        return value
+
+    def array_factor(self, description: str | None) -> float:
+        """Return what numbers of a file are times, that a key of a text names."""
+        units = _BRACKETS.findall(description or "")
+        return self.factor(units[0]) if units else 1.0
+
+
+def _holds(annotation: Any, wanted: Any) -> bool:
+    return annotation == wanted or any(
+        _holds(one, wanted) for one in get_args(annotation)
+    )
+
+
+# Of scenes that state none.
+METRES = SceneUnits()
