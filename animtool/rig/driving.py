@@ -1,0 +1,384 @@
+"""What the drivers of a rig come to: in which order, and their values.
+
+Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
+and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
+limits, the twist, the angle of the swing, and the parts of the swing's rotation vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, circle
+from animtool.maths import so3
+from animtool.rig.controls import Control, Drive
+from animtool.rig.drivers import (
+    ANGLE,
+    SLIDE,
+    SWING,
+    SWINGS,
+    TWIST,
+    Driver,
+    split_coordinate,
+)
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
+from animtool.rig.shapes import combination_order
+from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
+from animtool.similar import similar
+
+# A twist axis this near to a main axis leaves the swing no part about it [1].
+ALONG = 1e-9
+# A range of twist wider than a turn less this has no middle [rad].
+GAP = 1e-6
+# Of each driven part of a rig: what drives it.
+Driven = Driver | Mimic
+# From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
+Read = Callable[[str], FloatArray]
+
+
+class DriverCycleError(ValueError):
+    """What is driven depends on itself.
+
+    Attributes:
+        cycle: Targets such as ``joint/elbow``, the first one again at the end.
+    """
+
+    def __init__(self, cycle: list[str]) -> None:
+        self.cycle = cycle
+        shown = circle([name.partition("/")[2] for name in cycle])
+        super().__init__(f"what is driven depends on itself: {shown}")
+
+
+def readable_parts(joint: Joint) -> list[str]:
+    """Return the parts of a joint that drivers may read.
+
+    >>> readable_parts(Joint("elbow", -1, JointType.PIN))
+    ['angle']
+    """
+    if joint.type is JointType.PIN:
+        return [ANGLE]
+    if joint.type is JointType.PRISMATIC:
+        return [SLIDE]
+    if joint.type is not JointType.BALL or not isinstance(joint.limits, BallLimit):
+        return []
+    across = np.abs(joint.limits.axes[0]) < 1 - ALONG
+    swings = [name for name, own in zip(SWINGS, across, strict=True) if own]
+    twists = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
+    return [*twists, SWING, *swings]
+
+
+def coordinate_fault(rig: Rig, name: str) -> Fault | None:
+    """Return why no driver can read a name; None where one can."""
+    joint, part = split_coordinate(name)
+    if not joint:
+        known = [control.name for control in rig.controls]
+        if name in known:
+            return None
+        message, hint = f"{name!r} is no control", _near(name, known)
+        if name in rig.names:
+            own = readable_parts(rig.joints[rig.index(name)])
+            message = f"{name!r} is a joint: say which coordinate"
+            hint = f"write {name}.{own[0]}" if own else None
+        return Fault("RIG012", message, hint=hint)
+    if joint not in rig.names:
+        hint = _near(joint, rig.names)
+        return Fault("RIG008", f"{joint!r} is no joint", hint=hint)
+    own = rig.joints[rig.index(joint)]
+    parts = readable_parts(own)
+    if part in parts:
+        return None
+    message = f"the {own.type} joint {joint!r} has no coordinate {part!r}"
+    hint = f"it has {', '.join(parts)}" if parts else "drivers read pins, slides, balls"
+    if own.type is JointType.BALL and not isinstance(own.limits, BallLimit):
+        hint = "say its twist axis: limits: {twist_axis: [1, 0, 0]}, along the bone"
+    elif part == TWIST and own.type is JointType.BALL:
+        message = f"the twist of {joint!r} is locked: it is always 0"
+    elif near := similar(part, parts):
+        hint = f"did you mean {near}? {hint}"
+    return Fault("RIG033", message, hint=hint)
+
+
+def _near(name: str, names: Sequence[str]) -> str | None:
+    near = similar(name, names)
+    return f"did you mean {near}?" if near else None
+
+
+def driving_order(rig: Rig) -> list[str]:
+    """Return what is driven as targets, each behind all that its value depends on.
+
+    Joints that mimic such a joint are among them, and controls that a driven control
+    drives. Shapes are last.
+
+    Raises:
+        DriverCycleError: Something depends on itself.
+    """
+    needs: dict[str, dict[str, None]] = {}
+    for joint in rig.joints:
+        own = needs.setdefault(f"joint/{joint.name}", {})
+        if joint.mimic is not None:
+            own[f"joint/{joint.mimic.joint}"] = None
+        own |= _needs(joint.driven)
+    for control in rig.controls:
+        own = needs.setdefault(f"control/{control.name}", {})
+        own |= _needs(control.driven)
+        for drive in control.drives:
+            kind, _, name = drive.target.partition("/")
+            target = f"joint/{split_coordinate(name)[0]}" if kind == "joint" else name
+            target = f"control/{name}" if kind == "control" else target
+            if kind != "shape":
+                read = dict.fromkeys(f"control/{n}" for n in reads(control, drive))
+                needs.setdefault(target, {}).update(read)
+    try:
+        order = list(TopologicalSorter(needs).static_order())
+    except CycleError as error:
+        # The sorter names each before those that need it, the other way round.
+        raise DriverCycleError(list(reversed(error.args[1]))) from error
+    owned = {
+        *(f"joint/{joint.name}" for joint in rig.joints if joint.driven is not None),
+        *(f"control/{one.name}" for one in rig.controls if one.driven is not None),
+    }
+    for target in order:
+        kind = target.partition("/")[0]
+        if kind == "control":
+            by = needs[target]
+        else:
+            mimic = rig.joints[rig.index(target.removeprefix("joint/"))].mimic
+            by = {} if mimic is None else {f"joint/{mimic.joint}": None}
+        if owned & by.keys():
+            owned.add(target)
+    shapes = {shape.name for shape in rig.shapes if shape.driven is not None} | {
+        drive.target.removeprefix("shape/")
+        for control in rig.controls
+        for drive in control.drives
+        if drive.target.startswith("shape/")
+        and any(f"control/{name}" in owned for name in reads(control, drive))
+    }
+    own_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
+    return [*(target for target in order if target in owned), *own_shapes]
+
+
+def _needs(driver: Driver | None) -> dict[str, None]:
+    if driver is None:
+        return {}
+    joints = ((split_coordinate(name)[0], name) for name in driver.names)
+    return {f"joint/{j}" if j else f"control/{name}": None for j, name in joints}
+
+
+def reads(control: Control, drive: Drive) -> tuple[str, ...]:
+    """Return the controls that what a control adds depends on."""
+    return (control.name,) if drive.expression is None else drive.expression.names
+
+
+@dataclass(frozen=True, slots=True)
+class DriverPlan:
+    """The driven parts of a rig, each behind what it depends on."""
+
+    rig: Rig
+    joints: tuple[int, ...]  # those driven, and those that mimic one of these
+    controls: tuple[str, ...]  # those driven, and those that one of these drives
+    shapes: tuple[str, ...]  # those driven, and those that such a control drives
+    # Shapes that combine one of these, or are one of these and combine others.
+    combined: tuple[str, ...]
+    order: tuple[str, ...]  # all but the shapes, as targets
+
+    @staticmethod
+    def of(rig: Rig) -> DriverPlan:
+        """Return the plan of a rig.
+
+        Raises:
+            OptionError: A driver reads what the rig lacks (RIG008, RIG012, RIG033), or
+                something depends on itself (RIG032), with every such fault.
+        """
+        faults = [
+            fault
+            for part in (*rig.joints, *rig.shapes, *rig.controls)
+            if part.driven is not None
+            for name in part.driven.names
+            if (fault := coordinate_fault(rig, name)) is not None
+        ]
+        if faults:
+            raise OptionError(faults)
+        try:
+            order = driving_order(rig)
+        except DriverCycleError as error:
+            raise OptionError(Fault("RIG032", str(error))) from error
+        names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
+        for target in order:
+            kind, _, name = target.partition("/")
+            names[kind].append(name)
+        touched = set(names["shape"])
+        combined = []
+        for shape in combination_order(rig.shapes):
+            if shape.combine and touched & {shape.name, *shape.combine}:
+                touched.add(shape.name)
+                combined.append(shape.name)
+        return DriverPlan(
+            rig,
+            tuple(map(rig.index, names["joint"])),
+            tuple(names["control"]),
+            tuple(names["shape"]),
+            tuple(combined),
+            tuple(target for target in order if not target.startswith("shape/")),
+        )
+
+    def driver(self, joint: int) -> Driven:
+        """Return what gives a driven joint its coordinate."""
+        own = self.rig.joints[joint]
+        driven = own.driven or own.mimic
+        assert driven is not None
+        return driven
+
+    def joints_read(self, target: str) -> list[str]:
+        """Return the joints that the driver of a joint reads itself."""
+        driven = self.driver(self.rig.index(target))
+        if isinstance(driven, Mimic):
+            return [driven.joint]
+        return list(dict.fromkeys(filter(None, map(_joint_of, driven.names))))
+
+
+def _joint_of(name: str) -> str:
+    return split_coordinate(name)[0]
+
+
+@dataclass(frozen=True, slots=True)
+class DriverValues:
+    """What drivers come to, each ``(F,)`` or ``(1,)`` where nothing that it reads moves.
+
+    Values that are not finite are left as they are: the caller looks.
+    """
+
+    joints: dict[int, FloatArray]  # coordinates, inside the limits [rad], [m]
+    excess: dict[int, FloatArray]  # by how much limits changed them [rad], [m]
+    controls: dict[str, FloatArray]
+    shapes: dict[str, FloatArray]  # weights, without what combined shapes add
+
+
+def evaluate_drivers(
+    plan: DriverPlan, read: Read, controls: Mapping[str, FloatArray]
+) -> DriverValues:
+    """Return the values of everything that is driven.
+
+    Args:
+        plan: Of the rig.
+        read: From the name of a coordinate to its values, of a joint that is not
+            driven.
+        controls: Values of all controls ``(F,)`` or ``(1,)``, those of the driven
+            ones not looked at.
+    """
+    rig = plan.rig
+    values = dict(controls)
+    done = DriverValues({}, {}, {}, {})
+    by_control = {control.name: control for control in rig.controls}
+    for target in plan.order:
+        kind, _, name = target.partition("/")
+        if kind == "control":
+            own = by_control[name]
+            if own.driven is not None:
+                value = own.driven.evaluate(_Named(plan, read, values, done))
+            else:
+                value = np.array([own.default]) + _driven_by(rig, target, values)
+            values[name] = done.controls[name] = value
+            continue
+        j = rig.index(name)
+        driven = plan.driver(j)
+        named = _Named(plan, read, values, done)
+        if isinstance(driven, Mimic):
+            lead = rig.joints[rig.index(driven.joint)]
+            part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
+            value = driven.gain * named[f"{lead.name}.{part}"] + driven.offset
+        else:
+            value = driven.evaluate(named)
+        limits = rig.joints[j].limits
+        inside = limits.clamped(value) if isinstance(limits, RangeLimit) else value
+        done.joints[j], done.excess[j] = inside, value - inside
+    by_shape = {shape.name: shape for shape in rig.shapes}
+    for name in plan.shapes:
+        driver = by_shape[name].driven
+        if driver is not None:
+            done.shapes[name] = driver.evaluate(_Named(plan, read, values, done))
+        else:
+            done.shapes[name] = _driven_by(rig, f"shape/{name}", values)
+    return done
+
+
+class _Named(dict[str, FloatArray]):
+    """Values by name, coordinates read when they are asked for."""
+
+    def __init__(
+        self,
+        plan: DriverPlan,
+        read: Read,
+        controls: Mapping[str, FloatArray],
+        done: DriverValues,
+    ) -> None:
+        super().__init__(controls)
+        self._plan, self._read, self._done = plan, read, done
+
+    def __missing__(self, name: str) -> FloatArray:
+        joint = self._plan.rig.index(_joint_of(name))
+        if joint in self._done.joints:
+            return self._done.joints[joint]
+        return self._read(name)
+
+
+def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
+    """Return what controls add to a target."""
+    total = np.zeros(1)
+    for control in rig.controls:
+        for drive in control.drives:
+            if drive.target == target:
+                total = total + drive.evaluate(control.name, values)
+    return total
+
+
+def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
+    """Return a part of a ball's motion ``(F, 4)``: ``(F,)`` [rad].
+
+    The twist is in half a turn on either side of the middle of its limits, of 0 where
+    they have none. At a swing of half a turn it is open, and near one it turns fast.
+
+    >>> ball = Joint("shoulder", -1, JointType.BALL, limits=BallLimit())
+    >>> turn = so3.from_axis_angle((0, 1, 0), np.array([0.5]))
+    >>> ball_part(ball, "twist", turn).round(12).tolist()
+    [0.5]
+    """
+    limits = joint.limits
+    assert isinstance(limits, BallLimit)
+    swing, twist = swing_twist(rotations, limits.twist_axis)
+    if part == TWIST:
+        low, high = limits.twist or (-np.inf, np.inf)
+        middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+        return np.asarray(twist - 2 * np.pi * np.round((twist - middle) / (2 * np.pi)))
+    vector = so3.log(swing)
+    if part == SWING:
+        return np.asarray(np.linalg.norm(vector, axis=-1))
+    return np.asarray(vector[:, SWINGS.index(part)])
+
+
+def driven_coordinates(
+    plan: DriverPlan,
+    coordinates: FloatArray,
+    controls: Mapping[str, FloatArray] | None = None,
+) -> FloatArray:
+    """Return coordinates ``(B, Q)`` whose driven joints are where drivers put them."""
+    rig, slices = plan.rig, coordinate_slices(plan.rig)
+    out = coordinates.copy()
+
+    def read(name: str) -> FloatArray:
+        joint, part = split_coordinate(name)
+        j = rig.index(joint)
+        own = coordinates[:, slices[j]]
+        if rig.joints[j].type is JointType.BALL:
+            return ball_part(rig.joints[j], part, own)
+        return own[:, 0]
+
+    values = controls or {c.name: np.array([c.default]) for c in rig.controls}
+    for j, value in evaluate_drivers(plan, read, values).joints.items():
+        out[:, slices[j].start] = value
+    return out
