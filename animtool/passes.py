@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from animtool._types import FloatArray
+from animtool.driving import driven_stream, driven_take
 from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.motion import Channel, Motion
 from animtool.plugins import load_object, load_plugin, plugin_points
@@ -298,14 +299,16 @@ def apply_pass(
         done = apply_pass(passthrough.stream, pass_, options, context)
         return passthrough.restore(done)
     if pass_.scope is not Scope.CLIP:
-        done = cast(StreamRun, pass_.run)(stream, options, context)
+        done = driven_stream(cast(StreamRun, pass_.run)(stream, options, context))
         stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         # What the source was between its frames, the result is no more.
         curves = stream.control_curves if stays else {}
         done = replace(done, control_curves=curves, curve=None, count=0)
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
-    take = cast(ClipRun, pass_.run)(before, options, context)
+    made = cast(ClipRun, pass_.run)(before, options, context)
+    take = driven_take(made)
+    context.notices.extend(take.notices[len(made.notices) :])
     kept = _untouched(before, take) if stream.control_curves else set()
     result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
     unstated = stream.start is None and take.clock.start == Fraction(1)

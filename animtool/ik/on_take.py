@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import IntArray
 from animtool.documents.names import nearest
+from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
@@ -148,7 +149,8 @@ def solve_take(
 
     free = takes_released(take, tracks, bring_take)
     found = bring(tracks, free)
-    return replace(found, seconds=spent + found.seconds)
+    driven = driven_take(found.take)
+    return replace(found, take=driven, seconds=spent + found.seconds)
 
 
 def _solve_take(

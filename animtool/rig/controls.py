@@ -33,9 +33,7 @@ class Drive:
         """Return what it adds, given the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
-        return (
-            curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
-        )
+        return curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
 
 
 @dataclass(frozen=True, slots=True)

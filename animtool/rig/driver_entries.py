@@ -31,32 +31,40 @@ def read_driver(
 
     ``units``: the file's length [m] and angle [rad]; ``unit``: of its value.
     """
-    length, angle = units
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"
         document.add("RIG015", at, message, "one of them says the value")
         return None
     if model.expr is not None:
-        if model.by is not None:
-            message = "`by` is of a curve; an expr names what it reads"
-            document.add("RIG015", (*at, "by"), message, "leave it out")
-            return None
-        try:
-            expression = parse_expression(model.expr, coordinates=True)
-        except ValueError as error:
-            document.add("RIG013", (*at, "expr"), str(error))
-            return None
-        return Driver(expression, unit=unit, length=length, angle=angle)
+        return _of_expression(document, at, model, units, unit)
     if model.by is None:
         message = "the curve does not say what it reads"
         document.add("RIG015", at, message, "by: elbow.angle, say")
         return None
     points = tuple((x, y) for x, y in model.curve or ())
-    late = list(ascending_faults(document, (*at, "curve"), [x for x, _ in points]))
-    smooth = model.interp == "smooth"
-    if late:
+    if list(ascending_faults(document, (*at, "curve"), [x for x, _ in points])):
         return None
-    return Driver(None, model.by, points, smooth, unit, length, angle)
+    return Driver(None, model.by, points, model.interp == "smooth", unit, *units)
+
+
+def _of_expression(
+    document: Document,
+    at: Location,
+    model: DrivenModel,
+    units: tuple[float, float],
+    unit: float,
+) -> Driver | None:
+    if model.by is not None:
+        message = "`by` is of a curve; an expr names what it reads"
+        document.add("RIG015", (*at, "by"), message, "leave it out")
+        return None
+    try:
+        expression = parse_expression(model.expr or "", coordinates=True)
+    except ValueError as error:
+        document.add("RIG013", (*at, "expr"), str(error))
+        return None
+    length, angle = units
+    return Driver(expression, unit=unit, length=length, angle=angle)
 
 
 def ascending_faults(
@@ -161,11 +169,11 @@ def _rivals(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
         for drive in control.drives:
             target = drive.target
             if target.startswith("joint/"):
-                joint = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
-                target = f"joint/{joint}"
+                name = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
+                target = f"joint/{name}"
                 by = sorted(moved.intersection(reads(control, drive)))
                 if by:
-                    message = f"control {by[0]!r} is driven, and drives {joint!r}"
+                    message = f"control {by[0]!r} is driven, and drives {name!r}"
                     hint = "give the joint a driver; it may read the control"
                     yield f"control/{by[0]}", message, hint
                     continue

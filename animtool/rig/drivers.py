@@ -74,9 +74,7 @@ class Driver:
         those about the two other axes are where one is the other's negative.
         """
         turned = {
-            name: -1.0
-            for name in self.names
-            if split_coordinate(name)[1] in SWINGS[1:]
+            name: -1.0 for name in self.names if split_coordinate(name)[1] in SWINGS[1:]
         }
         flipped = self
         if turned and self.expression is not None:

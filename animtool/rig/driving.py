@@ -82,9 +82,9 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             return None
         message, hint = f"{name!r} is no control", _near(name, known)
         if name in rig.names:
-            own = readable_parts(rig.joints[rig.index(name)])
+            parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: say which coordinate"
-            hint = f"write {name}.{own[0]}" if own else None
+            hint = f"write {name}.{parts[0]}" if parts else None
         return Fault("RIG012", message, hint=hint)
     if joint not in rig.names:
         hint = _near(joint, rig.names)
@@ -143,14 +143,13 @@ def driving_order(rig: Rig) -> list[str]:
         *(f"joint/{joint.name}" for joint in rig.joints if joint.driven is not None),
         *(f"control/{one.name}" for one in rig.controls if one.driven is not None),
     }
+    mimics = {f"joint/{one.name}": one.mimic for one in rig.joints}
     for target in order:
-        kind = target.partition("/")[0]
-        if kind == "control":
-            by = needs[target]
-        else:
-            mimic = rig.joints[rig.index(target.removeprefix("joint/"))].mimic
-            by = {} if mimic is None else {f"joint/{mimic.joint}": None}
-        if owned & by.keys():
+        by = set(needs.get(target, ()))
+        if target.startswith("joint/"):
+            mimic = mimics.get(target)
+            by = set() if mimic is None else {f"joint/{mimic.joint}"}
+        if owned & by:
             owned.add(target)
     shapes = {shape.name for shape in rig.shapes if shape.driven is not None} | {
         drive.target.removeprefix("shape/")
@@ -195,11 +194,15 @@ class DriverPlan:
             OptionError: A driver reads what the rig lacks (RIG008, RIG012, RIG033), or
                 something depends on itself (RIG032), with every such fault.
         """
+        drivers = [
+            *(joint.driven for joint in rig.joints),
+            *(shape.driven for shape in rig.shapes),
+            *(control.driven for control in rig.controls),
+        ]
         faults = [
             fault
-            for part in (*rig.joints, *rig.shapes, *rig.controls)
-            if part.driven is not None
-            for name in part.driven.names
+            for driver in filter(None, drivers)
+            for name in driver.names
             if (fault := coordinate_fault(rig, name)) is not None
         ]
         if faults:
@@ -248,7 +251,7 @@ def _joint_of(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class DriverValues:
-    """What drivers come to, each ``(F,)`` or ``(1,)`` where nothing that it reads moves.
+    """What drivers come to ``(F,)``, or ``(1,)`` where nothing that one reads moves.
 
     Values that are not finite are left as they are: the caller looks.
     """

@@ -194,7 +194,7 @@ class _Renaming(ast.NodeTransformer):
             return _name_node(self.names.get(name, name))
         return self.generic_visit(node)
 
-    def visit_Call(self, node: ast.Call) -> ast.Call:  # noqa: N802
+    def visit_Call(self, node: ast.Call) -> ast.Call:
         """Leave the names of functions."""
         node.args = [self.visit(one) for one in node.args]
         return node
@@ -230,7 +230,6 @@ def _check(
 ) -> None:
     if depth > DEEPEST:
         raise ValueError(f"is nested deeper than {DEEPEST}")
-    inner: list[ast.expr]
     coordinate = _coordinate(node)
     if coordinate is not None and coordinates:
         names.add(coordinate)
@@ -240,6 +239,13 @@ def _check(
             f"{coordinate[:40]!r} is not allowed here: drives read controls; "
             "`driven` of a joint, shape or control reads joints"
         )
+    for child in _inner(node, text, names):
+        _check(child, text, names, depth + 1, coordinates=coordinates)
+
+
+def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
+    """Return what an allowed node is made of."""
+    inner: list[ast.expr]
     match node:
         case ast.Constant(value=number):
             _check_number(number)
@@ -266,8 +272,7 @@ def _check(
         case _:
             shown = (ast.get_source_segment(text, node) or text)[:40]
             raise ValueError(f"{shown!r} is not allowed; + - * / and functions are")
-    for child in inner:
-        _check(child, text, names, depth + 1, coordinates=coordinates)
+    return inner
 
 
 def _check_number(number: object) -> None:

@@ -257,8 +257,7 @@ def _overlaid(
             limits=added[joint.name].limits,
             mimic=_renamed(added[joint.name].mimic, names),
             mirror=mirrors[joint.name],
-            driven=_renamed_driver(added[joint.name].driven, names)
-            or joint.driven,
+            driven=_renamed_driver(added[joint.name].driven, names) or joint.driven,
         )
         if joint.name in added
         else joint

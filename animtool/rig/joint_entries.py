@@ -302,8 +302,9 @@ def _with_drivers(
     both = (units.length, units.angle)
     partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
     for i, model in enumerate(models):
-        scalar = isinstance(model, PinJointModel | PrismaticJointModel)
-        if not scalar or model.driven is None or entries[model.name].index != i:
+        if not isinstance(model, PinJointModel | PrismaticJointModel):
+            continue
+        if model.driven is None or entries[model.name].index != i:
             continue
         unit = units.of(JointType(model.type))
         driver = read_driver(

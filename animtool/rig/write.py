@@ -166,7 +166,6 @@ class _Units:
             ]
         )
 
-
     def shape(self, shape: Shape) -> str:
         between = [
             _mapping(
