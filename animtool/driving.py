@@ -314,7 +314,7 @@ def _rows(channel: Channel, i: int) -> FloatArray:
     place = int(np.searchsorted(channel.animated, i))
     if place < len(channel.animated) and channel.animated[place] == i:
         return np.asarray(channel.values[:, place])
-    return channel.rest[i][None]
+    return np.asarray(channel.rest[i][None])
 
 
 def _column(channel: Channel, i: int) -> FloatArray:
@@ -388,7 +388,8 @@ def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
     def blocks() -> Iterator[Motion]:
         done = 0
         for block in stream.blocks:
-            times = start + float(stream.step) * np.arange(done, done + block.frames)
+            numbers = np.arange(done, done + block.frames, dtype=np.float64)
+            times = start + float(stream.step) * numbers
             done += block.frames
             yield run.drive(block, times)
         stream.notices.extend(unsaid(run.notices(), stream.notices))

@@ -7,7 +7,7 @@ limits, the twist, the angle of the swing, and the parts of the swing's rotation
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
@@ -185,6 +185,8 @@ class DriverPlan:
     # Shapes that combine one of these, or are one of these and combine others.
     combined: tuple[str, ...]
     order: tuple[str, ...]  # all but the shapes, as targets
+    # Of each driven joint the joints that it reads, itself or through controls.
+    reads: Mapping[str, tuple[str, ...]]
 
     @staticmethod
     def of(rig: Rig) -> DriverPlan:
@@ -228,6 +230,7 @@ class DriverPlan:
             tuple(names["shape"]),
             tuple(combined),
             tuple(target for target in order if not target.startswith("shape/")),
+            _joints_read(rig, order),
         )
 
     def driver(self, joint: int) -> Driven:
@@ -237,12 +240,76 @@ class DriverPlan:
         assert driven is not None
         return driven
 
-    def joints_read(self, target: str) -> list[str]:
-        """Return the joints that the driver of a joint reads itself."""
-        driven = self.driver(self.rig.index(target))
-        if isinstance(driven, Mimic):
-            return [driven.joint]
-        return list(dict.fromkeys(filter(None, map(_joint_of, driven.names))))
+    def sources(self, joint: int) -> list[int]:
+        """Return the joints that move a driven joint and are not driven themselves.
+
+        A joint that mimics another is moved by that one.
+        """
+        found: dict[int, None] = {}
+        waiting = [joint]
+        seen = {joint}
+        while waiting:
+            j = waiting.pop()
+            if j in self.joints:
+                others = list(map(self.rig.index, self.reads[self.rig.names[j]]))
+            elif (mimic := self.rig.joints[j].mimic) is not None:
+                others = [self.rig.index(mimic.joint)]
+            else:
+                found[j] = None
+                continue
+            waiting += [other for other in others if other not in seen]
+            seen.update(others)
+        return sorted(found)
+
+    def followers(self, moved: Collection[str]) -> list[str]:
+        """Return the driven joints that follow one of some joints, in the rig's order.
+
+        Those too that a joint which mimics one of them moves.
+        """
+        own = {self.rig.index(name) for name in moved}
+        return [
+            self.rig.names[j] for j in sorted(self.joints) if own & {*self.sources(j)}
+        ]
+
+
+def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return of each driven joint the joints that it reads."""
+    controls = {control.name: control for control in rig.controls}
+    of: dict[str, dict[str, None]] = {}
+    for target in order:
+        kind, _, name = target.partition("/")
+        if kind == "shape":
+            continue
+        driver: Driven | None
+        if kind == "joint":
+            joint = rig.joints[rig.index(name)]
+            driver = joint.driven or joint.mimic
+        else:
+            driver = controls[name].driven
+        names: list[str] = []
+        if isinstance(driver, Mimic):
+            names = [f"{driver.joint}.{ANGLE}"]
+        elif driver is not None:
+            names = [*driver.names]
+        else:
+            names = [
+                read
+                for control in rig.controls
+                for drive in control.drives
+                if drive.target == target
+                for read in reads(control, drive)
+            ]
+        own = of.setdefault(target, {})
+        for read in names:
+            if joint_name := _joint_of(read):
+                own[joint_name] = None
+            else:
+                own |= of.get(f"control/{read}", {})
+    return {
+        target.removeprefix("joint/"): tuple(own)
+        for target, own in of.items()
+        if target.startswith("joint/")
+    }
 
 
 def _joint_of(name: str) -> str:

@@ -225,8 +225,11 @@ class Rig:
     @cached_property
     def is_driven(self) -> bool:
         """Whether a joint, shape or control has a driver."""
-        parts = (*self.joints, *self.shapes, *self.controls)
-        return any(part.driven is not None for part in parts)
+        return (
+            any(joint.driven is not None for joint in self.joints)
+            or any(shape.driven is not None for shape in self.shapes)
+            or any(control.driven is not None for control in self.controls)
+        )
 
     @cached_property
     def driver_plan(self) -> DriverPlan:
