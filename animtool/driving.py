@@ -194,7 +194,8 @@ class DriverRun:
             old = _rows(channel, j)
             resting = self.rig.rest_rotations if rotates else self.rig.rest_translations
             away = so3.angle_between if rotates else _distance
-            if away(old, resting[j][None]).max(initial=0.0) > SAME:
+            stated = away(old, resting[j][None]).max(initial=0.0) > SAME
+            if stated and self.rig.joints[j].driven is not None:
                 self._replace(f"joint/{self.rig.names[j]}", away(old, new), times, SAME)
         return replace(
             motion,

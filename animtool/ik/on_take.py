@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.documents.names import nearest
 from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError
@@ -179,7 +179,8 @@ def _solve_take(
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
         run = TakeRun(rig, tracks, targets, world, options, joints, still, rate)
-        parts = parts_of(rig, local, world, goals, joints)
+        controls = _controls(rig, take)
+        parts = parts_of(rig, local, world, goals, joints, controls)
         for part in parts.all:
             found.append(run.solved(part))
             progress(found[-1].part.frames.stop / take.clock.count)
@@ -191,6 +192,20 @@ def _solve_take(
         away=_away(goals, rig, world, targets),
         size=max(extent, solved.problem.length),
     )
+
+
+def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
+    """Return the values ``(F,)`` of controls that drivers of joints read."""
+    channel = take.motion.controls
+    if channel is None or not rig.is_driven:
+        return {}
+    names = rig.driver_plan.controls_read()
+    values = channel.gather(np.arange(len(channel.rest)))[:, :, 0]
+    return {
+        control.name: values[:, i]
+        for i, control in enumerate(take.rig.controls)
+        if control.name in names
+    }
 
 
 def _away(

@@ -15,6 +15,7 @@ from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus, Jump
 from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
+from animtool.ik.sub_rig import following
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 
@@ -292,7 +293,11 @@ def at_poses(
     )
     return replace(
         result,
-        coordinates=chain.into_rig(poses, result.coordinates),
+        coordinates=following(
+            result.problem.rig,
+            chain.into_rig(poses, result.coordinates),
+            result.problem.joints,
+        ),
         statuses=statuses,
         misses=misses * by_unit(chain.length, 1.0),
         reached=path.excesses(misses) <= 1,

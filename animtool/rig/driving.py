@@ -261,6 +261,32 @@ class DriverPlan:
             seen.update(others)
         return sorted(found)
 
+    def controls_read(self) -> set[str]:
+        """Return the controls without a driver that drivers of joints read."""
+        controls = {control.name: control for control in self.rig.controls}
+        waiting = [
+            name
+            for j in self.joints
+            if isinstance(driver := self.driver(j), Driver)
+            for name in driver.names
+        ]
+        found: set[str] = set()
+        while waiting:
+            name = waiting.pop()
+            if name not in controls or name in found:
+                continue
+            found.add(name)
+            own = controls[name].driven
+            waiting += () if own is None else own.names
+            waiting += [
+                read
+                for control in self.rig.controls
+                for drive in control.drives
+                if drive.target == f"control/{name}" and name in self.controls
+                for read in reads(control, drive)
+            ]
+        return {name for name in found if name not in self.controls}
+
     def followers(self, moved: Collection[str]) -> list[str]:
         """Return the driven joints that follow one of some joints, in the rig's order.
 
