@@ -23,6 +23,7 @@ from animtool.rig.driving import (
     DriverValues,
     ball_part,
     evaluate_drivers,
+    plan_of,
 )
 from animtool.rig.limits import RangeLimit
 from animtool.rig.shapes import combined_weights, own_weights
@@ -76,7 +77,7 @@ class DriverRun:
 
     def __post_init__(self) -> None:
         """Find the order of the rig's drivers."""
-        self.plan = self.rig.driver_plan
+        self.plan = plan_of(self.rig)
 
     def drive(
         self,

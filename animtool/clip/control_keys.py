@@ -16,6 +16,7 @@ from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
+from animtool.rig.driving import plan_of
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig
@@ -59,7 +60,7 @@ def solved_controls(
         start |= keyed_values(controls, reached)
     if rig.is_driven:
         still = {c.name: np.full(frames, c.default) for c in controls}
-        start |= {name: still[name] for name in rig.driver_plan.controls}
+        start |= {name: still[name] for name in plan_of(rig).controls}
     near = evaluate_controls(controls, start).targets
     goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
     shapes = own_weights_of(take, rig)
@@ -86,7 +87,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     """
     if not rig.is_driven:
         return rig.controls
-    plan = rig.driver_plan
+    plan = plan_of(rig)
     taken = {
         *(f"shape/{n}" for n in plan.shapes),
         *(f"control/{n}" for n in plan.controls),

@@ -38,6 +38,7 @@ from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
+from animtool.rig.driving import plan_of
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import JointType, Rig
@@ -196,7 +197,7 @@ class _Job:
         rig = self.rig
         if not rig.is_driven:
             return {}
-        plan = rig.driver_plan
+        plan = plan_of(rig)
         parts = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
         return {
             f"joint/{rig.names[j]}.{parts[rig.joints[j].type]}": self.joints[

@@ -19,6 +19,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3
+from animtool.rig.driving import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
     coordinates_from_local,
@@ -130,7 +131,7 @@ def _moving_sources(
     """Return joints that driven ones read, which move but are not solved."""
     if not rig.is_driven:
         return []
-    plan = rig.driver_plan
+    plan = plan_of(rig)
     read = {
         source for j in driven.intersection(plan.joints) for source in plan.sources(j)
     }

@@ -20,7 +20,7 @@ from animtool.rig.drivers import (
     smooth_slopes,
     split_coordinate,
 )
-from animtool.rig.driving import GAP, DriverPlan, ball_part
+from animtool.rig.driving import GAP, DriverPlan, ball_part, plan_of
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -49,7 +49,7 @@ def with_sources(
     A driven joint moves where one of those may that it follows, named itself or not;
     else it stays where it is.
     """
-    plan, out = rig.driver_plan, set(moving)
+    plan, out = plan_of(rig), set(moving)
     above = {j for goal in goals for j in _below_root(rig, goal)}
     for j in sorted(above.intersection(plan.joints)):
         if joints is None and j not in moving:
@@ -101,7 +101,7 @@ class Programs:
     @property
     def plan(self) -> DriverPlan:
         """The order of the rig's drivers."""
-        return self.rig.driver_plan
+        return plan_of(self.rig)
 
     def ask(self, joint: int) -> int:
         """Return the place of a driven joint among those asked for."""

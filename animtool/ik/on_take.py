@@ -26,6 +26,7 @@ from animtool.ik.take_run import (
     gathered_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
+from animtool.rig.driving import plan_of
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -199,7 +200,7 @@ def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
     channel = take.motion.controls
     if channel is None or not rig.is_driven:
         return {}
-    names = rig.driver_plan.controls_read()
+    names = plan_of(rig).controls_read()
     values = channel.gather(np.arange(len(channel.rest)))[:, :, 0]
     return {
         control.name: values[:, i]

@@ -10,6 +10,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.rig.controls import Control
 from animtool.rig.drivers import split_coordinate
+from animtool.rig.driving import driven_coordinates, plan_of
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -31,7 +32,7 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
         reached |= new
     followers = {name for name in reached if name in left}
     if rig.is_driven:
-        followers.update(rig.driver_plan.followers(reached))
+        followers.update(plan_of(rig).followers(reached))
     return [name for name in rig.names if name in followers]
 
 
@@ -43,12 +44,10 @@ def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> Floa
     slices = coordinate_slices(rig)
     out = coordinates.copy()
     if rig.is_driven:
-        driven = {rig.names[j] for j in rig.driver_plan.joints}
+        driven = {rig.names[j] for j in plan_of(rig).joints}
         undriven = [name for name in names if name not in driven]
-        from animtool.rig.driving import driven_coordinates
-
         return driven_coordinates(
-            rig.driver_plan, _with_mimics(rig, out, slices, undriven)
+            plan_of(rig), _with_mimics(rig, out, slices, undriven)
         )
     return _with_mimics(rig, out, slices, names)
 
@@ -114,7 +113,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
 def _linked(rig: Rig) -> dict[int, list[int]]:
     """Return by joint the joints that its driver reads, and those driven by it."""
     linked: dict[int, list[int]] = {}
-    for name, others in rig.driver_plan.reads.items():
+    for name, others in plan_of(rig).reads.items():
         for other in others:
             ends = rig.index(name), rig.index(other)
             for one, far in (ends, ends[::-1]):

@@ -36,6 +36,8 @@ from animtool.similar import similar
 ALONG = 1e-9
 # A range of twist wider than a turn less this has no middle [rad].
 GAP = 1e-6
+# Where a rig keeps its plan.
+_KEPT = "_driver_plan"
 # Of each driven part of a rig: what drives it.
 Driven = Driver | Mimic
 # From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
@@ -296,6 +298,16 @@ class DriverPlan:
         return [
             self.rig.names[j] for j in sorted(self.joints) if own & {*self.sources(j)}
         ]
+
+
+def plan_of(rig: Rig) -> DriverPlan:
+    """Return the plan of a rig, made once; see `DriverPlan.of`."""
+    kept = rig.__dict__
+    if _KEPT not in kept:
+        kept[_KEPT] = DriverPlan.of(rig)
+    plan = kept[_KEPT]
+    assert isinstance(plan, DriverPlan)
+    return plan
 
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:

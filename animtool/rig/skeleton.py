@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, cast, get_args
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from animtool.rig.parts import (
 )
 from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
-
-if TYPE_CHECKING:
-    from animtool.rig.driving import DriverPlan
 
 # Letters of the paths of all joints: a chain has the square of its joints.
 MAX_PATHS = 500_000_000
@@ -230,13 +227,6 @@ class Rig:
             or any(shape.driven is not None for shape in self.shapes)
             or any(control.driven is not None for control in self.controls)
         )
-
-    @cached_property
-    def driver_plan(self) -> DriverPlan:
-        """The order of the rig's drivers; see `DriverPlan.of`."""
-        from animtool.rig.driving import DriverPlan
-
-        return DriverPlan.of(self)
 
     @property
     def names(self) -> list[str]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from animtool.documents.names import is_named
-from animtool.driving import driven_stream
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import FileState, note_input
 from animtool.options import Key, option, options_of
@@ -316,7 +315,7 @@ def open_source(
         from animtool.scene.onto_rig import on_rig_file
 
         mapped = on_rig_file(path, stream, options.rig, forced=options.force_fit)
-        return driven_stream(mapped, replaced=True)
+        return _driven(mapped)
     note_input(path)
     usual = SourceOptions()
     given = {
@@ -332,7 +331,16 @@ def open_source(
         given["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **given))
     # A clip's keys were evaluated with what they drive.
-    return stream if reader is DOCUMENT else driven_stream(stream, replaced=True)
+    return stream if reader is DOCUMENT else _driven(stream)
+
+
+def _driven(stream: TakeStream) -> TakeStream:
+    """Return a source with what its rig drives in place of what it says of that."""
+    if not stream.rig.is_driven:
+        return stream
+    from animtool.driving import driven_stream
+
+    return driven_stream(stream, replaced=True)
 
 
 def _refusal(name: str, path: Path) -> Fault:
