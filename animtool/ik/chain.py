@@ -21,7 +21,9 @@ HAIR = 0.02
 class Chain:
     """Nodes: joints turned so that z is what they turn, slide or twist about."""
 
-    nodes: IntArray  # kind, parent, coordinate, whether it follows ``(N, 4)``
+    # Kind, parent, coordinate, whether it follows that of another node, or with 2 a
+    # program ``(N, 4)``; behind these, rows of programs (`driver_programs`).
+    nodes: IntArray
     # Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in shares of
     # ``length``.
     numbers: FloatArray
@@ -147,8 +149,9 @@ def seamless(chain: Chain, steps: FloatArray) -> FloatArray:
 def with_periods(chain: Chain) -> FloatArray:
     """Return the chain's ``numbers`` with limits more than a turn apart in place."""
     numbers = chain.numbers.copy()
-    for row, (kind, _, column, _) in zip(numbers, chain.nodes[:, :4], strict=True):
-        if kind == PIN and np.isfinite(chain.periods[column, 0]):
+    for row, (kind, _, column, follows) in zip(numbers, chain.nodes, strict=True):
+        # What follows a program has none of its own.
+        if kind == PIN and follows <= 1 and np.isfinite(chain.periods[column, 0]):
             row[14:16] = chain.periods[column]
     return numbers
 

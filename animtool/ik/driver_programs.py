@@ -129,7 +129,8 @@ class Programs:
         numbers: list[list[float]] = []
         for target, number in self._numbers.items():
             for name, which, values in self._program(target, sources, scales):
-                nodes.append([INSTRUCTION, number, _NUMBER[name], which])
+                # No row of a joint that is its own: these have 0 there.
+                nodes.append([INSTRUCTION, number, _NUMBER[name], which + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return [self._numbers[target] for target in self.asked], nodes, numbers
 

@@ -36,8 +36,8 @@ void check_numbers(const Node& node, const double* values) {
   if (!good) check::refuse("numbers", "limits are not in order");
 }
 
-// Rows behind those of the nodes hold programs: 3, its number, operation, coordinate,
-// program or count that this needs.
+// Rows behind those of the nodes hold programs: 3, its number, operation, and 1 more than
+// the coordinate, program or count that this needs, these too counted from 1.
 constexpr std::int64_t INSTRUCTION = 3;
 // Of a node, in place of whether it follows a coordinate: its coordinate is a program.
 constexpr std::int64_t FOLLOWS_PROGRAM = 2;
@@ -105,16 +105,18 @@ void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& number
       check::between("nodes", row[0], INSTRUCTION, INSTRUCTION);
       check::between("nodes", row[2], 0, static_cast<std::int64_t>(Op::COUNT) - 1);
       check::finite("numbers", numbers.data() + 18 * n, MOST_NUMBERS);
+      check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MOST_ROWS));
+      const std::int64_t which = row[3] - 1;
       Instruction one{static_cast<Op>(row[2]), 0, {}, 0};
       std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MOST_NUMBERS, one.numbers);
       if (one.op == Op::COORDINATE || one.op == Op::BALL) {
-        check::indices("nodes", row + 3, 1, 1, coordinates + 1);
-        if (balls[row[3] - 1] != (one.op == Op::BALL) || dof_of[row[3] - 1] < 0)
+        check::indices("nodes", &which, 1, 1, coordinates + 1);
+        if (balls[which - 1] != (one.op == Op::BALL) || dof_of[which - 1] < 0)
           check::refuse("nodes", "a program reads no such coordinate");
       }
-      if (one.op == Op::RESULT) check::indices("nodes", row + 3, 1, 1, number + 1);
-      if (one.op == Op::CURVE) check::indices("nodes", row + 3, 1, 1, check::MOST_ROWS);
-      one.which = static_cast<int>(one.op == Op::CURVE ? row[3] : row[3] - 1);
+      if (one.op == Op::RESULT) check::indices("nodes", &which, 1, 1, number + 1);
+      if (one.op == Op::CURVE) check::indices("nodes", &which, 1, 1, check::MOST_ROWS);
+      one.which = static_cast<int>(one.op == Op::CURVE ? which : which - 1);
       program.instructions.push_back(one);
     }
     if (program.instructions.empty()) check::refuse("nodes", "programs are out of order");
