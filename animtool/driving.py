@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity
+from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.quantities import length_text
@@ -74,6 +74,7 @@ class DriverRun:
     _excess: dict[str, Worst] = field(default_factory=dict, init=False)
     _gone: dict[str, Worst] = field(default_factory=dict, init=False)
     _wrapped: dict[str, Worst] = field(default_factory=dict, init=False)
+    _kept: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
         """Find the order of the rig's drivers."""
@@ -96,10 +97,15 @@ class DriverRun:
         Raises:
             FormatError: A driver has no value at some frame (CLIP015).
         """
+        if motion.frames == 1:
+            # Twice, so that what moves is told from what does not.
+            twice = motion.select(np.zeros(2, np.int64))
+            return self.drive(twice, np.repeat(times, 2), coordinates).select(slice(1))
         rig = self.rig
         controls = self._controls(motion)
         read = _Reader(self, motion, times, coordinates or {})
-        done = evaluate_drivers(self.plan, read, controls)
+        kept = self._keep(motion) if motion.controls is None else set()
+        done = evaluate_drivers(self.plan, read, controls, kept)
         _refuse_undefined(rig, done, times)
         for j, excess in done.excess.items():
             name = rig.names[j]
@@ -136,6 +142,14 @@ class DriverRun:
             fault = _warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
             notices.append((fault, f"joint/{joint_name}", worst.frame))
+        if self._kept and self.replaced:
+            names = sorted(target.partition("/")[2] for target in self._kept)
+            message = (
+                "the take holds no controls, which drivers read: its own values stay "
+                f"for {listed(names)}"
+            )
+            fault = Fault("RIG106", message, severity=Severity.NOTE)
+            notices.append((fault, sorted(self._kept)[0], 0.0))
         for target, worst in self._gone.items():
             kind, _, name = target.partition("/")
             amount = f"{worst.amount:.4g}"
@@ -168,6 +182,32 @@ class DriverRun:
             self._wrapped.setdefault(name, worst)
         if len(twists):
             self._twists[name] = float(twists[-1])
+
+    def _keep(self, motion: Motion) -> set[str]:
+        """Return what reads controls that the motion lacks, where it has values of it.
+
+        Those came of the controls, and are better than what defaults would give.
+        """
+        kept = set()
+        for target in self.plan.by_control:
+            kind, _, name = target.partition("/")
+            if kind == "joint":
+                stated = self._states_joint(motion, self.rig.index(name))
+            elif kind == "shape" and motion.weights is not None:
+                names = [shape.name for shape in self.rig.shapes]
+                stated = _states(motion.weights, names.index(name), np.zeros(1))
+            else:
+                stated = False
+            if stated:
+                kept.add(target)
+        self._kept |= kept
+        return kept
+
+    def _states_joint(self, motion: Motion, j: int) -> bool:
+        rig = self.rig
+        if rig.joints[j].type is JointType.PRISMATIC:
+            return _states(motion.translations, j, rig.rest_translations[j])
+        return _states(motion.rotations, j, rig.rest_rotations[j])
 
     def _controls(self, motion: Motion) -> dict[str, FloatArray]:
         if motion.controls is None:
@@ -218,8 +258,8 @@ class DriverRun:
         own = own_weights(shapes, old) | done.shapes
         new = combined_weights(shapes, own)
         index = {shape.name: i for i, shape in enumerate(shapes)}
-        changed = dict.fromkeys([*plan.shapes, *plan.combined])
-        for name in plan.shapes:
+        changed = dict.fromkeys([*done.shapes, *plan.combined])
+        for name in done.shapes:
             if old[name].any():
                 apart = np.abs(new[name] - old[name])
                 self._replace(f"shape/{name}", apart, times, SAME_WEIGHT)
@@ -229,13 +269,9 @@ class DriverRun:
     def _new_controls(
         self, motion: Motion, done: DriverValues, times: FloatArray
     ) -> Channel | None:
-        controls = self.rig.controls
-        if not done.controls:
-            return motion.controls
-        defaults = np.array([[control.default] for control in controls])
-        channel = Channel.still(defaults, motion.frames)
-        if motion.controls is not None:
-            channel = motion.controls
+        controls, channel = self.rig.controls, motion.controls
+        if not done.controls or channel is None:
+            return channel
         rows = {
             i: done.controls[control.name][:, None]
             for i, control in enumerate(controls)
@@ -317,6 +353,12 @@ def _rows(channel: Channel, i: int) -> FloatArray:
     if place < len(channel.animated) and channel.animated[place] == i:
         return np.asarray(channel.values[:, place])
     return np.asarray(channel.rest[i][None])
+
+
+def _states(channel: Channel, i: int, rest: FloatArray) -> bool:
+    """Return whether a channel moves a row, or holds it away from rest."""
+    away = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
+    return i in channel.animated or bool(away > SAME)
 
 
 def _column(channel: Channel, i: int) -> FloatArray:

@@ -189,6 +189,8 @@ class DriverPlan:
     order: tuple[str, ...]  # all but the shapes, as targets
     # Of each driven joint the joints that it reads, itself or through controls.
     reads: Mapping[str, tuple[str, ...]]
+    # Targets whose values depend on controls that are not driven.
+    by_control: frozenset[str]
 
     @staticmethod
     def of(rig: Rig) -> DriverPlan:
@@ -233,6 +235,7 @@ class DriverPlan:
             tuple(combined),
             tuple(target for target in order if not target.startswith("shape/")),
             _joints_read(rig, order),
+            _by_control(rig, order),
         )
 
     def driver(self, joint: int) -> Driven:
@@ -310,6 +313,37 @@ def plan_of(rig: Rig) -> DriverPlan:
     return plan
 
 
+def _by_control(rig: Rig, order: Sequence[str]) -> frozenset[str]:
+    """Return the targets, of all driven ones, that depend on controls of keys.
+
+    Joints that they read have coordinates whatever those come from.
+    """
+    drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
+    drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
+    drivers |= {f"control/{control.name}": control.driven for control in rig.controls}
+    driven = {t.removeprefix("control/") for t in order if t.startswith("control/")}
+    open_ones = {control.name for control in rig.controls} - driven
+    found: set[str] = set()
+    for target in order:
+        driver = drivers[target]
+        names = () if driver is None else driver.names
+        names = (
+            *names,
+            *(
+                name
+                for control in rig.controls
+                for drive in control.drives
+                if driver is None and drive.target == target
+                for name in reads(control, drive)
+            ),
+        )
+        if open_ones.intersection(names):
+            found.add(target)
+            if target.startswith("control/"):
+                open_ones.add(target.removeprefix("control/"))
+    return frozenset(found)
+
+
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return of each driven joint the joints that it reads."""
     controls = {control.name: control for control in rig.controls}
@@ -368,7 +402,10 @@ class DriverValues:
 
 
 def evaluate_drivers(
-    plan: DriverPlan, read: Read, controls: Mapping[str, FloatArray]
+    plan: DriverPlan,
+    read: Read,
+    controls: Mapping[str, FloatArray],
+    kept: Collection[str] = (),
 ) -> DriverValues:
     """Return the values of everything that is driven.
 
@@ -378,12 +415,15 @@ def evaluate_drivers(
             driven.
         controls: Values of all controls ``(F,)`` or ``(1,)``, those of the driven
             ones not looked at.
+        kept: Targets that stay as they are: joints are read, as if not driven.
     """
     rig = plan.rig
     values = dict(controls)
     done = DriverValues({}, {}, {}, {})
     by_control = {control.name: control for control in rig.controls}
     for target in plan.order:
+        if target in kept:
+            continue
         kind, _, name = target.partition("/")
         if kind == "control":
             own = by_control[name]
@@ -404,9 +444,12 @@ def evaluate_drivers(
             value = driven.evaluate(named)
         limits = rig.joints[j].limits
         inside = limits.clamped(value) if isinstance(limits, RangeLimit) else value
-        done.joints[j], done.excess[j] = inside, value - inside
+        done.joints[j] = np.where(np.isfinite(value), inside, value)
+        done.excess[j] = value - done.joints[j] if np.isfinite(value).all() else value
     by_shape = {shape.name: shape for shape in rig.shapes}
     for name in plan.shapes:
+        if f"shape/{name}" in kept:
+            continue
         driver = by_shape[name].driven
         if driver is not None:
             done.shapes[name] = driver.evaluate(_Named(plan, read, values, done))

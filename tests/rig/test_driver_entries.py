@@ -38,13 +38,16 @@ def codes(folder: Path, text: str) -> list[tuple[str, int]]:
 FULL = (
     JOINTS
     + """\
-- {name: roll, parent: elbow, type: pin, axis: [1, 0, 0], driven: {expr: shoulder.twist / 2}}
-- {name: rod, parent: root, type: prismatic, axis: [0, 1, 0], driven: {by: elbow.angle, curve: [[0, 0], [90, 0.1]], interp: smooth}}
+- {name: roll, parent: elbow, type: pin, axis: [1, 0, 0],
+   driven: {expr: shoulder.twist / 2}}
+- {name: rod, parent: root, type: prismatic, axis: [0, 1, 0],
+   driven: {by: elbow.angle, curve: [[0, 0], [90, 0.1]], interp: smooth}}
 shapes:
 - {name: bulge, driven: {by: piston.slide, curve: [[0, 0], [2, 1]]}}
 - {name: up, driven: {expr: "clamp(shoulder.swing_z / 90, 0, bend)"}}
 controls:
-- {name: bend, driven: {expr: elbow.angle / 150}, drives: [{shape: side, curve: [[0, 0], [1, 2]], interp: smooth}]}
+- {name: bend, driven: {expr: elbow.angle / 150},
+   drives: [{shape: side, curve: [[0, 0], [1, 2]], interp: smooth}]}
 """
 ).replace("shapes:\n", "shapes:\n- {name: side}\n")
 
@@ -98,8 +101,10 @@ def test_a_mirror_drives_by_the_other_side(tmp_path: Path) -> None:
         + """\
 joints:
 - {name: root, type: free}
-- {name: wrist_l, parent: root, type: ball, translate: [1, 0, 0], limits: {twist_axis: [1, 0, 0]}, mirror: wrist_r}
-- {name: roll_l, parent: root, type: pin, axis: [1, 0, 0], translate: [0.5, 0, 0], driven: {expr: wrist_l.twist / 2 + wrist_l.swing_y}, mirror: roll_r}
+- {name: wrist_l, parent: root, type: ball, translate: [1, 0, 0], mirror: wrist_r,
+   limits: {twist_axis: [1, 0, 0]}}
+- {name: roll_l, parent: root, type: pin, axis: [1, 0, 0], mirror: roll_r,
+   translate: [0.5, 0, 0], driven: {expr: wrist_l.twist / 2 + wrist_l.swing_y}}
 """
     )
     rig = load(tmp_path, text)
@@ -112,6 +117,7 @@ joints:
     assert load(tmp_path, rig_text(rig), "again") == rig
 
 
+PIN = "{name: a, type: pin, axis: [1, 0, 0], driven: {expr: elbow.angle}"
 ROLL = "- {name: roll, type: pin, axis: [1, 0, 0], driven: {DRIVEN}}\n"
 
 
@@ -162,13 +168,14 @@ def test_circles_are_named_wherever_they_lead(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "more",
     [
-        "- {name: a, type: pin, axis: [1, 0, 0], driven: {expr: elbow.angle}, mimic: {joint: elbow}}\n",
-        "- {name: a, type: pin, axis: [1, 0, 0], driven: {expr: elbow.angle}}\n"
-        "controls: [{name: c, drives: [{joint: a.angle, expr: c}]}]\n",
+        f"- {PIN}, mimic: {{joint: elbow}}}}\n",
+        f"- {PIN}}}\ncontrols: [{{name: c, drives: [{{joint: a.angle, expr: c}}]}}]\n",
         "shapes: [{name: s, driven: {expr: elbow.angle}}]\n"
         "controls: [{name: c, drives: [{shape: s, expr: c}]}]\n",
-        "controls: [{name: c, driven: {expr: piston.slide}, drives: [{joint: elbow.angle, expr: c}]}]\n",
-        "controls:\n- {name: c, driven: {expr: piston.slide}, drives: [{control: d, expr: c}]}\n"
+        "controls: [{name: c, driven: {expr: piston.slide},"
+        " drives: [{joint: elbow.angle, expr: c}]}]\n",
+        "controls:\n- {name: c, driven: {expr: piston.slide},"
+        " drives: [{control: d, expr: c}]}\n"
         "- {name: d, drives: [{joint: elbow.angle, expr: d}]}\n",
     ],
 )

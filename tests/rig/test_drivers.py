@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_a_smooth_curve_has_a_continuous_slope_and_never_overshoots() -> None:
         np.abs(curve_values(points, corners[:, 0], smooth=True) - corners[:, 1]).max()
         < 1e-12
     )
-    for (a, low), (b, high) in zip(points[:-1], points[1:], strict=True):
+    for (a, low), (b, high) in pairwise(points):
         inside = values[(x >= a) & (x <= b)]
         assert inside.min() >= min(low, high) - 1e-12
         assert inside.max() <= max(low, high) + 1e-12
