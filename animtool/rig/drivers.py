@@ -6,7 +6,7 @@ of that frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,8 +86,8 @@ class Driver:
         return flipped.renamed(names)
 
     def renamed(self, names: Mapping[str, str]) -> Driver:
-        """Return the driver with other names of joints and controls."""
-        new = {name: _renamed(name, names) for name in self.names}
+        """Return the driver with other names of joints."""
+        new = renamed_coordinates(self.names, names)
         if self.expression is not None:
             return replace(self, expression=self.expression.renamed(new))
         return replace(self, by=new[self.by])
@@ -103,9 +103,19 @@ def split_coordinate(name: str) -> tuple[str, str]:
     return (joint, part) if joint else ("", "")
 
 
-def _renamed(name: str, names: Mapping[str, str]) -> str:
-    joint, part = split_coordinate(name)
-    return f"{names.get(joint, joint)}.{part}" if joint else names.get(name, name)
+def renamed_coordinates(
+    read: Sequence[str], names: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what coordinates and controls are called with other names of joints.
+
+    >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
+    {'elbow.angle': 'knee.angle', 'grip': 'grip'}
+    """
+    new = {}
+    for name in read:
+        joint, part = split_coordinate(name)
+        new[name] = f"{names.get(joint, joint)}.{part}" if joint else name
+    return new
 
 
 def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> FloatArray:

@@ -179,7 +179,7 @@ def test_circles_are_named_wherever_they_lead(tmp_path: Path) -> None:
         "- {name: d, drives: [{joint: elbow.angle, expr: d}]}\n",
     ],
 )
-def test_what_two_things_move_is_refused(tmp_path: Path, more: str) -> None:
+def test_rivals_of_drivers_are_refused(tmp_path: Path, more: str) -> None:
     found = codes(tmp_path, HEAD + JOINTS + more)
     assert {code for code, _ in found} == {"RIG034"}
 
