@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from animtool.documents.names import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
@@ -44,7 +45,8 @@ def rig_text(rig: Rig) -> str:
         "joints:" if rig.joints else "joints: []",
     ]
     written: set[str] = set()
-    for joint in rig.joints:
+    joints = rig.joints if _mirrors_drivers(rig) else _without_mirrors(rig.joints)
+    for joint in joints:
         if joint.mirror not in written:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
@@ -234,6 +236,29 @@ class _Units:
         if not joint:
             return 1.0
         return self.meters if part == SLIDE else self.radians
+
+
+def _mirrors_drivers(rig: Rig) -> bool:
+    """Return whether the drivers of both sides are mirror images, as joints are."""
+    if not rig.is_driven:
+        return True
+    joints = {joint.name: joint for joint in rig.joints}
+    partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
+    written: set[str] = set()
+    for joint in rig.joints:
+        other = joints.get(joint.mirror)
+        if other is None or joint.mirror in written:
+            continue
+        written.add(joint.name)
+        if (joint.driven is None) != (other.driven is None):
+            return False
+        if joint.driven is not None and joint.driven.mirrored(partners) != other.driven:
+            return False
+    return True
+
+
+def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
+    return [replace(joint, mirror="") for joint in joints]
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:
