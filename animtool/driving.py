@@ -301,11 +301,18 @@ class _Reader:
     motion: Motion
     times: FloatArray
     known: Mapping[str, FloatArray]
+    # What was read already: whole turns are counted once a block.
+    seen: dict[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, name: str) -> FloatArray:
         """Return a coordinate ``(F,)``, or ``(1,)`` where the joint does not move."""
         if name in self.known:
             return self.known[name]
+        if name not in self.seen:
+            self.seen[name] = self._value(name)
+        return self.seen[name]
+
+    def _value(self, name: str) -> FloatArray:
         rig = self.run.rig
         joint_name, part = split_coordinate(name)
         j = rig.index(joint_name)

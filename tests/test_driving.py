@@ -130,6 +130,8 @@ def test_blocks_are_driven_as_the_whole() -> None:
     made = rig("elbow.angle / 4")
     whole = driven_take(take_of(made, spin, np.zeros(60)))
     assert np.unwrap(rolls(whole)) == pytest.approx(spin / 4)
+    # A shape reads the same angle as the joint.
+    assert weights(whole)[:, 0] == pytest.approx(spin / 2)
     take = take_of(made, spin, np.zeros(60))
     blocks = [take.motion.select(slice(at, at + 7)) for at in range(0, 60, 7)]
     stream = replace(TakeStream.of(take), blocks=iter(blocks))
@@ -138,6 +140,7 @@ def test_blocks_are_driven_as_the_whole() -> None:
         whole.motion.dense()[:2], parts.motion.dense()[:2], strict=True
     ):
         assert np.abs(one - two).max() < 1e-14
+    assert np.abs(weights(whole) - weights(parts)).max() < 1e-13
 
 
 def test_limits_hold_and_are_reported_once() -> None:
