@@ -17,13 +17,12 @@ from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.quantities import length_text
+from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
 from animtool.rig.driving import (
-    DriverPlan,
     DriverValues,
     ball_part,
     evaluate_drivers,
-    plan_of,
 )
 from animtool.rig.limits import RangeLimit
 from animtool.rig.shapes import combined_weights, own_weights

@@ -16,7 +16,7 @@ from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import Control, evaluate_controls
-from animtool.rig.driving import plan_of
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig

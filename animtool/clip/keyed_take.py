@@ -38,7 +38,7 @@ from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
-from animtool.rig.driving import plan_of
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import JointType, Rig

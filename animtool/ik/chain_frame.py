@@ -19,7 +19,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3
-from animtool.rig.driving import plan_of
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
     coordinates_from_local,

@@ -10,6 +10,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.ik.goals import Goal
 from animtool.rig.controls import Control
+from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
@@ -20,7 +21,7 @@ from animtool.rig.drivers import (
     smooth_slopes,
     split_coordinate,
 )
-from animtool.rig.driving import GAP, DriverPlan, ball_part, plan_of
+from animtool.rig.driving import GAP, ball_part
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig

@@ -9,8 +9,9 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.rig.controls import Control
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.drivers import split_coordinate
-from animtool.rig.driving import driven_coordinates, plan_of
+from animtool.rig.driving import driven_coordinates
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig
 

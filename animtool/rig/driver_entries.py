@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from animtool.documents.document import Document, Location
-from animtool.rig.drivers import Driver, split_coordinate
-from animtool.rig.driving import (
+from animtool.rig.driver_plan import (
     DriverCycleError,
     coordinate_fault,
     driving_order,
     reads,
 )
+from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joint_schema import DrivenModel
 from animtool.rig.joints import DRIVEN_PARTS, split_part

@@ -10,7 +10,7 @@ import pytest
 
 from animtool import Rig
 from animtool.errors import FormatError
-from animtool.rig.driving import plan_of
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.write import rig_text
 
 HEAD = "rig: animtool/1\nname: arm\n"

@@ -10,15 +10,17 @@ import pytest
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.controls import Control, Drive
+from animtool.rig.driver_plan import (
+    coordinate_fault,
+    driving_order,
+    plan_of,
+    readable_parts,
+)
 from animtool.rig.drivers import Driver, curve_values, split_coordinate
 from animtool.rig.driving import (
     ball_part,
-    coordinate_fault,
     driven_coordinates,
-    driving_order,
     evaluate_drivers,
-    plan_of,
-    readable_parts,
 )
 from animtool.rig.expressions import parse_expression
 from animtool.rig.limits import BallLimit, RangeLimit

@@ -13,7 +13,7 @@ from animtool.documents.document import Location
 from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.controls import Control, DrivenValues, evaluate_controls
-from animtool.rig.driving import plan_of
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.shapes import combination_order
