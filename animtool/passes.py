@@ -16,6 +16,7 @@ from typing import Any, TypeAlias, cast
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
+from animtool.driving import driven_stream, driven_take
 from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
@@ -327,14 +328,16 @@ def apply_pass(
         done = apply_pass(passthrough.stream, pass_, options, context)
         return passthrough.restore(done)
     if pass_.scope is not Scope.CLIP:
-        done = cast(StreamRun, pass_.run)(stream, options, context)
+        done = driven_stream(cast(StreamRun, pass_.run)(stream, options, context))
         stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         curves = stream.control_curves if stays else {}
         curve = stream.curve if _same_rows(stream.rig, done.rig) else None
         done = replace(done, control_curves=curves, curve=curve, altered=True, count=0)
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
-    take = cast(ClipRun, pass_.run)(before, options, context)
+    made = cast(ClipRun, pass_.run)(before, options, context)
+    take = driven_take(made)
+    context.notices.extend(take.notices[len(made.notices) :])
     kept = _kept_curves(stream, before, take, pass_.even(options, before.clock))
     if not _same_rows(before.rig, take.rig):
         take = replace(take, curve=None)

@@ -49,6 +49,7 @@ LAYERS = [
     {
         "clock",
         "contacts",
+        "driving",
         "physics",
         "frames",
         "markers",

@@ -65,6 +65,9 @@ def rig_text(described: RigDescription) -> list[str]:
         lines.append(
             f"  shapes    {described.shapes}, {described.combined} combined{arkit}"
         )
+    lines += [f"  driven    {line}" for line in described.driven[:MAX_PRIMS]]
+    if len(described.driven) > MAX_PRIMS:
+        lines.append(f"  driven    and {len(described.driven) - MAX_PRIMS} more")
     others = {
         "control": described.controls,
         "chain": described.ik,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from animtool.clip.sample import sample_values
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
-from animtool.rig.controls import evaluate_controls
+from animtool.rig.controls import Control, evaluate_controls
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig
@@ -50,13 +51,16 @@ def solved_controls(
     Values that come with the take are where the search starts; without any, the
     defaults.
     """
-    frames, controls = take.motion.frames, rig.controls
+    frames, controls = take.motion.frames, keyable_controls(rig)
     held = take.motion.controls
     start = {c.name: np.full(frames, c.default) for c in controls}
     if held is not None:
         columns = held.dense()[..., 0].T
         reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
-        start = keyed_values(controls, reached)
+        start |= keyed_values(controls, reached)
+    if rig.is_driven:
+        still = {c.name: np.full(frames, c.default) for c in controls}
+        start |= {name: still[name] for name in plan_of(rig).controls}
     near = evaluate_controls(controls, start).targets
     goals, keyed = requested_of_joints(rig, joints, set(near), near, same)
     shapes = own_weights_of(take, rig)
@@ -74,6 +78,29 @@ def solved_controls(
         solved.kept,
         () if held is not None else solved.released,
     )
+
+
+def keyable_controls(rig: Rig) -> Sequence[Control]:
+    """Return a rig's controls without drives of what takes no keys.
+
+    Those are what is driven by coordinates of joints, and what that drives.
+    """
+    if not rig.is_driven:
+        return rig.controls
+    plan = plan_of(rig)
+    taken = {
+        *(f"shape/{n}" for n in plan.shapes),
+        *(f"control/{n}" for n in plan.controls),
+    }
+    return [
+        replace(
+            control,
+            drives=()
+            if control.name in plan.controls
+            else tuple(d for d in control.drives if d.target not in taken),
+        )
+        for control in rig.controls
+    ]
 
 
 def _settled(values: FloatArray, default: float) -> FloatArray:

@@ -38,9 +38,10 @@ from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import JointType, Rig
 from animtool.take import Take
 
 # What samples in float32 leave between joints and what drives them [rad], [m], [1].
@@ -157,12 +158,13 @@ class _Job:
         take, rig, others = self.take, self.rig, self.others
         others = {pattern: factor * value for pattern, value in others.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, others)
-        exact = evaluate_controls(rig.controls, self.solved.values).targets
+        driven = self._driven()
+        exact = evaluate_controls(rig.controls, self.solved.values).targets | driven
         weights = self._weights(exact, exact)
         finest = WEIGHT_TOLERANCE * factor / _growth(rig, weights)
         own = self._own(joint_tracks(rig, self.joints, exact, exact, self.same))
         controls = fit_controls(take, rig, self.solved.values, own, bounds, finest)
-        fitted = evaluate_controls(rig.controls, controls.named).targets
+        fitted = evaluate_controls(rig.controls, controls.named).targets | driven
         tracks = joint_tracks(rig, self.joints, exact, fitted, self.same)
         tracks += self._scales() + self._weights(exact, fitted)
         reduction = reduce_motion(
@@ -189,6 +191,20 @@ class _Job:
             channel_errors(clip, rig, take, sampled, self.solved.values),
             key_notices(rig, self.joints, self.solved, tracks, exact),
         )
+
+    def _driven(self) -> dict[str, FloatArray]:
+        """Return what is driven by coordinates of joints, which has no keys."""
+        rig = self.rig
+        if not rig.is_driven:
+            return {}
+        plan = plan_of(rig)
+        parts = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
+        return {
+            f"joint/{rig.names[j]}.{parts[rig.joints[j].type]}": self.joints[
+                j
+            ].coordinate
+            for j in plan.joints
+        } | {f"shape/{name}": self.weights[name] for name in plan.shapes}
 
     def _own(self, tracks: list[Track]) -> frozenset[tuple[ChannelKind, int]]:
         """Return what has keys of its own, and the joints that follow such a joint."""

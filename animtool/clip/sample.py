@@ -64,7 +64,8 @@ def sample_channels(
     say of one joint is added: turns of controls are rotation vectors, applied before
     the channel's rotation. A channel of ``local_translation`` or ``local_rotation``
     takes the place of rest and of all that would be added to it. A combined shape's
-    weight is the product of its drivers', and what keys and controls add to it.
+    weight is the product of its drivers', and what keys and controls add to it. What
+    the rig drives by coordinates of joints is as it says, whatever keys say.
 
     Args:
         channels: The clip's.
@@ -145,6 +146,7 @@ def sample_values(
     for name, part in parts.items():
         joints.add(rig.index(name), part)
     moving_controls = _control_channel(rig, driven, count) if controls else None
+    coordinates = _coordinates(rig, parts, clamp=clamp) if rig.is_driven else {}
     motion = Motion(
         joints.channel("translations", rig.rest_translations),
         joints.channel("rotations", rig.rest_rotations),
@@ -154,7 +156,30 @@ def sample_values(
         _weights(rig, keyed, driven, count),
         moving_controls,
     )
+    if rig.is_driven:
+        from animtool.driving import DriverRun
+
+        run = DriverRun(rig, replaced=True)
+        motion = run.drive(motion, times, coordinates)
+        notices += [ClipNotice(*notice) for notice in run.targeted()]
     return Sampled(motion, notices)
+
+
+def _coordinates(
+    rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
+) -> dict[str, FloatArray]:
+    """Return the angles and slides that keys and controls give joints, by name."""
+    found = {}
+    for name, own in parts.items():
+        joint = rig.joints[rig.index(name)]
+        part, whole = _FOLLOWING.get(joint.type, ("", ""))
+        value = _sum(own.get(part), own.get(f"+{part}"))
+        if value is None or whole in own:
+            continue
+        if clamp and isinstance(joint.limits, RangeLimit):
+            value = joint.limits.clamped(value)
+        found[f"{name}.{part}"] = value[:, 0]
+    return found
 
 
 def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:

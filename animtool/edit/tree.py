@@ -15,6 +15,7 @@ from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.rig.drivers import split_coordinate
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 from animtool.similar import similar
@@ -242,6 +243,16 @@ def _referred(rig: Rig) -> set[str]:
     driven = [
         t.removeprefix("joint/").split(".")[0] for t in drives if t[:6] == "joint/"
     ]
+    drivers = [
+        *(joint.driven for joint in rig.joints),
+        *(shape.driven for shape in rig.shapes),
+        *(control.driven for control in rig.controls),
+    ]
+    groups += [
+        tuple(split_coordinate(name)[0] for name in driver.names)
+        for driver in filter(None, drivers)
+    ]
+    groups.append(tuple(one.name for one in rig.joints if one.driven is not None))
     mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
     colliders = [collider.joint for collider in rig.colliders]
     return {name for group in groups for name in group}.union(driven, mimics, colliders)

@@ -11,6 +11,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
+from animtool.ik.driver_programs import FOLLOWS_PROGRAM, Programs, Source
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
 from animtool.maths import so3
@@ -40,7 +41,7 @@ class _Frame:
 class _Builder:
     """Nodes and coordinates, as they are found."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, pose: FloatArray) -> None:
         self.rig = rig
         self.slices = coordinate_slices(rig)
         self.ranges = _ranges(rig)
@@ -54,6 +55,8 @@ class _Builder:
         self.periods: list[tuple[float, float]] = []
         self.turns: list[tuple[int, FloatArray]] = []
         self.places: dict[int, int] = {}
+        self.balls: dict[int, int] = {}
+        self.programs = Programs(rig, pose) if rig.is_driven else None
 
     def add(
         self,
@@ -70,7 +73,18 @@ class _Builder:
                 for i in range(3):
                     frame = self._slide(first + i, frame, np.eye(3)[i])
                 return self._ball(first + 3, spec, frame)
+        self.balls[joint] = len(self.columns)
         return self._ball(self.slices[joint].start, spec, frame)
+
+    def sources(self) -> dict[int, Source]:
+        """Return where the joints of the chain are that drivers may read."""
+        found = {j: Source(place) for j, place in self.balls.items()}
+        for j, joint in enumerate(self.rig.joints):
+            if joint.type in {JointType.PIN, JointType.PRISMATIC}:
+                leader, gain, shift = _leader(self.rig, j)
+                if leader in self.places:
+                    found[j] = Source(self.places[leader], gain, shift)
+        return found
 
     def _node(
         self,
@@ -79,11 +93,11 @@ class _Builder:
         turn: FloatArray,
         coordinate: int,
         *,
-        follows: bool = False,
+        follows: int = 0,
         gain: tuple[float, float] = (1.0, 0.0),
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
-        self.nodes.append([kind, frame.node, coordinate, int(follows)])
+        self.nodes.append([kind, frame.node, coordinate, follows])
         self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, turn)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
@@ -100,13 +114,14 @@ class _Builder:
         leader, gain, shift = _leader(self.rig, joint)
         spec = self.rig.joints[joint]
         kind = PIN if spec.type is JointType.PIN else SLIDE
-        follows = leader in self.places
+        if self.programs is not None and joint in self.programs.plan.joints:
+            turn = _z_onto(np.asarray(spec.axis, np.float64))
+            program = self.programs.ask(joint)
+            return self._node(kind, frame, turn, program, follows=FOLLOWS_PROGRAM)
         turn = _z_onto(np.asarray(spec.axis, np.float64))
-        if follows:
+        if leader in self.places:
             place = self.places[leader]
-            return self._node(
-                kind, frame, turn, place, follows=True, gain=(gain, shift)
-            )
+            return self._node(kind, frame, turn, place, follows=1, gain=(gain, shift))
         low, high = self.ranges.get(leader, (-np.inf, np.inf))
         lead = self.rig.joints[leader]
         length = lead.type is JointType.PRISMATIC
@@ -186,7 +201,7 @@ def assemble(
     Of each goal at least one joint above it moves.
     """
     local = local_from_coordinates(rig, pose[None])
-    builder = _Builder(rig)
+    builder = _Builder(rig, pose)
     frames: dict[int, _Frame] = {}
     above = {j for goal in goals for j in rig.upwards(rig.index(goal.joint))}
     for j in sorted(above):
@@ -198,6 +213,9 @@ def assemble(
             frames[j] = builder.add(j, rest)
         else:
             frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
+    for j in sorted(moving - above):
+        # Joints that only move others, which follow them: where they are is open.
+        builder.add(j, _Frame(-1, np.zeros(3), so3.IDENTITY))
     limbs, faults = _limbs(rig, goals, moving, frames, local)
     return _finish(builder, rig, goals, frames, limbs), faults
 
@@ -249,7 +267,9 @@ def _finish(
     nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     scales = np.where(builder.lengths, length, 1.0)
     own = np.where(nodes[:, 0] == SLIDE, length, 1.0)
-    of = scales[nodes[:, 2]]
+    programs = nodes[:, 3] == FOLLOWS_PROGRAM
+    # Programs come to metres and radians.
+    of = np.where(programs, 1.0, scales[np.where(programs, 0, nodes[:, 2])])
     gains = np.array(builder.gains)
     limits = np.array(builder.limits)
     single = nodes[:, 0] != BALL
@@ -264,6 +284,13 @@ def _finish(
         ],
         axis=1,
     )
+    if builder.programs is not None:
+        asked, rows, values = builder.programs.rows(builder.sources(), scales)
+        nodes[programs, 2] = np.array(asked, np.int64)[nodes[programs, 2]]
+        more = np.zeros((len(rows), numbers.shape[1]))
+        more[:, :6] = np.array(values).reshape(-1, 6)
+        nodes = np.concatenate([nodes, np.array(rows, np.int64).reshape(-1, 4)])
+        numbers = np.concatenate([numbers, more])
     goal_numbers = [
         [
             *(end.translation / length),

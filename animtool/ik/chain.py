@@ -21,7 +21,9 @@ HAIR = 0.02
 class Chain:
     """Nodes: joints turned so that z is what they turn, slide or twist about."""
 
-    nodes: IntArray  # kind, parent, coordinate, whether it follows ``(N, 4)``
+    # Kind, parent, coordinate, whether it follows that of another node, or with 2 a
+    # program ``(N, 4)``; behind these, rows of programs (`driver_programs`).
+    nodes: IntArray
     # Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in shares of
     # ``length``.
     numbers: FloatArray
@@ -136,9 +138,12 @@ def with_periods(chain: Chain) -> FloatArray:
     crosses them ends at the other one, turned as if there were none.
     """
     numbers = chain.numbers.copy()
-    for row, (kind, _, column, _) in zip(numbers, chain.nodes[:, :4], strict=True):
+    for row, (kind, _, column, follows) in zip(numbers, chain.nodes, strict=True):
+        # What follows a program has none of its own.
+        if kind != PIN or follows > 1:
+            continue
         low, high = chain.periods[column]
-        if kind == PIN and high - low > 2 * np.pi + HAIR and np.isfinite(low):
+        if high - low > 2 * np.pi + HAIR and np.isfinite(low):
             row[14:16] = low, high
     return numbers
 

@@ -8,7 +8,7 @@ into the rest pose.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
 from animtool.ik.problem import build
 from animtool.maths import so3
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
     coordinates_from_local,
@@ -63,7 +64,8 @@ class Parts:
     """The frames of a take as parts."""
 
     all: list[Part]  # one, or where none fits all frames, one each
-    between: tuple[str, ...]  # names of the joints for which none does
+    # Names of the joints, and controls of their drivers, for which none does.
+    between: tuple[str, ...]
 
 
 def parts_of(
@@ -72,9 +74,15 @@ def parts_of(
     world: WorldTransforms,
     goals: Sequence[Goal],
     joints: Collection[str] | None,
+    controls: Mapping[str, FloatArray] | None = None,
 ) -> Parts:
-    """Return the frames of a take as parts."""
+    """Return the frames of a take as parts.
+
+    ``controls``: values ``(F,)`` of those that drivers of joints read.
+    """
     coordinates = coordinates_from_local(rig, local)
+    controls = controls or {}
+    rig = with_controls(rig, controls, 0)
     probe = build(rig, goals, joints=joints, pose=coordinates[0])
     moving = {rig.index(name) for name in probe.joints}
     paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
@@ -91,13 +99,22 @@ def parts_of(
         if (strays[j] if j in moving else changes[0][j])
         or (j not in moving | pivots and changes[1][j])
     ]
+    read = _moving_sources(rig, moving & inside, moving, changes[0] | changes[1])
+    between = sorted({*between, *read})
+    others = [name for name, values in controls.items() if (values != values[0]).any()]
     count = len(coordinates)
-    spans = [slice(f, f + 1) for f in range(count)] if between else [slice(0, count)]
+    spans = (
+        [slice(f, f + 1) for f in range(count)]
+        if between or others
+        else [slice(0, count)]
+    )
     places, turns = _carriers(world, carriers)
     of_paths = sorted({j for path in paths for j in path})
     parts = [
         Part(
-            _with_rests(rig, rests, span.start, of_paths),
+            with_controls(
+                _with_rests(rig, rests, span.start, of_paths), controls, span.start
+            ),
             span,
             coordinates[span],
             places[span],
@@ -105,7 +122,33 @@ def parts_of(
         )
         for span in spans
     ]
-    return Parts(parts, tuple(rig.names[j] for j in between))
+    return Parts(parts, (*(rig.names[j] for j in between), *others))
+
+
+def _moving_sources(
+    rig: Rig, driven: set[int], free: set[int], changed: BoolArray
+) -> list[int]:
+    """Return joints that driven ones read, which move but are not solved."""
+    if not rig.is_driven:
+        return []
+    plan = plan_of(rig)
+    read = {
+        source for j in driven.intersection(plan.joints) for source in plan.sources(j)
+    }
+    return [j for j in read - free if changed[j]]
+
+
+def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
+    """Return a rig whose controls stand at values of a frame, as their defaults."""
+    if not values:
+        return rig
+    controls = tuple(
+        replace(control, default=float(values[control.name][frame]))
+        if control.name in values
+        else control
+        for control in rig.controls
+    )
+    return replace(rig, controls=controls)
 
 
 def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:

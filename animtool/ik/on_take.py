@@ -10,8 +10,9 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.documents.names import nearest
+from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain_frame import parts_of, refuse_scales
 from animtool.ik.goals import Goal, Targets
@@ -25,6 +26,7 @@ from animtool.ik.take_run import (
     gathered_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -148,7 +150,8 @@ def solve_take(
 
     free = takes_released(take, tracks, bring_take)
     found = bring(tracks, free)
-    return replace(found, seconds=spent + found.seconds)
+    driven = driven_take(found.take)
+    return replace(found, take=driven, seconds=spent + found.seconds)
 
 
 def _solve_take(
@@ -177,7 +180,8 @@ def _solve_take(
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
         run = TakeRun(rig, tracks, targets, world, options, joints, still, rate)
-        parts = parts_of(rig, local, world, goals, joints)
+        controls = _controls(rig, take)
+        parts = parts_of(rig, local, world, goals, joints, controls)
         for part in parts.all:
             found.append(run.solved(part))
             progress(found[-1].part.frames.stop / take.clock.count)
@@ -189,6 +193,20 @@ def _solve_take(
         away=_away(goals, rig, world, targets),
         size=max(extent, solved.problem.length),
     )
+
+
+def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
+    """Return the values ``(F,)`` of controls that drivers of joints read."""
+    channel = take.motion.controls
+    if channel is None or not rig.is_driven:
+        return {}
+    names = plan_of(rig).controls_read()
+    values = channel.gather(np.arange(len(channel.rest)))[:, :, 0]
+    return {
+        control.name: values[:, i]
+        for i, control in enumerate(take.rig.controls)
+        if control.name in names
+    }
 
 
 def _away(

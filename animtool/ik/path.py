@@ -305,7 +305,11 @@ def at_poses(
     )
     return replace(
         result,
-        coordinates=chain.into_rig(poses, result.coordinates),
+        coordinates=following(
+            result.problem.rig,
+            chain.into_rig(poses, result.coordinates),
+            result.problem.joints,
+        ),
         statuses=statuses,
         misses=misses * by_unit(chain.length, 1.0),
         reached=path.excesses(misses) <= 1,

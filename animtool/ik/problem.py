@@ -12,6 +12,7 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.errors import Fault, OptionError, counted, listed
 from animtool.ik.assembly import assemble
 from animtool.ik.chain import Chain
+from animtool.ik.driver_programs import with_sources
 from animtool.ik.goals import FARTHEST, Goal, goal_faults
 from animtool.ik.limbs import Limb, find_limbs
 from animtool.rig.joints import coordinate_slices
@@ -203,7 +204,7 @@ def moving_joints(
             slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
             pivots = pivots and not slides and not any(joint.translation)
             j = -1 if joint.name == goal.root else joint.parent
-    return moving
+    return with_sources(rig, moving, goals, joints) if rig.is_driven else moving
 
 
 def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:

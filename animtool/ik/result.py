@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import Clock
+from animtool.driving import driven_take
 from animtool.ik.goals import PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
@@ -158,7 +159,7 @@ class IkResult:
             Channel.from_dense(self.local_translations()),
             Channel.from_dense(so3.align_signs(rotations)),
         )
-        return Take(rig, clock, motion)
+        return driven_take(Take(rig, clock, motion))
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""

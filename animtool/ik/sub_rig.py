@@ -8,12 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.rig.controls import Control
+from animtool.rig.driver_plan import plan_of
+from animtool.rig.drivers import split_coordinate
+from animtool.rig.driving import driven_coordinates
 from animtool.rig.joints import coordinate_slices
-from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 
 
 def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     """Return the joints that follow one of some joints, or one that does, in order.
+
+    They mimic it, or drivers give them its coordinates.
 
     >>> from animtool.rig.skeleton import Joint, JointType, Mimic
     >>> lead = Joint("lead", -1, JointType.PIN)
@@ -25,7 +31,10 @@ def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     left = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
     while new := {name for name, lead in left.items() if lead in reached} - reached:
         reached |= new
-    return [name for name in rig.names if name in reached and name in left]
+    followers = {name for name in reached if name in left}
+    if rig.is_driven:
+        followers.update(plan_of(rig).followers(reached))
+    return [name for name in rig.names if name in followers]
 
 
 def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> FloatArray:
@@ -35,6 +44,19 @@ def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> Floa
         return coordinates
     slices = coordinate_slices(rig)
     out = coordinates.copy()
+    if rig.is_driven:
+        driven = {rig.names[j] for j in plan_of(rig).joints}
+        undriven = [name for name in names if name not in driven]
+        return driven_coordinates(
+            plan_of(rig), _with_mimics(rig, out, slices, undriven)
+        )
+    return _with_mimics(rig, out, slices, names)
+
+
+def _with_mimics(
+    rig: Rig, out: FloatArray, slices: list[slice], names: list[str]
+) -> FloatArray:
+    """Return coordinates ``(B, Q)`` in which joints follow those that they mimic."""
     # Once for each, so that the last of a row of followers has its leader's too.
     for _ in names:
         for name in names:
@@ -61,6 +83,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     """
     kept: set[int] = set()
     waiting = [rig.index(name) for name in names]
+    linked = _linked(rig) if rig.is_driven else {}
     while waiting:
         j = waiting.pop()
         if j in kept:
@@ -71,6 +94,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
             waiting.append(joint.parent)
         if joint.mimic is not None:
             waiting.append(rig.index(joint.mimic.joint))
+        waiting += linked.get(j, ())
         waiting += [
             i
             for i, other in enumerate(rig.joints)
@@ -82,7 +106,41 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
         replace(rig.joints[j], parent=place[rig.joints[j].parent]) for j in own
     )
     part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, ik=rig.ik)
+    if linked:
+        part = replace(part, controls=_read_controls(rig, part.names))
     return part, np.array(own, np.int64)
+
+
+def _linked(rig: Rig) -> dict[int, list[int]]:
+    """Return by joint the joints that its driver reads, and those driven by it."""
+    linked: dict[int, list[int]] = {}
+    for name, others in plan_of(rig).reads.items():
+        for other in others:
+            ends = rig.index(name), rig.index(other)
+            for one, far in (ends, ends[::-1]):
+                linked.setdefault(one, []).append(far)
+    return linked
+
+
+def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
+    """Return the controls, with drivers and drives that a rig of fewer joints has."""
+    known = set(names)
+    return tuple(
+        replace(
+            control,
+            drives=tuple(d for d in control.drives if d.target.startswith("control/")),
+            driven=control.driven
+            if control.driven is not None
+            and all(_joint_known(name, known) for name in control.driven.names)
+            else None,
+        )
+        for control in rig.controls
+    )
+
+
+def _joint_known(name: str, known: Collection[str]) -> bool:
+    joint = split_coordinate(name)[0]
+    return not joint or joint in known
 
 
 def with_types(rig: Rig) -> Rig:
@@ -129,7 +187,15 @@ def dressed(rig: Rig, other: Rig) -> Rig:
                 axis=own.axis,
                 limits=own.limits,
                 mimic=own.mimic if followed else None,
+                driven=own.driven if _readable(own, names, rig) else None,
             )
         )
     chains = tuple(chain for chain in other.ik if {chain.root, chain.tip} <= names)
     return replace(rig, joints=tuple(joints), ik=chains)
+
+
+def _readable(joint: Joint, names: Collection[str], rig: Rig) -> bool:
+    """Return whether a rig has all that a joint's driver reads."""
+    known = {*names, *(control.name for control in rig.controls)}
+    read = () if joint.driven is None else joint.driven.names
+    return all((split_coordinate(name)[0] or name) in known for name in read)

@@ -36,6 +36,98 @@ void check_numbers(const Node& node, const double* values) {
   if (!good) check::refuse("numbers", "limits are not in order");
 }
 
+// Rows behind those of the nodes hold programs: 3, its number, operation, and 1 more than
+// the coordinate, program or count that this needs, these too counted from 1.
+constexpr std::int64_t INSTRUCTION = 3;
+// Of a node, in place of whether it follows a coordinate: its coordinate is a program.
+constexpr std::int64_t FOLLOWS_PROGRAM = 2;
+// Degrees of freedom that are gathered before doubles are taken out.
+constexpr std::size_t MOST_ROWS_READ = 4 * MOST_SLOPES;
+
+// What a program depends on: its own coordinates' degrees of freedom, and those of others.
+void add_dofs(const Chain& chain, const std::vector<int>& dof_of, Program& program) {
+  for (const Instruction& one : program.instructions) {
+    if (one.op == Op::COORDINATE) program.dofs.push_back(dof_of[one.which]);
+    if (one.op == Op::BALL)
+      for (int k = 0; k < 3; ++k) program.dofs.push_back(dof_of[one.which] + k);
+    if (one.op == Op::RESULT) {
+      const std::vector<int>& others = chain.programs[one.which].dofs;
+      program.dofs.insert(program.dofs.end(), others.begin(), others.end());
+    }
+    if (program.dofs.size() > MOST_ROWS_READ) {
+      std::sort(program.dofs.begin(), program.dofs.end());
+      program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()),
+                         program.dofs.end());
+      if (program.dofs.size() > MOST_SLOPES) check::refuse("nodes", "a program reads too much");
+    }
+  }
+  std::sort(program.dofs.begin(), program.dofs.end());
+  program.dofs.erase(std::unique(program.dofs.begin(), program.dofs.end()), program.dofs.end());
+  for (Instruction& one : program.instructions)
+    if (one.op == Op::COORDINATE || one.op == Op::BALL) {
+      const auto own = std::lower_bound(program.dofs.begin(), program.dofs.end(), dof_of[one.which]);
+      one.slot = static_cast<int>(own - program.dofs.begin());
+    }
+}
+
+// Counts the values stacked; what is left is one, and no instruction lacks a value.
+void check_stack(Program& program) {
+  std::size_t stacked = 0;
+  int points = 0;
+  for (const Instruction& one : program.instructions) {
+    if (one.op == Op::POINT) {
+      ++points;
+      continue;
+    }
+    if (points != (one.op == Op::CURVE ? one.which : 0) || (one.op == Op::CURVE && !points))
+      check::refuse("nodes", "a curve of a program has other points");
+    points = 0;
+    const std::size_t taken = arguments(one.op);
+    if (stacked < taken) check::refuse("nodes", "a program takes what is not there");
+    stacked += 1 - taken;
+    program.depth = std::max(program.depth, stacked);
+  }
+  if (stacked != 1 || points || program.depth > MOST_STACKED)
+    check::refuse("nodes", "a program does not come to one value");
+}
+
+// balls: whether a coordinate is a ball's first, by coordinate.
+void read_programs(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
+                   std::size_t first, const std::vector<int>& dof_of,
+                   const std::vector<bool>& balls, Chain& chain) {
+  const std::int64_t coordinates = chain.coordinates;
+  std::size_t slopes = 0;
+  for (std::size_t n = first; n < nodes.shape(0);) {
+    Program program;
+    const auto number = static_cast<std::int64_t>(chain.programs.size());
+    for (; n < nodes.shape(0) && nodes.data()[4 * n + 1] == number; ++n) {
+      const std::int64_t* row = nodes.data() + 4 * n;
+      check::between("nodes", row[0], INSTRUCTION, INSTRUCTION);
+      check::between("nodes", row[2], 0, static_cast<std::int64_t>(Op::COUNT) - 1);
+      check::finite("numbers", numbers.data() + 18 * n, MOST_NUMBERS);
+      check::between("nodes", row[3], 1, static_cast<std::int64_t>(check::MOST_ROWS));
+      const std::int64_t which = row[3] - 1;
+      Instruction one{static_cast<Op>(row[2]), 0, {}, 0};
+      std::copy(numbers.data() + 18 * n, numbers.data() + 18 * n + MOST_NUMBERS, one.numbers);
+      if (one.op == Op::COORDINATE || one.op == Op::BALL) {
+        check::indices("nodes", &which, 1, 1, coordinates + 1);
+        if (balls[which - 1] != (one.op == Op::BALL) || dof_of[which - 1] < 0)
+          check::refuse("nodes", "a program reads no such coordinate");
+      }
+      if (one.op == Op::RESULT) check::indices("nodes", &which, 1, 1, number + 1);
+      if (one.op == Op::CURVE) check::indices("nodes", &which, 1, 1, check::MOST_ROWS);
+      one.which = static_cast<int>(one.op == Op::CURVE ? which : which - 1);
+      program.instructions.push_back(one);
+    }
+    if (program.instructions.empty()) check::refuse("nodes", "programs are out of order");
+    check_stack(program);
+    add_dofs(chain, dof_of, program);
+    program.first = slopes;
+    slopes += program.dofs.size();
+    chain.programs.push_back(std::move(program));
+  }
+}
+
 Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers) {
   check::shape("nodes", nodes, {check::ANY, 4});
   check::shape("numbers", numbers, {nodes.shape(0), 18});
@@ -43,10 +135,14 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
   Chain chain;
   int coordinates = 0, dofs = 0;
   std::vector<int> dof_of;
-  for (std::size_t n = 0; n < nodes.shape(0); ++n) {
+  std::vector<bool> balls;
+  std::size_t joints = 0;
+  while (joints < nodes.shape(0) && nodes.data()[4 * joints] != INSTRUCTION) ++joints;
+  for (std::size_t n = 0; n < joints; ++n) {
     const std::int64_t* row = nodes.data() + 4 * n;
     const double* values = numbers.data() + 18 * n;
     Node node{};
+    node.program = -1;
     check::between("nodes", row[0], 0, static_cast<std::int64_t>(Kind::BALL));
     check::between("nodes", row[1], -1, static_cast<std::int64_t>(n) - 1);
     node.kind = static_cast<Kind>(row[0]);
@@ -58,10 +154,17 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     node.gain = values[12], node.shift = values[13];
     std::copy(values + 14, values + 18, node.limit);
     if (node.kind == Kind::BALL) prepare(node);
+    if (row[3] == FOLLOWS_PROGRAM) {
+      check::between("nodes", row[2], 0, check::MOST_ROWS);
+      if (node.kind == Kind::BALL) check::refuse("nodes", "a ball follows no program");
+      node.program = static_cast<int>(row[2]);
+      chain.nodes.push_back(node);
+      continue;
+    }
     node.coordinate = static_cast<int>(row[2]);
     if (node.follows) {
       check::indices("nodes", row + 2, 1, 0, coordinates);
-      if (node.kind == Kind::BALL || dof_of[row[2]] < 0)
+      if (node.kind == Kind::BALL || balls[row[2]] || dof_of[row[2]] < 0)
         check::refuse("nodes", "coordinate " + check::text(row[2]) + " is none to follow");
       node.dof = dof_of[row[2]];
     } else {
@@ -69,7 +172,9 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
       const int size = node.kind == Kind::BALL ? 4 : 1;
       node.dof = dofs;
       dof_of.insert(dof_of.end(), size, -1);
-      dof_of[coordinates] = node.kind == Kind::BALL ? -1 : dofs;
+      balls.insert(balls.end(), size, false);
+      dof_of[coordinates] = dofs;
+      balls[coordinates] = node.kind == Kind::BALL;
       coordinates += size;
       dofs += node.width();
     }
@@ -77,6 +182,10 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
   }
   chain.coordinates = coordinates;
   chain.dofs = dofs;
+  read_programs(nodes, numbers, joints, dof_of, balls, chain);
+  for (const Node& node : chain.nodes)
+    if (node.program >= static_cast<int>(chain.programs.size()))
+      check::refuse("nodes", "a joint follows no program");
   return chain;
 }
 

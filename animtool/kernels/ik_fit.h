@@ -217,7 +217,7 @@ class PathFit : public Descent {
   void send_home(double* out) {
     difference(task_.chain, out, home_.data(), away_.data());
     for (const Node& node : task_.chain.nodes)
-      for (int k = 0; k < node.width(); ++k)
+      for (int k = 0; k < (node.program < 0 ? node.width() : 0); ++k)
         away_[node.dof + k] *= node.kind == Kind::SLIDE || is_root(node) ? 0 : fit_.homing;
     stepper_.move(std::vector<double>(out, out + coordinates_).data(), away_.data(), out);
   }

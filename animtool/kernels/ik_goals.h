@@ -60,7 +60,7 @@ struct State {
   double drawn = 0;               // its part
 
   explicit State(const Task& task)
-      : q(task.chain.coordinates), frames(task.chain.nodes.size()), residuals(task.rows),
+      : q(task.chain.coordinates), frames(task.chain), residuals(task.rows),
         points(3 * task.goals.size()), misses(PARTS * task.goals.size()),
         weights(PARTS * task.goals.size()) {}
 };
@@ -134,10 +134,8 @@ inline void differentiate(const Task& task, const double* targets, const State& 
     for (const int n : goal.path) {
       const Node& node = task.chain.nodes[n];
       const double* origin = &state.frames.origins[3 * n];
-      const double gain = node.gain;
-      for (int k = 0; k < node.width(); ++k) {
-        double* column =
-            columns.data() + static_cast<std::size_t>(node.dof + k) * task.rows + goal.row;
+      each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
+        double* column = columns.data() + static_cast<std::size_t>(dof) * task.rows + goal.row;
         Motion motion{node, n, &state.frames.axes[9 * n + 3 * k], origin, {}, {}};
         velocity(node, motion.axis, origin, point, motion.linear, motion.angular);
         each_kind([&]<class Kind>(int part) {
@@ -145,7 +143,7 @@ inline void differentiate(const Task& task, const double* targets, const State& 
             std::get<typename Kind::Slopes>(slopes).add(motion, gain * shares[part],
                                                         column + rows[part]);
         });
-      }
+      });
     }
   }
 }
@@ -206,7 +204,7 @@ class Curvature {
       const double* origin = &state.frames.origins[3 * n];
       double own_linear[3] = {0, 0, 0}, own_angular[3] = {0, 0, 0};
       accumulate(task, state, n, point, along, own_linear, own_angular);
-      for (int k = 0; k < node.width(); ++k) {
+      each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
         double lin[3], ang[3];
         velocity(node, &state.frames.axes[9 * n + 3 * k], origin, point, lin, ang);
         double sum = -triple(force, ang, behind) - triple(force, before, lin);
@@ -214,8 +212,8 @@ class Curvature {
         sum -= (triple(force, ang, own_linear) + triple(force, own_angular, lin)) / 2;
         sum -= (triple(torque, ang, behind + 3) + triple(torque, before, ang)) / 2;
         sum += dot(ang, across_axis);
-        out[node.dof + k] += node.gain * sum;
-      }
+        out[dof] += gain * sum;
+      });
       for (int i = 0; i < 3; ++i) before[i] += own_angular[i];
     }
   }
@@ -223,13 +221,13 @@ class Curvature {
   static void accumulate(const Task& task, const State& state, int n, const double* point,
                          const double* along, double* linear, double* angular) {
     const Node& node = task.chain.nodes[n];
-    for (int k = 0; k < node.width(); ++k) {
+    each_slope(task.chain, node, state.frames, [&](int k, int dof, double gain) {
       double lin[3], ang[3];
       velocity(node, &state.frames.axes[9 * n + 3 * k], &state.frames.origins[3 * n], point,
                lin, ang);
-      const double amount = node.gain * along[node.dof + k];
+      const double amount = gain * along[dof];
       for (int i = 0; i < 3; ++i) linear[i] += amount * lin[i], angular[i] += amount * ang[i];
-    }
+    });
   }
 
   std::vector<double> behind_;

@@ -136,6 +136,16 @@ inline SwingTwistGradients gradients(const double* q, const SwingTwist& parts) {
   return out;
 }
 
+inline BallParts ball_parts(const double* q, double middle) {
+  const double around[4] = {0, 0, middle - TURN / 2, middle + TURN / 2};
+  const SwingTwist parts = split(q, around);
+  const SwingTwistGradients slopes = gradients(q, parts);
+  BallParts out{parts.twist, {parts.swing[0], parts.swing[1]}, {}};
+  for (int k = 0; k < 2; ++k) std::copy(slopes.swing[k], slopes.swing[k] + 3, out.slopes[k]);
+  std::copy(slopes.twist, slopes.twist + 3, out.slopes[2]);
+  return out;
+}
+
 // A direction of the degrees of freedom that a step may not choose: its unit vector
 // on `width` of them from `dof`, and the part of the step along it.
 struct Fixed {

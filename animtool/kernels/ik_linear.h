@@ -61,11 +61,10 @@ struct Linearized {
         pull(task.chain.dofs), first(task.chain.dofs, task.rows), last(task.chain.dofs, 0) {
     for (const Goal& goal : task.goals)
       for (const int n : goal.path) {
-        const Node& node = task.chain.nodes[n];
-        for (int d = node.dof; d < node.dof + node.width(); ++d) {
+        each_dof(task.chain, task.chain.nodes[n], [&](int d) {
           first[d] = std::min(first[d], goal.row);
           last[d] = std::max(last[d], goal.row + rows_of(goal));
-        }
+        });
       }
   }
 };

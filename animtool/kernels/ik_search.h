@@ -182,6 +182,7 @@ class Search : public Descent {
   // The pose without motion, or what the limits leave of it.
   void straighten() {
     for (const Node& node : task_.chain.nodes) {
+      if (node.program >= 0) continue;
       double* own = &now_.q[node.coordinate];
       std::fill(own, own + (node.kind == Kind::BALL ? 4 : 1), 0.0);
       if (node.kind == Kind::BALL) own[3] = 1;

@@ -237,7 +237,7 @@ class Stepper {
   double turning(const double* step) const {
     double longest = 0;
     for (const Node& node : task_.chain.nodes) {
-      if (node.kind == Kind::SLIDE) continue;
+      if (node.kind == Kind::SLIDE || node.program >= 0) continue;
       const double* by = step + node.dof;
       longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
     }
@@ -251,10 +251,10 @@ class Stepper {
       double* turned = &turned_[3 * n];
       for (int i = 0; i < 3; ++i) turned[i] = node.parent < 0 ? 0 : turned_[3 * node.parent + i];
       if (node.kind == Kind::SLIDE) continue;
-      for (int k = 0; k < node.width(); ++k)
+      each_slope(task_.chain, node, state.frames, [&](int k, int dof, double gain) {
         for (int i = 0; i < 3; ++i)
-          turned[i] +=
-              node.gain * step[node.dof + k] * state.frames.axes[9 * n + 3 * k + i];
+          turned[i] += gain * step[dof] * state.frames.axes[9 * n + 3 * k + i];
+      });
       longest = std::max(longest, length(turned));
     }
     return longest;

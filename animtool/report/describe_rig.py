@@ -10,6 +10,7 @@ from animtool.errors import Fault
 from animtool.ik.file import load_targets
 from animtool.quantities import Description
 from animtool.rates import rate_label
+from animtool.rig.drivers import Driver
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
@@ -44,6 +45,7 @@ class RigDescription(Description):
     combined: int  # those that combine others
     arkit: int  # how many of ARKit's 52 shapes there are
     controls: int  # number of controls
+    driven: list[str]  # what coordinates of joints drive, and how
     ik: int  # number of chains that reach for goals
     attach: int  # number of attachments
     colliders: int  # number of colliders
@@ -80,6 +82,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         sum(bool(shape.combine) for shape in rig.shapes),
         len({arkit_name(shape.name) for shape in rig.shapes} - {None}),
         len(rig.controls),
+        _driven(rig),
         len(rig.ik),
         len(rig.attach),
         len(rig.colliders),
@@ -87,6 +90,29 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
         rig.up.value,
         notices,
     )
+
+
+def _driven(rig: Rig) -> list[str]:
+    """Return what is driven: ``joint roll = wrist.twist / 2``."""
+    if not rig.is_driven:
+        return []
+    drivers = [
+        *(("joint", joint.name, joint.driven) for joint in rig.joints),
+        *(("shape", shape.name, shape.driven) for shape in rig.shapes),
+        *(("control", control.name, control.driven) for control in rig.controls),
+    ]
+    return [
+        f"{kind} {name} = {_formula(driver)}"
+        for kind, name, driver in drivers
+        if driver is not None
+    ]
+
+
+def _formula(driver: Driver) -> str:
+    if driver.expression is not None:
+        return driver.expression.text
+    kind = "smooth curve" if driver.smooth else "curve"
+    return f"{kind} of {driver.by}"
 
 
 @dataclass(frozen=True, slots=True)

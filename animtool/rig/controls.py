@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import circle
+from animtool.rig.drivers import Driver, curve_values
 from animtool.rig.expressions import Expression
 
 
@@ -22,18 +23,17 @@ class Drive:
     target: str
     # Of control names; None where there is a curve.
     expression: Expression | None = None
-    # Points (control value, target value), ascending, joined by straight lines and held
-    # at the ends.
+    # Points (control value, target value), ascending, joined as `curve_values` says.
     curve: tuple[tuple[float, float], ...] = ()
     # What a value of 1 means: radians or metres of the file's unit, or 1.
     unit: float = 1.0
+    smooth: bool = False  # whether a cubic joins the points, and not straight lines
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
         """Return what it adds, given the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
-        points = np.array(self.curve, np.float64)
-        return np.interp(values[control], points[:, 0], points[:, 1]) * self.unit
+        return curve_values(self.curve, values[control], smooth=self.smooth) * self.unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,7 @@ class Control:
     high: float | None = None  # largest value that is meant
     default: float = 0.0  # its value where nothing sets it
     drives: tuple[Drive, ...] = ()  # what it moves
+    driven: Driver | None = None  # what its value is, in place of keys
 
 
 class ControlCycleError(ValueError):

@@ -1,18 +1,20 @@
-"""Arithmetic that a rig file may hold, over whole arrays of control values.
+"""Arithmetic that a rig file may hold, over whole arrays of values.
 
 A small part of Python's grammar: ``+ - * /``, numbers, names, and calls to the
-functions of `FUNCTIONS`. Nothing else is evaluated: no attribute, no index, no
-power operator, no text.
+functions of `FUNCTIONS`. Nothing else is evaluated: no index, no power operator, and
+no attribute or text but as the name of a joint's coordinate, where these are allowed.
 """
 
 from __future__ import annotations
 
 import ast
+import copy
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate
+from keyword import iskeyword
 from typing import Any
 
 import numpy as np
@@ -70,12 +72,21 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
+_SIGNS: dict[type[ast.operator], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Expression:
     """A checked expression."""
 
     text: str  # as written
-    names: tuple[str, ...]  # the control names that it reads, sorted
+    # Controls, and coordinates such as ``elbow.angle``, that it reads, sorted.
+    names: tuple[str, ...]
     _tree: ast.expr = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
@@ -88,9 +99,46 @@ class Expression:
         with np.errstate(all="ignore"):
             return np.asarray(_value(self._tree, values), np.float64)
 
+    def program(self) -> list[tuple[str, float | str]]:
+        """Return it in reverse Polish notation: operations in order, each on a stack.
 
-def parse_expression(text: str) -> Expression:
-    """Return the expression of a text, or a `ValueError`: too long, or not allowed."""
+        ``("number", x)``, ``("name", NAME)``, or ``("call", FUNCTION)`` with the
+        operators named ``+ - * / neg``.
+
+        >>> parse_expression("2 * x").program()
+        [('number', 2.0), ('name', 'x'), ('call', '*')]
+        """
+        return list(_operations(self._tree))
+
+    def scaled(self, factors: Mapping[str, float], factor: float) -> str:
+        """Return the text with names and the whole multiplied by factors.
+
+        >>> parse_expression("sin(x) + 1").scaled({"x": 2.0}, 0.5)
+        '(sin(x * 2.0) + 1) * 0.5'
+        """
+        tree = _Scaling(factors).visit(copy.deepcopy(self._tree))
+        if factor != 1.0:
+            tree = ast.BinOp(tree, ast.Mult(), ast.Constant(factor))
+        return ast.unparse(ast.fix_missing_locations(tree))
+
+    def renamed(self, names: Mapping[str, str]) -> Expression:
+        """Return the expression with other names.
+
+        >>> parse_expression("a + b").renamed({"a": "c"}).text
+        'c + b'
+        """
+        if not any(names.get(name, name) != name for name in self.names):
+            return self
+        tree = _Renaming(names).visit(copy.deepcopy(self._tree))
+        return parse_expression(ast.unparse(tree), coordinates=True)
+
+
+def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
+    """Return the expression of a text, or a `ValueError`: too long, or not allowed.
+
+    With ``coordinates`` it may read those of joints: ``elbow.angle``, in quotes where
+    the joint's name is no word of Python: ``'rig:elbow.angle'``.
+    """
     if len(text) > LONGEST:
         raise ValueError(f"is {len(text)} characters long; {LONGEST} are allowed")
     # Python's parser takes more brackets in brackets for a lack of memory.
@@ -105,13 +153,98 @@ def parse_expression(text: str) -> Expression:
         reason = getattr(error, "msg", None) or "too deep"
         raise ValueError(f"is no expression: {reason}") from error
     names: set[str] = set()
-    _check(tree, text.strip(), names, 0)
+    _check(tree, text.strip(), names, 0, coordinates=coordinates)
     return Expression(text, tuple(sorted(names)), tree)
 
 
-def _check(node: ast.expr, text: str, names: set[str], depth: int) -> None:
+def _coordinate(node: ast.expr) -> str | None:
+    """Return the coordinate that a node names, ``JOINT.PART``; None for another."""
+    match node:
+        case ast.Constant(value=str(name)):
+            return name
+        case ast.Attribute(value=ast.Name(id=name), attr=part):
+            return f"{name}.{part}"
+        case ast.Attribute(value=ast.Attribute() as value, attr=part):
+            above = _coordinate(value)
+            return above and f"{above}.{part}"
+    return None
+
+
+def _name_node(name: str) -> ast.expr:
+    """Return the node that names a control or a coordinate."""
+    words = name.split(".")
+    if not all(word.isidentifier() and not iskeyword(word) for word in words):
+        return ast.Constant(name)
+    node: ast.expr = ast.Name(words[0])
+    for word in words[1:]:
+        node = ast.Attribute(node, word)
+    return node
+
+
+class _Renaming(ast.NodeTransformer):
+    """Gives names others."""
+
+    def __init__(self, names: Mapping[str, str]) -> None:
+        self.names = names
+
+    def visit(self, node: ast.AST) -> Any:
+        """Return the node in place of one."""
+        name = _read_name(node)
+        if name is not None:
+            return _name_node(self.names.get(name, name))
+        return self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> ast.Call:
+        """Leave the names of functions."""
+        node.args = [self.visit(one) for one in node.args]
+        return node
+
+
+class _Scaling(_Renaming):
+    """Multiplies names by factors."""
+
+    def __init__(self, factors: Mapping[str, float]) -> None:
+        super().__init__({})
+        self.factors = factors
+
+    def visit(self, node: ast.AST) -> Any:
+        """Return the node in place of one."""
+        if isinstance(node, ast.Call):
+            return self.visit_Call(node)
+        name = _read_name(node)
+        if name is None or self.factors.get(name, 1.0) == 1.0:
+            return super().visit(node)
+        by = ast.Constant(self.factors[name])
+        return ast.BinOp(_name_node(name), ast.Mult(), by)
+
+
+def _read_name(node: ast.AST) -> str | None:
+    """Return the control or coordinate that a node reads."""
+    if isinstance(node, ast.Name):
+        return None if node.id in _CONSTANTS else node.id
+    return _coordinate(node) if isinstance(node, ast.expr) else None
+
+
+def _check(
+    node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
+) -> None:
     if depth > DEEPEST:
         raise ValueError(f"is nested deeper than {DEEPEST}")
+    coordinate = _coordinate(node)
+    if coordinate is not None and coordinates:
+        names.add(coordinate)
+        return
+    if isinstance(node, ast.Attribute) and coordinate is not None:
+        raise ValueError(
+            f"{coordinate[:40]!r} is not allowed here: drives read controls; "
+            "`driven` of a joint, shape or control reads joints"
+        )
+    for child in _inner(node, text, names):
+        _check(child, text, names, depth + 1, coordinates=coordinates)
+
+
+def _inner(node: ast.expr, text: str, names: set[str]) -> list[ast.expr]:
+    """Return what an allowed node is made of."""
     inner: list[ast.expr]
     match node:
         case ast.Constant(value=number):
@@ -139,8 +272,7 @@ def _check(node: ast.expr, text: str, names: set[str], depth: int) -> None:
         case _:
             shown = (ast.get_source_segment(text, node) or text)[:40]
             raise ValueError(f"{shown!r} is not allowed; + - * / and functions are")
-    for child in inner:
-        _check(child, text, names, depth + 1)
+    return inner
 
 
 def _check_number(number: object) -> None:
@@ -150,7 +282,36 @@ def _check_number(number: object) -> None:
         raise ValueError("a number is beyond float64")
 
 
+def _operations(node: ast.expr) -> Iterator[tuple[str, float | str]]:
+    name = _read_name(node)
+    if name is not None:
+        yield "name", name
+        return
+    match node:
+        case ast.Constant(value=number):
+            yield "number", float(number)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            yield "number", float(_CONSTANTS[name])
+        case ast.UnaryOp(op=operator, operand=operand):
+            yield from _operations(operand)
+            if isinstance(operator, ast.USub):
+                yield "call", "neg"
+        case ast.BinOp(left=left, op=operator, right=right):
+            yield from _operations(left)
+            yield from _operations(right)
+            yield "call", _SIGNS[type(operator)]
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            for argument in arguments:
+                yield from _operations(argument)
+            yield "call", name
+        case _:
+            raise AssertionError(ast.dump(node))
+
+
 def _value(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
+    coordinate = _coordinate(node)
+    if coordinate is not None:
+        return values[coordinate]
     match node:
         case ast.Constant(value=number):
             return np.float64(number)  # type: ignore[arg-type]

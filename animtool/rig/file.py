@@ -16,9 +16,12 @@ from animtool.documents.references import referred
 from animtool.errors import AnimtoolError
 from animtool.readers import DOCUMENT, find_reader
 from animtool.rig.array_entries import ArrayReader
+from animtool.rig.driver_entries import DriverCheck
+from animtool.rig.drivers import Driver
 from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of, quaternion
 from animtool.rig.joint_schema import PoseModel
 from animtool.rig.part_entries import PartReader
+from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
@@ -136,13 +139,12 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
             [mesh.name for mesh in meshes], [shape.name for shape in inherited.shapes]
         )
         bind = bind_of(document, model.bind, joints, units, inherited.bind)
-        shapes = (*inherited.shapes, *shapes)
+        shapes = _with_shapes(inherited.shapes, shapes)
         controls = parts.controls([shape.name for shape in shapes], inherited.controls)
         chains = parts.ik(inherited.ik)
         colliders = parts.colliders(inherited.colliders)
         attached = parts.attach(meshes, inherited.attach)
-    document.check()
-    return Rig(
+    rig = Rig(
         model.name,
         joints.joints,
         units.length if base is None else base.meters_per_unit,
@@ -156,6 +158,33 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         colliders,
         units.angle,
         (*inherited.notices, *document.notices),
+    )
+    if rig.is_driven:
+        unnamed = {
+            "joints": joints.unnamed or bool(joints.adrift),
+            "controls": bool(document.unnamed("controls")),
+        }
+        DriverCheck(document, model, rig, unnamed, joints.untyped).run()
+    document.check()
+    return rig
+
+
+def _with_shapes(
+    inherited: tuple[Shape, ...], own: tuple[Shape, ...]
+) -> tuple[Shape, ...]:
+    """Return all shapes; one that only gives an inherited one a driver is joined."""
+    known = {shape.name for shape in inherited}
+    drivers = {
+        shape.name: shape.driven
+        for shape in own
+        if shape.name in known and shape == Shape(shape.name, driven=shape.driven)
+    }
+    return (
+        *(
+            replace(shape, driven=drivers.get(shape.name) or shape.driven)
+            for shape in inherited
+        ),
+        *(shape for shape in own if shape.name not in drivers),
     )
 
 
@@ -228,6 +257,7 @@ def _overlaid(
             limits=added[joint.name].limits,
             mimic=_renamed(added[joint.name].mimic, names),
             mirror=mirrors[joint.name],
+            driven=_renamed_driver(added[joint.name].driven, names) or joint.driven,
         )
         if joint.name in added
         else joint
@@ -235,6 +265,10 @@ def _overlaid(
     )
     untyped = frozenset(names.get(name, name) for name in own.untyped)
     return FileJoints(joints, untyped=untyped, unnamed=own.unnamed)
+
+
+def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:
+    return None if driver is None else driver.renamed(names)
 
 
 def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:

@@ -11,6 +11,7 @@ from animtool.documents.names import nearest
 from animtool.errors import circle
 from animtool.maths import so3
 from animtool.quantities import length_text
+from animtool.rig.driver_entries import read_driver
 from animtool.rig.joint_schema import (
     BallJointModel,
     BallLimitsModel,
@@ -118,7 +119,8 @@ def joints_of(
         ),
         unnamed,
     )
-    return _with_mimics(document, models, entries, joints, units)
+    joints = _with_mimics(document, models, entries, joints, units)
+    return _with_drivers(document, models, entries, joints, units)
 
 
 def _entries(
@@ -286,6 +288,34 @@ def _ball_limit(
         twist = None if limit is None else (limit.low, limit.high)
     axis = unit_vector(document, (*at, "twist_axis"), model.twist_axis)
     return BallLimit(swing, twist, axis)
+
+
+def _with_drivers(
+    document: Document,
+    models: list[JointModel],
+    entries: dict[str, _Entry],
+    read: FileJoints,
+    units: FileUnits,
+) -> FileJoints:
+    """Return the joints with their drivers; what these read is looked at later."""
+    joints = {joint.name: joint for joint in read.joints}
+    both = (units.length, units.angle)
+    partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
+    for i, model in enumerate(models):
+        if not isinstance(model, PinJointModel | PrismaticJointModel):
+            continue
+        if model.driven is None or entries[model.name].index != i:
+            continue
+        unit = units.of(JointType(model.type))
+        driver = read_driver(
+            document, ("joints", i, "driven"), model.driven, both, unit
+        )
+        for name in (model.name, model.mirror):
+            if driver is None or name not in joints or entries[name].index != i:
+                continue
+            own = driver.mirrored(partners) if entries[name].mirrored else driver
+            joints[name] = replace(joints[name], driven=own)
+    return replace(read, joints=tuple(joints.values()))
 
 
 def _with_mimics(

@@ -47,6 +47,33 @@ class MimicModel(FileModel):
     offset: Real = key("Added to it, in this joint's unit.", 10.0, default=0.0)
 
 
+class DrivenModel(FileModel):
+    """A value that follows from joint coordinates and controls."""
+
+    expr: str | None = key(
+        "The value: arithmetic over coordinates of joints, JOINT.PART, and controls, "
+        "in the file's units.",
+        "wrist_l.twist / 2",
+        default=None,
+    )
+    by: Name | None = key(
+        "Of a curve: the coordinate or control that it reads.",
+        "elbow_l.angle",
+        default=None,
+    )
+    curve: Annotated[list[Pair], Len(1)] | None = key(
+        "The value: points [what `by` reads, value], ascending, held at both ends.",
+        [[0.0, 0.0], [90.0, 1.0]],
+        default=None,
+    )
+    interp: Literal["linear", "smooth"] = key(
+        "How the points of a curve are joined: by straight lines, or by a monotone "
+        "cubic, which goes beyond no point and is flat at both ends.",
+        "smooth",
+        default="linear",
+    )
+
+
 _TYPE = "What it can do."
 # The coordinate of a pin or prismatic joint.
 _Axis = Annotated[
@@ -60,6 +87,14 @@ _Limits = Annotated[
 _Mimic = Annotated[
     MimicModel | None,
     key("The joint that it follows.", {"joint": "crank", "gain": -1.0}),
+]
+_Driven = Annotated[
+    DrivenModel | None,
+    key(
+        "What its coordinate is, in the file's units: it has no motion of its own. "
+        "Limits hold.",
+        {"expr": "wrist_l.twist / 2"},
+    ),
 ]
 
 
@@ -129,6 +164,7 @@ class PinJointModel(_JointBase):
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None
+    driven: _Driven = None
 
 
 class PrismaticJointModel(_JointBase):
@@ -138,6 +174,7 @@ class PrismaticJointModel(_JointBase):
     axis: _Axis
     limits: _Limits = None
     mimic: _Mimic = None
+    driven: _Driven = None
 
 
 JointModel = Annotated[
@@ -276,4 +313,9 @@ class ShapeModel(FileModel):
         "Shapes: the product of their weights is added to its own.",
         ["smile", "jaw_open"],
         default=[],
+    )
+    driven: DrivenModel | None = key(
+        "What its weight is, in place of keys.",
+        {"by": "elbow_l.angle", "curve": [[30.0, 0.0], [120.0, 1.0]]},
+        default=None,
     )

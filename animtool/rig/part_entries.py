@@ -16,9 +16,11 @@ from animtool.rig.controls import (
     Drive,
     evaluation_order,
 )
+from animtool.rig.driver_entries import ascending_faults, read_driver
+from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
-from animtool.rig.joint_schema import MeshModel, SkinModel
+from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
 from animtool.rig.joints import DRIVEN_PARTS, nearest_part, split_part
 from animtool.rig.parts import (
     ArraySource,
@@ -110,6 +112,7 @@ class PartReader:
                     tuple(between),
                     tuple(shape.combine),
                     chosen,
+                    self._driver((*at, "driven"), shape.driven),
                 )
             )
         try:
@@ -301,7 +304,16 @@ class PartReader:
             self._drive((*at, "drives", k), drive, shapes)
             for k, drive in enumerate(model.drives)
         )
-        return Control(name, low, high, model.default, tuple(filter(None, drives)))
+        own = tuple(filter(None, drives))
+        driver = self._driver((*at, "driven"), model.driven)
+        return Control(name, low, high, model.default, own, driver)
+
+    def _driver(self, at: Location, model: DrivenModel | None) -> Driver | None:
+        """Return the driver of a shape or a control."""
+        if model is None:
+            return None
+        units = (self.units.length, self.units.angle)
+        return read_driver(self.document, at, model, units, 1.0)
 
     def _drive(
         self, at: Location, model: DriveModel, shapes: Collection[str]
@@ -325,11 +337,10 @@ class PartReader:
             return Drive(target, expression, (), unit) if expression else None
         points = tuple((x, y) for x, y in model.curve or ())
         values = [x for x, _ in points]
-        for k, before in self.document.descents((*at, "curve"), values, 0):
-            message = f"{values[k]:g} does not follow {values[before]:g}"
-            hint = "control values ascend"
-            self.document.add("RIG016", (*at, "curve", k), message, hint)
-        return Drive(target, None, points, unit)
+        smooth = model.interp == "smooth"
+        if list(ascending_faults(self.document, (*at, "curve"), values)):
+            smooth = False
+        return Drive(target, None, points, unit, smooth)
 
     def _expression(self, at: Location, text: str) -> Expression | None:
         try:

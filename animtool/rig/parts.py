@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives, load_array
+from animtool.rig.drivers import Driver
 
 Vector = tuple[float, float, float]
 
@@ -128,6 +129,7 @@ class Shape:
             a shape with a weight of its own.
         vertices: Which vertices the deltas, normals and inbetweens are for ``(N,)``;
             None is all of them.
+        driven: What its weight is, in place of one of its own.
     """
 
     name: str
@@ -137,6 +139,7 @@ class Shape:
     inbetweens: tuple[Inbetween, ...] = ()
     combine: tuple[str, ...] = ()
     vertices: ArraySource | None = None
+    driven: Driver | None = None
 
 
 @dataclass(frozen=True, slots=True)

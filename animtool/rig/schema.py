@@ -12,7 +12,13 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
-from animtool.rig.joint_schema import JointModel, MeshModel, PoseModel, ShapeModel
+from animtool.rig.joint_schema import (
+    DrivenModel,
+    JointModel,
+    MeshModel,
+    PoseModel,
+    ShapeModel,
+)
 
 
 class AttachModel(FileModel):
@@ -94,9 +100,15 @@ class DriveModel(FileModel):
     )
     curve: Annotated[list[Pair], Len(1)] | None = key(
         "How much: points [value of this control, what is added], "
-        "ascending, joined by straight lines, held at both ends.",
+        "ascending, held at both ends.",
         [[0.0, 0.0], [1.0, 80.0]],
         default=None,
+    )
+    interp: Literal["linear", "smooth"] = key(
+        "How the points of a curve are joined: by straight lines, or by a monotone "
+        "cubic, which goes beyond no point and is flat at both ends.",
+        "smooth",
+        default="linear",
     )
 
 
@@ -120,6 +132,12 @@ class ControlModel(FileModel):
         [{"joint": "elbow_l.angle", "expr": "grip * 80"}],
         default=[],
     )
+    driven: DrivenModel | None = key(
+        "What its value is, in place of keys. It drives shapes and other controls, "
+        "and no joint.",
+        {"expr": "elbow_l.angle / 150"},
+        default=None,
+    )
 
 
 class UnitsModel(FileModel):
@@ -129,7 +147,8 @@ class UnitsModel(FileModel):
         "Of all lengths, points and deltas of arrays included.", "cm", default="m"
     )
     angle: Literal["deg", "rad"] = key(
-        "Of limits, mimics, and what drives add to angles and turns.",
+        "Of limits, mimics, what drives add to angles and turns, and what drivers "
+        "read and give.",
         "rad",
         default="deg",
     )

@@ -16,6 +16,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.readers import find_reader
 from animtool.rig.controls import Control
+from animtool.rig.drivers import Driver
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
     Attachment,
@@ -86,6 +87,8 @@ class Joint:
         limits: How far it may go; None is any way.
         mimic: The joint that it follows.
         mirror: Name of its counterpart on the other side; empty for none.
+        driven: What a pin's or prismatic joint's coordinate is, in place of motion of
+            its own.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Joint:
     limits: RangeLimit | BallLimit | None = None
     mimic: Mimic | None = None
     mirror: str = ""
+    driven: Driver | None = None
 
 
 @dataclass(frozen=True)
@@ -214,6 +218,15 @@ class Rig:
             above.append(joint)
             joint = self.joints[joint].parent
         return above
+
+    @cached_property
+    def is_driven(self) -> bool:
+        """Whether a joint, shape or control has a driver."""
+        return (
+            any(joint.driven is not None for joint in self.joints)
+            or any(shape.driven is not None for shape in self.shapes)
+            or any(control.driven is not None for control in self.controls)
+        )
 
     @property
     def names(self) -> list[str]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from animtool.documents.names import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
+from animtool.rig.drivers import SLIDE, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
     ArraySource,
@@ -43,7 +45,8 @@ def rig_text(rig: Rig) -> str:
         "joints:" if rig.joints else "joints: []",
     ]
     written: set[str] = set()
-    for joint in rig.joints:
+    joints = rig.joints if _mirrors_drivers(rig) else _without_mirrors(rig.joints)
+    for joint in joints:
         if joint.mirror not in written:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
@@ -61,8 +64,8 @@ def rig_text(rig: Rig) -> str:
             lines.append(f"  {text(name)}: {entry}")
     sections = {
         "meshes": map(_mesh, rig.meshes),
-        "shapes": map(_shape, rig.shapes),
-        "controls": map(_control, rig.controls),
+        "shapes": map(units.shape, rig.shapes),
+        "controls": map(units.control, rig.controls),
         "ik": map(_chain, rig.ik),
         "attach": map(_attachment, rig.attach),
         "colliders": map(units.collider, rig.colliders),
@@ -109,6 +112,7 @@ class _Units:
                 ("axis", _numbers(joint.axis) if scalar else None),
                 ("limits", self.limits(joint)),
                 ("mimic", self.mimic(joint, rig)),
+                ("driven", self.driver(joint.driven, joint.type)),
                 ("mirror", text(joint.mirror) if joint.mirror else None),
                 ("tips", flow(tips) if tips else None),
                 ("channels", None if channels is None else flow(list(channels))),
@@ -163,6 +167,98 @@ class _Units:
                 ("offset", scaled(joint.mimic.offset, units[0])),
             ]
         )
+
+    def shape(self, shape: Shape) -> str:
+        between = [
+            _mapping(
+                [
+                    ("at", number(step.at)),
+                    ("deltas", _file(step.deltas)),
+                    ("normals", _file(step.normals)),
+                ]
+            )
+            for step in shape.inbetweens
+        ]
+        return _mapping(
+            [
+                ("name", text(shape.name)),
+                ("mesh", text(shape.mesh) if shape.mesh else None),
+                ("deltas", _file(shape.deltas)),
+                ("normals", _file(shape.normals)),
+                ("vertices", _file(shape.vertices)),
+                ("inbetweens", flow(between) if between else None),
+                ("combine", _names(shape.combine) if shape.combine else None),
+                ("driven", self.driver(shape.driven)),
+            ]
+        )
+
+    def control(self, control: Control) -> str:
+        limits = None
+        if control.low is not None and control.high is not None:
+            limits = _numbers((control.low, control.high))
+        drives = [_drive(drive) for drive in control.drives]
+        return _mapping(
+            [
+                ("name", text(control.name)),
+                ("range", limits),
+                ("default", number(control.default) if control.default else None),
+                ("drives", flow(drives) if drives else None),
+                ("driven", self.driver(control.driven)),
+            ]
+        )
+
+    def driver(
+        self, driver: Driver | None, joint_type: JointType | None = None
+    ) -> str | None:
+        """Return a driver, its numbers in the units of the text."""
+        if driver is None:
+            return None
+        units = {None: 1.0, JointType.PRISMATIC: self.meters}
+        by = driver.unit / units.get(joint_type, self.radians)
+        own = {name: self.unit_of(name) / driver.unit_of(name) for name in driver.names}
+        if driver.expression is not None:
+            same = by == 1.0 and all(ratio == 1.0 for ratio in own.values())
+            expr = driver.expression
+            shown = expr.text if same else expr.scaled(own, by)
+            return _mapping([("expr", _quoted(shown))])
+        ratio = own[driver.by]
+        points = [(x / ratio, y * by) for x, y in driver.curve]
+        return _mapping(
+            [
+                ("by", text(driver.by)),
+                ("curve", flow([str(_numbers(point)) for point in points])),
+                ("interp", "smooth" if driver.smooth else None),
+            ]
+        )
+
+    def unit_of(self, name: str) -> float:
+        joint, part = split_coordinate(name)
+        if not joint:
+            return 1.0
+        return self.meters if part == SLIDE else self.radians
+
+
+def _mirrors_drivers(rig: Rig) -> bool:
+    """Return whether the drivers of both sides are mirror images, as joints are."""
+    if not rig.is_driven:
+        return True
+    joints = {joint.name: joint for joint in rig.joints}
+    partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
+    written: set[str] = set()
+    for joint in rig.joints:
+        other = joints.get(joint.mirror)
+        if other is None or joint.mirror in written:
+            continue
+        written.add(joint.name)
+        if (joint.driven is None) != (other.driven is None):
+            return False
+        if joint.driven is not None and joint.driven.mirrored(partners) != other.driven:
+            return False
+    return True
+
+
+def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
+    return [replace(joint, mirror="") for joint in joints]
 
 
 def _unbound(rig: Rig) -> dict[str, Pose]:
@@ -235,45 +331,6 @@ def _file(source: ArraySource | None) -> str | None:
     return None if source is None else text(source.text)
 
 
-def _shape(shape: Shape) -> str:
-    between = [
-        _mapping(
-            [
-                ("at", number(step.at)),
-                ("deltas", _file(step.deltas)),
-                ("normals", _file(step.normals)),
-            ]
-        )
-        for step in shape.inbetweens
-    ]
-    return _mapping(
-        [
-            ("name", text(shape.name)),
-            ("mesh", text(shape.mesh) if shape.mesh else None),
-            ("deltas", _file(shape.deltas)),
-            ("normals", _file(shape.normals)),
-            ("vertices", _file(shape.vertices)),
-            ("inbetweens", flow(between) if between else None),
-            ("combine", _names(shape.combine) if shape.combine else None),
-        ]
-    )
-
-
-def _control(control: Control) -> str:
-    limits = None
-    if control.low is not None and control.high is not None:
-        limits = _numbers((control.low, control.high))
-    drives = [_drive(drive) for drive in control.drives]
-    return _mapping(
-        [
-            ("name", text(control.name)),
-            ("range", limits),
-            ("default", number(control.default) if control.default else None),
-            ("drives", flow(drives) if drives else None),
-        ]
-    )
-
-
 def _drive(drive: Drive) -> str:
     kind, _, name = drive.target.partition("/")
     curve = flow([str(_numbers(point)) for point in drive.curve])
@@ -283,6 +340,7 @@ def _drive(drive: Drive) -> str:
             (kind, text(name)),
             ("expr", None if expression is None else _quoted(expression.text)),
             ("curve", curve if drive.curve else None),
+            ("interp", "smooth" if drive.smooth else None),
         ]
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.names import is_named
+from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths.so3 import multiply, rotate
 from animtool.mocap.face.capture import FaceCapture, in_order, read_capture
@@ -170,7 +171,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     motion, more = face_motion(fit, links, rig, head)
     own = [*capture.notices, *odd, *fit.notices, *more]
     notices += [_at(str(job.capture), notice) for notice in own]
-    take = Take(rig, capture.clock, motion, tuple(notices))
+    take = driven_take(Take(rig, capture.clock, motion, tuple(notices)))
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     scale = 0.0
     if camera is not None:

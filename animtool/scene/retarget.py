@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.documents.names import is_named
+from animtool.driving import driven_stream
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.map import JointMap, map_text
@@ -171,4 +172,4 @@ def _retargeted(
     result = RetargetResult(
         job.source, job.rig, going, found, stream.rig, rig, notices, seconds
     )
-    return mapped, result
+    return driven_stream(mapped), result

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from animtool._types import FloatArray
+from animtool.driving import driven_stream, unsaid
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.motion import Motion
 from animtool.passes import PassContext, apply_pass
@@ -294,7 +295,7 @@ class Scene:
         context.notices.clear()
 
         def tell() -> None:
-            notices.extend(map(entry.place.put, own))
+            notices.extend(map(entry.place.put, unsaid(own, notices)))
             own.clear()
             name, where = entry.pass_.name, entry.place.where
             scores.extend(one.of_pass(name, where) for one in context.scores)
@@ -378,7 +379,7 @@ class Scene:
             raise FormatError(faults)
         first = self.sources[0]
         with first.place.located():
-            stream = joined(parts[0], parts[1:])
+            stream = driven_stream(joined(parts[0], parts[1:]), replaced=True)
         return replace(stream, blocks=_read(first.place, stream.blocks))
 
     def _take(self, path: Path) -> Take:

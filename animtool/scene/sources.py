@@ -12,7 +12,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.files import FileState, note_input
 from animtool.options import Key, option, options_of
 from animtool.rates import OptionalFraction, rate_option
-from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
+from animtool.readers import DOCUMENT, READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.scene.progress import Progress
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
@@ -314,7 +314,8 @@ def open_source(
         stream = open_source(path, own, progress=progress)
         from animtool.scene.onto_rig import on_rig_file
 
-        return on_rig_file(path, stream, options.rig, forced=options.force_fit)
+        mapped = on_rig_file(path, stream, options.rig, forced=options.force_fit)
+        return _driven(mapped)
     note_input(path)
     usual = SourceOptions()
     given = {
@@ -328,7 +329,18 @@ def open_source(
         raise OptionError([_refusal(name, path) for name in refused])
     if "progress" in reader.options:
         given["progress"] = progress
-    return cast("TakeStream", reader.source_opener(path)(path, **given))
+    stream = cast("TakeStream", reader.source_opener(path)(path, **given))
+    # A clip's keys were evaluated with what they drive.
+    return stream if reader is DOCUMENT else _driven(stream)
+
+
+def _driven(stream: TakeStream) -> TakeStream:
+    """Return a source with what its rig drives in place of what it says of that."""
+    if not stream.rig.is_driven:
+        return stream
+    from animtool.driving import driven_stream
+
+    return driven_stream(stream, replaced=True)
 
 
 def _refusal(name: str, path: Path) -> Fault:

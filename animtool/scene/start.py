@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool.clip.clip import Clip
 from animtool.clock import Clock
+from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.motion import Channel, Motion
 from animtool.reorient import reorient
@@ -53,9 +54,9 @@ def open_start(
     notices = list(stream.notices)
     take = _within(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
-        return replace(take, rig=rig, notices=tuple(notices))
+        return driven_take(replace(take, rig=rig, notices=tuple(notices)))
     motion, odd = _mapped(take, rig, path)
-    return Take(rig, take.clock, motion, (*notices, *odd))
+    return driven_take(Take(rig, take.clock, motion, (*notices, *odd)))
 
 
 def _within(take: Take, shot: Shot | None) -> Take:

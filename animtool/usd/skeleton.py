@@ -88,7 +88,10 @@ def says_more(rig: Rig) -> bool:
 
 def stripped(rig: Rig) -> Rig:
     """Return a rig without the arrays, which USD holds."""
-    shapes = tuple(Shape(shape.name, combine=shape.combine) for shape in rig.shapes)
+    shapes = tuple(
+        Shape(shape.name, combine=shape.combine, driven=shape.driven)
+        for shape in rig.shapes
+    )
     attach = tuple(replace(entry, pins=None, points=None) for entry in rig.attach)
     return replace(rig, meshes=(), shapes=shapes, attach=attach)
 

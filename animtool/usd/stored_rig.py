@@ -14,6 +14,7 @@ from animtool.documents.document import document_of
 from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.maths import so3
 from animtool.rig.controls import Control
+from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
@@ -160,7 +161,7 @@ def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
     known = {shape.name for shape in stored.shapes}
     return (
         *(
-            replace(held[shape.name], combine=shape.combine)
+            replace(held[shape.name], combine=shape.combine, driven=shape.driven)
             if shape.name in held
             else shape
             for shape in stored.shapes
@@ -223,12 +224,16 @@ def _without(rig: Rig, gone: list[str]) -> Rig:
             joint,
             mirror="" if joint.mirror in lost else joint.mirror,
             mimic=None if joint.mimic and joint.mimic.joint in lost else joint.mimic,
+            driven=_driver(joint.driven, lost),
         )
         for joint in rig.joints
     )
     return replace(
         rig,
         joints=joints,
+        shapes=tuple(
+            replace(shape, driven=_driver(shape.driven, lost)) for shape in rig.shapes
+        ),
         controls=tuple(_control(control, lost) for control in rig.controls),
         ik=tuple(chain for chain in rig.ik if not {chain.root, chain.tip} & lost),
         attach=tuple(entry for entry in rig.attach if not set(entry.joints) & lost),
@@ -242,7 +247,13 @@ def _control(control: Control, lost: set[str]) -> Control:
         for drive in control.drives
         if not any(drive.target.startswith(f"joint/{name}.") for name in lost)
     )
-    return replace(control, drives=drives)
+    return replace(control, drives=drives, driven=_driver(control.driven, lost))
+
+
+def _driver(driver: Driver | None, lost: set[str]) -> Driver | None:
+    """Return a driver; None where it reads a joint that is lost."""
+    read = () if driver is None else driver.names
+    return None if lost & {split_coordinate(name)[0] for name in read} else driver
 
 
 # A bind pose nearer to rest [rad], [1] is rest with the rounding of other tools.

@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.driving import driven_take
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
@@ -424,5 +425,5 @@ def retarget_take(
     fps = float(take.clock.rate)
     going = Retargeting(transfer, found, [take.motion], fps, lock=lock, hands=hands)
     motion = Motion.concatenate(list(going.blocks())).map(Channel.compact)
-    after = replace(take, rig=rig, motion=motion)
+    after = driven_take(replace(take, rig=rig, motion=motion))
     return Retargeted(after, transfer, going.standing, going.report())

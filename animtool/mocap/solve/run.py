@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.driving import driven_take
 from animtool.errors import Fault, OptionError, Severity, counted, listed
 from animtool.ik.fit import FitOptions, fit
 from animtool.markers import Markers
@@ -101,7 +102,8 @@ class MarkerSolve:
         """Return the whole take."""
         motion = Motion.concatenate(list(self.blocks(progress)))
         motion = motion.map(Channel.compact)
-        return Take(self.model.rig, self.markers.clock, motion, tuple(self.notices))
+        rig, clock = self.model.rig, self.markers.clock
+        return driven_take(Take(rig, clock, motion, tuple(self.notices)))
 
     def _window(self, first: int, end: int, last: FloatArray | None) -> FloatArray:
         """Return the poses of frames, those before them given."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.driving import driven_stream
 from animtool.errors import Fault, FormatError, OptionError, Severity, counted
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
@@ -142,6 +143,7 @@ def solve_stream(
         stream.scores.append(solve_scores(solve))
 
     stream.blocks = blocks()
+    stream.blocks = driven_stream(stream).blocks
     stream.details = {
         "format": "markers",
         "units": unit_name(rig.meters_per_unit),

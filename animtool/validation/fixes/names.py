@@ -13,6 +13,8 @@ from animtool.documents.edit import Edit, Rename, Replace
 from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
+from animtool.rig.drivers import renamed_coordinates, split_coordinate
+from animtool.rig.expressions import parse_expression
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.validation.fixes.draft import Mend, NotMendedError
 from animtool.validation.fixes.texts import place_of
@@ -111,10 +113,13 @@ USES = {
         *("joints/*/mimic/joint", "bind/{}", "meshes/*/skin/joints/*"),
         *("controls/*/drives/*/joint", "ik/*/root", "ik/*/tip", "attach/*/joints/*"),
         *("attach/*/joint", "colliders/*/joint"),
+        *("joints/*/driven/by", "shapes/*/driven/by", "controls/*/driven/by"),
     ),
     "meshes": ("meshes/*/name", "shapes/*/mesh", "attach/*/mesh"),
     "shapes": ("shapes/*/name", "shapes/*/combine/*", "controls/*/drives/*/shape"),
 }
+# Where expressions read joints.
+FORMULAS = ("joints/*/driven/expr", "shapes/*/driven/expr", "controls/*/driven/expr")
 # What a list's names are called by in the places of `ignore`.
 _PLACES = {
     "joints": ("joints", "colliders"),
@@ -190,8 +195,12 @@ def renaming(
             joint, part = name, ""
             if use.endswith("drives/*/joint"):
                 joint, part = split_part(name, DRIVEN_PARTS)
+            elif use.endswith("driven/by"):
+                joint, part = split_coordinate(name)
             if joint in new:
                 yield Replace(at, f"{new[joint]}.{part}" if part else new[joint])
+    if key == "joints":
+        yield from _formulas(value, new)
     for at, where in _named(value, ("ignore", "*", "where"), ()):
         place = where
         for old, name in new.items():
@@ -199,6 +208,16 @@ def renaming(
             place = re.sub(rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", place)
         if place != where:
             yield Replace(at, place)
+
+
+def _formulas(value: Mapping[str, Any], new: Mapping[str, str]) -> Iterator[Edit]:
+    """Yield the edits that rename joints in expressions of drivers."""
+    for use in FORMULAS:
+        for at, text in _named(value, tuple(use.split("/")), ()):
+            expression = parse_expression(text, coordinates=True)
+            changed = expression.renamed(renamed_coordinates(expression.names, new))
+            if changed != expression:
+                yield Replace(at, changed.text)
 
 
 def _named(

@@ -13,6 +13,7 @@ from animtool.documents.document import Location
 from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.controls import Control, DrivenValues, evaluate_controls
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.shapes import combination_order
@@ -125,7 +126,13 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
 
 def never_acts(rig: RigSubject) -> Iterator[Fault]:
     """Yield correctives that no pose of the controls brings about (RIG208)."""
-    combined = [shape for shape in rig.rig.shapes if shape.combine]
+    # What coordinates of joints drive moves without controls.
+    moved = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
+    combined = [
+        shape
+        for shape in rig.rig.shapes
+        if shape.combine and not moved.intersection(shape.combine)
+    ]
     driven = {
         drive.target.removeprefix("shape/")
         for control in rig.rig.controls
@@ -155,6 +162,16 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
         for drive in control.drives
         if drive.expression is not None
         for name in drive.expression.names
+    }
+    read |= {
+        name
+        for driver in (
+            *(joint.driven for joint in rig.rig.joints),
+            *(shape.driven for shape in rig.rig.shapes),
+            *(control.driven for control in rig.rig.controls),
+        )
+        if driver is not None
+        for name in driver.names
     }
     for control in rig.rig.controls:
         if not control.drives and control.name not in read:

@@ -150,3 +150,20 @@ def test_a_sidecar_keeps_the_names_of_its_base(tmp_path: Path) -> None:
     fixes = fix_files([path])
     assert not fixes.report.mended
     assert path.read_text("utf-8") == text
+
+
+def test_drivers_read_joints_by_their_new_names(tmp_path: Path) -> None:
+    path = tmp_path / "arm.rig.yaml"
+    path.write_text(
+        "rig: animtool/1\nname: arm\njoints:\n"
+        "- {name: 'el bow', type: pin, axis: [0, 0, 1]}\n"
+        "- {name: roll, type: pin, axis: [1, 0, 0],\n"
+        "   driven: {expr: \"'el bow.angle' / 2\"}}\n"
+        "shapes: [{name: s, driven: {by: el bow.angle, curve: [[0, 0], [9, 1]]}}]\n",
+        "utf-8",
+    )
+    assert not fix_files([path]).left
+    rig = load_rig(path)
+    assert rig.names == ["el_bow", "roll"]
+    drivers = rig.joints[1].driven, rig.shapes[0].driven
+    assert [driver and driver.names for driver in drivers] == [("el_bow.angle",)] * 2

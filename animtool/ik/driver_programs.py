@@ -1,0 +1,280 @@
+"""Drivers of joints as programs of the kernel, which has their slopes too."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.ik.goals import Goal
+from animtool.rig.controls import Control
+from animtool.rig.driver_plan import DriverPlan, plan_of
+from animtool.rig.drivers import (
+    ANGLE,
+    SLIDE,
+    SWING,
+    SWINGS,
+    TWIST,
+    Driver,
+    smooth_slopes,
+    split_coordinate,
+)
+from animtool.rig.driving import GAP, ball_part
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
+
+# Kind of a row of the chain that is an instruction, and what its number of a follower
+# is where it follows a program.
+INSTRUCTION, FOLLOWS_PROGRAM = 3, 2
+# Operations, in the kernel's order.
+_OPS = (
+    *("number", "coordinate", "ball", "result", "point", "curve"),
+    *("+", "-", "*", "/", "neg", "abs", "atan2", "ceil", "clamp", "cos", "exp"),
+    *("floor", "lerp", "log", "max", "min", "pow", "sign", "sin", "smoothstep"),
+    *("sqrt", "tan"),
+)
+_NUMBER = {name: i for i, name in enumerate(_OPS)}
+
+# An operation, what it refers to (counted from 1), and its numbers.
+_Row = tuple[str, int, tuple[float, ...]]
+
+
+def with_sources(
+    rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
+) -> set[int]:
+    """Return moving joints with those that driven ones follow.
+
+    A driven joint moves where one of those may that it follows, named itself or not;
+    else it stays where it is.
+    """
+    plan, out = plan_of(rig), set(moving)
+    above = {j for goal in goals for j in _below_root(rig, goal)}
+    for j in sorted(above.intersection(plan.joints)):
+        if joints is None and j not in moving:
+            # It moves no goal.
+            continue
+        free = {
+            source
+            for source in plan.sources(j)
+            if (joints is None or rig.names[source] in joints)
+            and rig.joints[source].type is not JointType.FIXED
+        }
+        out.discard(j)
+        out |= free | {j} if free else set()
+    return out
+
+
+def _below_root(rig: Rig, goal: Goal) -> list[int]:
+    above = rig.upwards(rig.index(goal.joint))
+    if goal.root not in rig.names:
+        return above
+    return above[: above.index(rig.index(goal.root)) + 1]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a joint's coordinate is in the chain."""
+
+    column: int  # first of the chain's coordinates
+    gain: float = 1.0  # what the joint's is, of that: of a mimic
+    shift: float = 0.0
+
+
+@dataclass(slots=True)
+class Programs:
+    """The programs of a rig's driven joints, and of the controls that these read.
+
+    Attributes:
+        rig: With drivers.
+        pose: Coordinates ``(Q,)`` of joints that do not move.
+        asked: Targets that the chain follows, in order.
+    """
+
+    rig: Rig
+    pose: FloatArray
+    asked: dict[str, int] = field(default_factory=dict)
+    # Of each program, by target, in the order that they run in.
+    _numbers: dict[str, int] = field(default_factory=dict, init=False)
+
+    @property
+    def plan(self) -> DriverPlan:
+        """The order of the rig's drivers."""
+        return plan_of(self.rig)
+
+    def ask(self, joint: int) -> int:
+        """Return the place of a driven joint among those asked for."""
+        target = f"joint/{self.rig.names[joint]}"
+        return self.asked.setdefault(target, len(self.asked))
+
+    def rows(
+        self, sources: Mapping[int, Source], scales: FloatArray
+    ) -> tuple[list[int], list[list[int]], list[list[float]]]:
+        """Return the numbers of the programs asked for, and the rows of all.
+
+        These are nodes ``(., 4)`` and numbers ``(., 6)``.
+
+        Args:
+            sources: Where the joints of the chain are, by joint.
+            scales: What each coordinate of the chain is divided by.
+        """
+        needed = set(self.asked)
+        for target in reversed(self.plan.order):
+            if target in needed:
+                needed.update(self._reads(target))
+        order = [target for target in self.plan.order if target in needed]
+        self._numbers = {target: i for i, target in enumerate(order)}
+        nodes: list[list[int]] = []
+        numbers: list[list[float]] = []
+        for target, number in self._numbers.items():
+            for name, which, values in self._program(target, sources, scales):
+                # No row of a joint that is its own: these have 0 there.
+                nodes.append([INSTRUCTION, number, _NUMBER[name], which + 1])
+                numbers.append([*values, *[0.0] * (6 - len(values))])
+        return [self._numbers[target] for target in self.asked], nodes, numbers
+
+    def _reads(self, target: str) -> list[str]:
+        """Return the targets that a program may read the results of."""
+        kind, _, name = target.partition("/")
+        names: list[str] = []
+        if kind == "joint":
+            driven = self.plan.driver(self.rig.index(name))
+            if isinstance(driven, Mimic):
+                return [f"joint/{driven.joint}"]
+            names += driven.names
+        else:
+            control = self._control_of(name)
+            if control.driven is not None:
+                names += control.driven.names
+            else:
+                names += [read for drive in self._drives(name) for read in drive.names]
+        return [
+            f"joint/{joint}"
+            if (joint := split_coordinate(read)[0])
+            else f"control/{read}"
+            for read in names
+        ]
+
+    def _control_of(self, name: str) -> Control:
+        return next(one for one in self.rig.controls if one.name == name)
+
+    def _drives(self, control: str) -> list[Driver]:
+        """Return what other controls add to a control."""
+        return [
+            Driver(drive.expression, other.name, drive.curve, drive.smooth)
+            for other in self.rig.controls
+            for drive in other.drives
+            if drive.target == f"control/{control}"
+        ]
+
+    def _program(
+        self, target: str, sources: Mapping[int, Source], scales: FloatArray
+    ) -> list[_Row]:
+        kind, _, name = target.partition("/")
+        if kind == "control":
+            control = self._control_of(name)
+            if control.driven is not None:
+                return self._driver(control.driven, sources, scales)
+            rows: list[_Row] = [("number", 0, (control.default,))]
+            for drive in self._drives(name):
+                rows += [*self._driver(drive, sources, scales), ("+", 0, ())]
+            return rows
+        joint = self.rig.index(name)
+        driven, own = self.plan.driver(joint), self.rig.joints[joint]
+        if isinstance(driven, Mimic):
+            lead = self.rig.joints[self.rig.index(driven.joint)]
+            part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
+            rows = self._read(f"{lead.name}.{part}", sources, scales)
+            rows += [*_times(driven.gain), *_plus(driven.offset)]
+        else:
+            rows = self._driver(driven, sources, scales)
+        if isinstance(own.limits, RangeLimit):
+            ends = (own.limits.low, own.limits.high)
+            rows += [("number", 0, (end,)) for end in ends]
+            rows.append(("clamp", 0, ()))
+        return rows
+
+    def _driver(
+        self, driver: Driver, sources: Mapping[int, Source], scales: FloatArray
+    ) -> list[_Row]:
+        rows: list[_Row] = []
+        if driver.expression is None:
+            rows += self._named(driver, driver.by, sources, scales)
+            slopes = [0.0] * len(driver.curve)
+            if driver.smooth and len(driver.curve) > 1:
+                slopes = smooth_slopes(driver.curve).tolist()
+            rows += [
+                ("point", 0, (x, y, slope))
+                for (x, y), slope in zip(driver.curve, slopes, strict=True)
+            ]
+            rows.append(("curve", len(driver.curve), (float(driver.smooth),)))
+        else:
+            for kind, value in driver.expression.program():
+                if kind == "name":
+                    rows += self._named(driver, str(value), sources, scales)
+                elif kind == "number":
+                    rows.append(("number", 0, (float(value),)))
+                else:
+                    rows.append((str(value), 0, ()))
+        return rows + _times(driver.unit)
+
+    def _named(
+        self,
+        driver: Driver,
+        name: str,
+        sources: Mapping[int, Source],
+        scales: FloatArray,
+    ) -> list[_Row]:
+        """Return what a driver reads, in its units."""
+        rows = self._read(name, sources, scales)
+        return rows + _times(1.0 / driver.unit_of(name))
+
+    def _read(
+        self, name: str, sources: Mapping[int, Source], scales: FloatArray
+    ) -> list[_Row]:
+        joint, part = split_coordinate(name)
+        target = f"joint/{joint}" if joint else f"control/{name}"
+        if target in self._numbers:
+            return [("result", self._numbers[target] + 1, (1.0,))]
+        if not joint:
+            return [("number", 0, (self._control_of(name).default,))]
+        j = self.rig.index(joint)
+        spec = self.rig.joints[j]
+        if j not in sources:
+            return [("number", 0, (self._still(j, part),))]
+        source = sources[j]
+        column = source.column
+        if spec.type is JointType.BALL:
+            return [("ball", column + 1, _ball_weights(spec, part))]
+        rows: list[_Row] = [("coordinate", column + 1, (float(scales[column]),))]
+        return [*rows, *_times(source.gain), *_plus(source.shift)]
+
+    def _still(self, j: int, part: str) -> float:
+        """Return a coordinate of a joint that does not move."""
+        own = self.pose[coordinate_slices(self.rig)[j]][None]
+        spec = self.rig.joints[j]
+        if spec.type is JointType.BALL:
+            return float(ball_part(spec, part, own)[0])
+        return float(own[0, 0])
+
+
+def _times(factor: float) -> list[_Row]:
+    return [] if factor == 1.0 else [("number", 0, (factor,)), ("*", 0, ())]
+
+
+def _plus(term: float) -> list[_Row]:
+    return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
+
+
+def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
+    """Return what twist, swing about both axes and its angle count, and a middle."""
+    limits = joint.limits
+    assert isinstance(limits, BallLimit)
+    low, high = limits.twist or (-np.inf, np.inf)
+    middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+    if part in (TWIST, SWING):
+        return (float(part == TWIST), 0.0, 0.0, float(part == SWING), middle)
+    first, second = limits.axes[1:, SWINGS.index(part)].tolist()
+    return (0.0, first, second, 0.0, middle)

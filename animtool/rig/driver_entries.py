@@ -1,0 +1,182 @@
+"""The drivers of a rig file: their expressions and curves, and what they read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from animtool.documents.document import Document, Location
+from animtool.rig.driver_plan import (
+    DriverCycleError,
+    coordinate_fault,
+    driving_order,
+    reads,
+)
+from animtool.rig.drivers import Driver, split_coordinate
+from animtool.rig.expressions import parse_expression
+from animtool.rig.joint_schema import DrivenModel
+from animtool.rig.joints import DRIVEN_PARTS, split_part
+from animtool.rig.schema import RigModel
+from animtool.rig.skeleton import Rig
+
+
+def read_driver(
+    document: Document,
+    at: Location,
+    model: DrivenModel,
+    units: tuple[float, float],
+    unit: float,
+) -> Driver | None:
+    """Return a driver of a file, what it reads unchecked; faults are noted.
+
+    ``units``: the file's length [m] and angle [rad]; ``unit``: of its value.
+    """
+    if (model.expr is None) == (model.curve is None):
+        message = "has both expr and curve" if model.expr else "has no expr or curve"
+        document.add("RIG015", at, message, "one of them says the value")
+        return None
+    if model.expr is not None:
+        return _of_expression(document, at, model, units, unit)
+    if model.by is None:
+        message = "the curve does not say what it reads"
+        document.add("RIG015", at, message, "by: elbow.angle, say")
+        return None
+    points = tuple((x, y) for x, y in model.curve or ())
+    if list(ascending_faults(document, (*at, "curve"), [x for x, _ in points])):
+        return None
+    return Driver(None, model.by, points, model.interp == "smooth", unit, *units)
+
+
+def _of_expression(
+    document: Document,
+    at: Location,
+    model: DrivenModel,
+    units: tuple[float, float],
+    unit: float,
+) -> Driver | None:
+    if model.by is not None:
+        message = "`by` is of a curve; an expr names what it reads"
+        document.add("RIG015", (*at, "by"), message, "leave it out")
+        return None
+    try:
+        expression = parse_expression(model.expr or "", coordinates=True)
+    except ValueError as error:
+        document.add("RIG013", (*at, "expr"), str(error))
+        return None
+    length, angle = units
+    return Driver(expression, unit=unit, length=length, angle=angle)
+
+
+def ascending_faults(
+    document: Document, at: Location, values: list[float]
+) -> Iterator[int]:
+    """Note and yield the points of a curve that do not ascend."""
+    for k, before in list(document.descents(at, values, 0)):
+        message = f"{values[k]:g} does not follow {values[before]:g}"
+        document.add("RIG016", (*at, k), message, "values ascend")
+        yield k
+
+
+@dataclass(frozen=True, slots=True)
+class DriverCheck:
+    """Looks at the drivers of a rig whose parts are known."""
+
+    document: Document
+    model: RigModel
+    rig: Rig
+    # Where more joints or controls may be, of names that are not known.
+    unnamed: Mapping[str, bool]
+    # Joints whose type is not known.
+    untyped: frozenset[str]
+
+    def run(self) -> None:
+        """Note what drivers read in vain, what else moves their targets, circles."""
+        faults = False
+        for target, driver in _drivers(self.rig):
+            at = self._at(target)
+            for name in driver.names:
+                faults = self._reads(at, name) or faults
+        if faults:
+            return
+        try:
+            order = driving_order(self.rig)
+        except DriverCycleError as error:
+            driven = {target for target, _ in _drivers(self.rig)}
+            # A circle of drives alone is named as such (RIG014).
+            places = [name for name in error.cycle if name in driven]
+            own = [name for name in places if self._own(name) is not None]
+            if places:
+                self._note("RIG032", self._at((own or places)[0]), str(error))
+            return
+        for target, message, hint in _rivals(self.rig, order):
+            self._note("RIG034", self._at(target), message, hint)
+
+    def _reads(self, at: Location, name: str) -> bool:
+        """Note a name that a driver cannot read, and return whether it is one."""
+        fault = coordinate_fault(self.rig, name)
+        joint, _ = split_coordinate(name)
+        open_names = self.unnamed["joints" if joint else "controls"]
+        missing = joint not in self.rig.names if joint else True
+        known = not (joint in self.untyped or (missing and open_names))
+        if fault is not None and known:
+            self._note(fault.code, at, fault.message, fault.hint)
+        return fault is not None
+
+    def _note(
+        self, code: str, at: Location, message: str, hint: str | None = None
+    ) -> None:
+        inherited = at == ("from",)
+        self.document.add("RIG023" if inherited else code, at, message, hint)
+
+    def _at(self, target: str) -> Location:
+        own = self._own(target)
+        return ("from",) if own is None else own
+
+    def _own(self, target: str) -> Location | None:
+        """Return where the file drives a target; None where it inherits that."""
+        kind, _, name = target.partition("/")
+        key = {"joint": "joints", "shape": "shapes", "control": "controls"}[kind]
+        for i, entry in enumerate(getattr(self.model, key)):
+            if name in {entry.name, getattr(entry, "mirror", None)}:
+                driven = getattr(entry, "driven", None) is not None
+                return (key, i, "driven") if driven else (key, i)
+        return None
+
+
+def _drivers(rig: Rig) -> Iterator[tuple[str, Driver]]:
+    for kind, parts in (
+        ("joint", rig.joints),
+        ("shape", rig.shapes),
+        ("control", rig.controls),
+    ):
+        for part in parts:
+            if part.driven is not None:
+                yield f"{kind}/{part.name}", part.driven
+
+
+def _rivals(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield driven targets that something else moves too, why, and what to do.
+
+    ``order``: all that is driven.
+    """
+    driven = {target for target, _ in _drivers(rig)}
+    for joint in rig.joints:
+        if joint.driven is not None and joint.mimic is not None:
+            message = f"{joint.name!r} has both a driver and a mimic"
+            yield f"joint/{joint.name}", message, "the expr may read the other joint"
+    moved = {target.removeprefix("control/") for target in order}
+    for control in rig.controls:
+        for drive in control.drives:
+            target = drive.target
+            if target.startswith("joint/"):
+                name = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
+                target = f"joint/{name}"
+                by = sorted(moved.intersection(reads(control, drive)))
+                if by:
+                    message = f"control {by[0]!r} is driven, and drives {name!r}"
+                    hint = "give the joint a driver; it may read the control"
+                    yield f"control/{by[0]}", message, hint
+                    continue
+            if target in driven:
+                message = f"control {control.name!r} drives what a driver gives"
+                yield target, message, "let the driver read the control"

@@ -1,0 +1,156 @@
+"""Drivers: what joints, shapes and controls take from joint coordinates.
+
+A driver has no state: in every frame its value follows from the pose and the controls
+of that frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.rig.expressions import Expression, parse_expression
+
+Points = tuple[tuple[float, float], ...]
+
+# Parts of a joint that a driver reads: of a pin; of a prismatic joint; and of a ball,
+# whose motion is swing · twist about the ``twist_axis`` of its limits: the twist, the
+# angle of the swing, and its rotation vector about an axis of the joint's rest frame.
+ANGLE, SLIDE, TWIST, SWING = "angle", "slide", "twist", "swing"
+SWINGS = ("swing_x", "swing_y", "swing_z")
+READ_PARTS = (ANGLE, SLIDE, TWIST, SWING, *SWINGS)
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """A value as a function of joint coordinates and controls."""
+
+    # Of names of controls and of coordinates, JOINT.PART; None where there is a curve.
+    expression: Expression | None = None
+    # What a curve reads: one such name.
+    by: str = ""
+    # Points (what is read, value), ascending, held at the ends.
+    curve: Points = ()
+    # Whether they are joined by a monotone cubic, and not by straight lines.
+    smooth: bool = False
+    # What a value of 1 means: radians or metres of the file's unit, or 1.
+    unit: float = 1.0
+    # What a 1 of the slides and of the angles that it reads means [m], [rad].
+    length: float = 1.0
+    angle: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The controls and coordinates that it reads."""
+        return (self.by,) if self.expression is None else self.expression.names
+
+    def unit_of(self, name: str) -> float:
+        """Return what a 1 of something that it reads means [m], [rad], [1]."""
+        joint, part = split_coordinate(name)
+        if not joint:
+            return 1.0
+        return self.length if part == SLIDE else self.angle
+
+    def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
+        """Return its value [rad], [m], [1], of arrays ``(F,)`` or ``(1,)`` by name.
+
+        >>> from animtool.rig.expressions import parse_expression
+        >>> half = parse_expression("wrist.twist / 2", coordinates=True)
+        >>> Driver(half).evaluate({"wrist.twist": np.array([0.5])}).tolist()
+        [0.25]
+        """
+        own = {name: values[name] / self.unit_of(name) for name in self.names}
+        if self.expression is not None:
+            return self.expression.evaluate(own) * self.unit
+        return curve_values(self.curve, own[self.by], smooth=self.smooth) * self.unit
+
+    def mirrored(self, names: Mapping[str, str]) -> Driver:
+        """Return the driver of the other side: of the partners of joints by name.
+
+        Equal angles, slides and twists are mirror images, and so are swings about X;
+        those about the two other axes are where one is the other's negative.
+        """
+        turned = {
+            name: -1.0 for name in self.names if split_coordinate(name)[1] in SWINGS[1:]
+        }
+        flipped = self
+        if turned and self.expression is not None:
+            text = self.expression.scaled(turned, 1.0)
+            flipped = replace(self, expression=parse_expression(text, coordinates=True))
+        elif turned:
+            points = tuple((-x, y) for x, y in reversed(self.curve))
+            flipped = replace(self, curve=points)
+        return flipped.renamed(names)
+
+    def renamed(self, names: Mapping[str, str]) -> Driver:
+        """Return the driver with other names of joints."""
+        new = renamed_coordinates(self.names, names)
+        if self.expression is not None:
+            return replace(self, expression=self.expression.renamed(new))
+        return replace(self, by=new[self.by])
+
+
+def split_coordinate(name: str) -> tuple[str, str]:
+    """Return the joint and the part that a name says, both empty for a control's.
+
+    >>> split_coordinate("arm.l.twist"), split_coordinate("grip")
+    (('arm.l', 'twist'), ('', ''))
+    """
+    joint, _, part = name.rpartition(".")
+    return (joint, part) if joint else ("", "")
+
+
+def renamed_coordinates(
+    read: Sequence[str], names: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what coordinates and controls are called with other names of joints.
+
+    >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
+    {'elbow.angle': 'knee.angle', 'grip': 'grip'}
+    """
+    new = {}
+    for name in read:
+        joint, part = split_coordinate(name)
+        new[name] = f"{names.get(joint, joint)}.{part}" if joint else name
+    return new
+
+
+def curve_values(points: Points, x: FloatArray, *, smooth: bool = False) -> FloatArray:
+    """Return a curve through points at ``x`` ``(F,)``, held at both ends.
+
+    Joined by straight lines, or ``smooth``: by cubic Hermite segments whose slopes are
+    those of `animtool.maths.tangents.auto_clamped`, and 0 at the ends. That has a
+    continuous slope everywhere, and goes beyond no point.
+
+    >>> ease = ((0.0, 0.0), (1.0, 2.0))
+    >>> curve_values(ease, np.array([-1.0, 0.25, 0.5, 3.0]), smooth=True).tolist()
+    [0.0, 0.3125, 1.0, 2.0]
+    """
+    table = np.array(points, np.float64)
+    if not smooth or len(table) == 1:
+        return np.asarray(np.interp(x, table[:, 0], table[:, 1]))
+    from animtool.maths.curves import cubic_curves, evaluate
+
+    # Beyond the ends it is held; what is no number stays none.
+    inside = np.clip(x, table[0, 0], table[-1, 0])
+    lost = np.isnan(inside)
+    thirds = np.diff(table[:, 0]) / 3
+    slopes = smooth_slopes(points)
+    ins = -slopes * np.append(0.0, thirds)
+    outs = slopes * np.append(thirds, 0.0)
+    cubic = cubic_curves(table[:, 0], table[:, 1:], ins[:, None], outs[:, None])
+    values = evaluate(cubic, np.where(lost, table[0, 0], inside))[0]
+    return np.where(lost, np.nan, values)
+
+
+def smooth_slopes(points: Points) -> FloatArray:
+    """Return the slopes ``(K,)`` of a smooth curve at its points."""
+    from animtool.maths.tangents import auto_clamped
+
+    table = np.array(points, np.float64)
+    slopes = auto_clamped(table[:, 0], table[:, 1:])[:, 0]
+    slopes[0] = slopes[-1] = 0.0
+    return slopes

@@ -1,0 +1,180 @@
+"""What the drivers of a rig come to.
+
+Drivers read coordinates of joints: the angle of a pin, the slide of a prismatic joint,
+and of a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
+limits, the twist, the angle of the swing, and the parts of the swing's rotation vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.driver_plan import DriverPlan
+from animtool.rig.drivers import (
+    ANGLE,
+    SLIDE,
+    SWING,
+    SWINGS,
+    TWIST,
+    split_coordinate,
+)
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
+from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
+
+# A range of twist wider than a turn less this has no middle [rad].
+GAP = 1e-6
+# From the name of a coordinate to its values ``(F,)`` or ``(1,)`` [rad], [m].
+Read = Callable[[str], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class DriverValues:
+    """What drivers come to ``(F,)``, or ``(1,)`` where nothing that one reads moves.
+
+    Values that are not finite are left as they are: the caller looks.
+    """
+
+    joints: dict[int, FloatArray]  # coordinates, inside the limits [rad], [m]
+    excess: dict[int, FloatArray]  # by how much limits changed them [rad], [m]
+    controls: dict[str, FloatArray]
+    shapes: dict[str, FloatArray]  # weights, without what combined shapes add
+
+
+def evaluate_drivers(
+    plan: DriverPlan,
+    read: Read,
+    controls: Mapping[str, FloatArray],
+    kept: Collection[str] = (),
+) -> DriverValues:
+    """Return the values of everything that is driven.
+
+    Args:
+        plan: Of the rig.
+        read: From the name of a coordinate to its values, of a joint that is not
+            driven.
+        controls: Values of all controls ``(F,)`` or ``(1,)``, those of the driven
+            ones not looked at.
+        kept: Targets that stay as they are: joints are read, as if not driven.
+    """
+    rig = plan.rig
+    values = dict(controls)
+    done = DriverValues({}, {}, {}, {})
+    by_control = {control.name: control for control in rig.controls}
+    for target in plan.order:
+        if target in kept:
+            continue
+        kind, _, name = target.partition("/")
+        if kind == "control":
+            own = by_control[name]
+            if own.driven is not None:
+                value = own.driven.evaluate(_Named(plan, read, values, done))
+            else:
+                value = np.array([own.default]) + _driven_by(rig, target, values)
+            values[name] = done.controls[name] = value
+            continue
+        j = rig.index(name)
+        driven = plan.driver(j)
+        named = _Named(plan, read, values, done)
+        if isinstance(driven, Mimic):
+            lead = rig.joints[rig.index(driven.joint)]
+            part = SLIDE if lead.type is JointType.PRISMATIC else ANGLE
+            value = driven.gain * named[f"{lead.name}.{part}"] + driven.offset
+        else:
+            value = driven.evaluate(named)
+        limits = rig.joints[j].limits
+        inside = limits.clamped(value) if isinstance(limits, RangeLimit) else value
+        done.joints[j] = np.where(np.isfinite(value), inside, value)
+        done.excess[j] = value - done.joints[j] if np.isfinite(value).all() else value
+    by_shape = {shape.name: shape for shape in rig.shapes}
+    for name in plan.shapes:
+        if f"shape/{name}" in kept:
+            continue
+        driver = by_shape[name].driven
+        if driver is not None:
+            done.shapes[name] = driver.evaluate(_Named(plan, read, values, done))
+        else:
+            done.shapes[name] = _driven_by(rig, f"shape/{name}", values)
+    return done
+
+
+class _Named(dict[str, FloatArray]):
+    """Values by name, coordinates read when they are asked for."""
+
+    def __init__(
+        self,
+        plan: DriverPlan,
+        read: Read,
+        controls: Mapping[str, FloatArray],
+        done: DriverValues,
+    ) -> None:
+        super().__init__(controls)
+        self._plan, self._read, self._done = plan, read, done
+
+    def __missing__(self, name: str) -> FloatArray:
+        joint = self._plan.rig.index(split_coordinate(name)[0])
+        if joint in self._done.joints:
+            return self._done.joints[joint]
+        return self._read(name)
+
+
+def _driven_by(rig: Rig, target: str, values: Mapping[str, FloatArray]) -> FloatArray:
+    """Return what controls add to a target."""
+    total = np.zeros(1)
+    for control in rig.controls:
+        for drive in control.drives:
+            if drive.target == target:
+                total = total + drive.evaluate(control.name, values)
+    return total
+
+
+def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
+    """Return a part of a ball's motion ``(F, 4)``: ``(F,)`` [rad].
+
+    The twist is in half a turn on either side of the middle of its limits, of 0 where
+    they have none. At a swing of half a turn it is open, and near one it turns fast.
+
+    >>> ball = Joint("shoulder", -1, JointType.BALL, limits=BallLimit())
+    >>> turn = so3.from_axis_angle((0, 1, 0), np.array([0.5]))
+    >>> ball_part(ball, "twist", turn).round(12).tolist()
+    [0.5]
+    """
+    limits = joint.limits
+    assert isinstance(limits, BallLimit)
+    swing, twist = swing_twist(rotations, limits.twist_axis)
+    if part == TWIST:
+        low, high = limits.twist or (-np.inf, np.inf)
+        middle = (low + high) / 2 if high - low < 2 * np.pi - GAP else 0.0
+        return np.asarray(twist - 2 * np.pi * np.round((twist - middle) / (2 * np.pi)))
+    vector = so3.log(swing)
+    if part == SWING:
+        return np.asarray(np.linalg.norm(vector, axis=-1))
+    return np.asarray(vector[:, SWINGS.index(part)])
+
+
+def driven_coordinates(
+    plan: DriverPlan,
+    coordinates: FloatArray,
+    controls: Mapping[str, FloatArray] | None = None,
+) -> FloatArray:
+    """Return coordinates ``(B, Q)`` whose driven joints are where drivers put them."""
+    rig, slices = plan.rig, coordinate_slices(plan.rig)
+    out = coordinates.copy()
+
+    def read(name: str) -> FloatArray:
+        joint, part = split_coordinate(name)
+        j = rig.index(joint)
+        own = coordinates[:, slices[j]]
+        if rig.joints[j].type is JointType.BALL:
+            return ball_part(rig.joints[j], part, own)
+        return own[:, 0]
+
+    values = controls or {c.name: np.array([c.default]) for c in rig.controls}
+    for j, value in evaluate_drivers(plan, read, values).joints.items():
+        out[:, slices[j].start] = value
+    return out
