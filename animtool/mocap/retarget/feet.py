@@ -40,8 +40,10 @@ LEVEL = np.radians(20.0)
 STRAIGHT = 0.9995
 # Legs are as straight as those of the source are within this time of it [s].
 ALIKE = 1.0
-# How far ahead the hips know that a leg does not reach [s].
-LOWERING = 0.03
+# The hips come down within about this time for a leg that does not reach [s].
+LOWERING = 0.07
+# How often that is put right at most, and by how much legs may fail to reach [m].
+PINS, COVERED = 12, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,8 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         for foot, bone in zip(feet, bones, strict=True)
     ]
     hips = hips.copy()
-    hips[:, up] += _lift(hips, feet, held, fps, up)
+    raised = [_raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)]
+    hips[:, up] += _lift(hips, feet, held, raised, fps, up)
     locked = [foot.contacts.any for foot in feet]
     ankles = [
         _locked(hips + ankle, bone, foot, fps, up)
@@ -109,7 +112,13 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
-        hips, ankles, turns, locked, rolls, soles, float(down.max(initial=0.0))
+        hips,
+        ankles,
+        turns,
+        locked,
+        rolls,
+        soles,
+        max(float(down.max(initial=0.0)), 0.0),
     )
 
 
@@ -154,18 +163,25 @@ def _bone(foot: Foot, turn: FloatArray) -> FloatArray:
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
+def _raised(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
+    """Return how far the ankle is raised where the toe alone stands ``(F,)`` [m]."""
+    alone = foot.contacts.toe & ~foot.contacts.ankle
+    return np.where(alone, _level_bone(foot, up) - bone[:, up], 0.0)
+
+
 def _lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
+    raised: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
     """Return how far the standing feet lift the hips, smoothly ``(F,)`` [m]."""
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
-    for weight, foot, ankle in zip(weights, feet, relative, strict=True):
-        lift[:, 0] += weight * (foot.height - ankle[:, up] - hips[:, up])
+    for weight, foot, ankle, more in zip(weights, feet, relative, raised, strict=True):
+        lift[:, 0] += weight * (foot.height + more - ankle[:, up] - hips[:, up])
     return _smoothest(weights.sum(axis=0), lift, (SMOOTH * fps) ** 4)[:, 0]
 
 
@@ -310,7 +326,7 @@ def _reaching(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far hips come down and up so that legs reach, both ``(F,)`` [m]."""
-    down, rise = np.zeros((2, len(hips)))
+    down, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
         most = upper(foot.straight, ALIKE * fps)
@@ -326,11 +342,31 @@ def _reaching(
         # Who hangs by the feet is not turned over.
         upright = (way[:, up] > 0) & (low > 0)
         rise = np.maximum(rise, np.where(upright, low - way[:, up], 0.0))
-    width = max(2 * LOWERING * fps, 2.0)
-    return (
-        upper(down, width) if down.any() else down,
-        upper(rise, width) if rise.any() else rise,
-    )
+    return covering(down, LOWERING * fps), covering(rise, LOWERING * fps)
+
+
+def covering(values: FloatArray, width: float) -> FloatArray:
+    """Return what bends least, is no less than values, and else near 0 ``(F,)``.
+
+    It is 0 where no value is above 0; it goes back there within a width [frames].
+    """
+    made, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
+    for _ in range(PINS):
+        low = values > made[:, 0] + COVERED
+        if not low.any():
+            break
+        pinned |= low & _peaks(values - made[:, 0])
+        draw = np.where(pinned, PINNED, 1.0)
+        places = np.where(pinned, PINNED * values, 0.0)[:, None]
+        made = _smoothest(draw, places, max(width, 1.0) ** 4)
+    return np.asarray(made[:, 0])
+
+
+def _peaks(values: FloatArray) -> BoolArray:
+    """Return where values are above 0 and no less than their neighbours ``(F,)``."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    high = (values >= padded[:-2]) & (values >= padded[2:])
+    return np.asarray(high & (values > 0))
 
 
 def upper(values: FloatArray, width: float) -> FloatArray:

@@ -16,7 +16,13 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
-from animtool.mocap.retarget.legs import LegTracks, leg_of, put_ankle, up_index
+from animtool.mocap.retarget.legs import (
+    LegTracks,
+    ball_of_foot,
+    leg_of,
+    put_ankle,
+    up_index,
+)
 from animtool.mocap.retarget.legs_in_limits import within_limits
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.poses import (
@@ -52,6 +58,8 @@ class _Posed:
     """Frames of the target before its feet are placed."""
 
     source: FloatArray  # the source's joints, in the target's axes (F, J, 3) [m]
+    # Balls of its feet, or their ankles, in these axes (F, L, 3) [m].
+    balls: FloatArray
     turns: LocalTurns
     bones: FloatArray  # local translations (F or 1, K, 3) [m]
     about: FloatArray  # joints about the middle of the hips (F, K, 3) [m]
@@ -142,15 +150,21 @@ class Retargeting:
         for motion in in_blocks(motions, BLOCK):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
-            posed = self._posed(motion)
+            posed = self._posed(motion, legs)
             turns = posed.turns
             parts = posed.source, turns.world, posed.about
-            tracks.append([LegTracks.of(transfer, side, *parts) for side in legs])
+            tracks.append(
+                [
+                    LegTracks.of(
+                        transfer, side, parts[0], posed.balls[:, k], *parts[1:]
+                    )
+                    for k, side in enumerate(legs)
+                ]
+            )
             reaches.append([ArmTracks.of(transfer, side, *parts) for side in arms])
             hips.append(posed.hips)
-            self._spool.append(
-                [posed.source, turns.local, turns.world, posed.bones, posed.about]
-            )
+            kept = [turns.local, turns.world, posed.bones, posed.about, posed.balls]
+            self._spool.append([posed.source, *kept])
             self._stopped.append(turns.held)
         self._hips = np.concatenate(hips)
         return (
@@ -177,7 +191,7 @@ class Retargeting:
         )
         return placed
 
-    def _posed(self, motion: Motion) -> _Posed:
+    def _posed(self, motion: Motion, legs: str) -> _Posed:
         """Return frames of the target whose joints follow those of the source."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
@@ -189,7 +203,11 @@ class Retargeting:
         bones = transfer.bones(world, local[0], made.world)
         about = about_hips(target, made.world, bones, limbs_of(target))
         hips = transfer.hips(places)
-        return _Posed(transfer.turned(places), made, bones, about, hips)
+        balls = np.zeros((len(places), len(legs), 3))
+        for k, side in enumerate(legs):
+            balls[:, k] = ball_of_foot(source, side, places, world)
+        parts = transfer.turned(places), transfer.turned(balls)
+        return _Posed(*parts, made, bones, about, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:
@@ -209,7 +227,7 @@ class Retargeting:
         for held, arrays in zip(self._stopped, self._spool.drain(), strict=True):
             begin, count = self._frames, len(arrays[0])
             hips = self._hips[begin : begin + count]
-            source, local, world, bones, about = arrays
+            source, local, world, bones, about, balls = arrays
             turns = LocalTurns(local, world, held)
             turns = self._with_legs(turns, hips, about, begin)
             turns = self._with_arms(turns, begin)
@@ -230,7 +248,7 @@ class Retargeting:
             for values, start in zip((places, local), first, strict=True):
                 still = np.abs(values - start) < ROUNDING
                 np.copyto(values, start, where=still)
-            self._meter.add(begin, forward(rig, places, local).positions, source)
+            self._meter.add(begin, forward(rig, places, local), source, balls)
             yield Motion(
                 self._channel(places, first[0]), self._channel(local, first[1])
             )
@@ -256,11 +274,15 @@ class Retargeting:
             # Where a limit stops the foot, the ankle gives way for the toe.
             most = np.zeros(len(rows))
             at = rows + begin
-            for k, (_, _, foot, tip) in enumerate(legs):
-                if foot not in made.held or tip < 0:
+            for k, (_, _, foot, _) in enumerate(legs):
+                ball = target.balls.get(self.standing.sides[k])
+                if foot not in made.held or ball is None:
                     continue
-                back = so3.conjugate(turns.world[rows, foot])
-                bone = so3.rotate(back, about[rows, tip] - about[rows, foot])
+                bone = ball.offset
+                if ball.joint >= 0:
+                    back = so3.conjugate(turns.world[rows, foot])
+                    tip = about[rows, ball.joint] - about[rows, foot]
+                    bone = so3.rotate(back, tip)
                 wanted, actual = placed.turns[k][at], made.world[rows, foot]
                 off = so3.rotate(wanted, bone) - so3.rotate(actual, bone)
                 goal = placed.ankles[k][at] + placed.rolls[k][at, None] * off

@@ -11,10 +11,11 @@ from animtool._types import BoolArray, FloatArray
 from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand
-from animtool.mocap.retarget.legs import leg_of, up_index
+from animtool.mocap.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
 from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.rig.kinematics import WorldTransforms
 from animtool.scores import PassScores, Score, ScoreUnit
 
 # Roles whose bones are compared, with the role that each ends at.
@@ -93,8 +94,8 @@ class FitMeter:
         self._transfer, self._found, self._standing = transfer, found, standing
         self._up = up_index(transfer.target.rig)
         self._frames = 0
-        # Ankle and toe of each leg, of the target and of the source, scaled; the toe is
-        # the ankle where there is none (F, 2, 2, 3).
+        # Ankle and ball of each foot, of the target and of the source, scaled; the ball
+        # is the ankle where none is known (F, 2, 2, 3).
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach = self._hand = 0.0
@@ -109,21 +110,28 @@ class FitMeter:
         # Hands of arms that are longer, over the legs, go that much faster.
         self._sizes = np.maximum(ratios, transfer.scale)[:, None]
 
-    def add(self, begin: int, target: FloatArray, source: FloatArray) -> None:
+    def add(
+        self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
+    ) -> None:
         """Take the frames that come next.
 
         Args:
             begin: The first of them.
-            target: Its joints ``(F, K, 3)`` [m].
-            source: Those of the source, in the target's axes ``(F, J, 3)`` [m].
+            world: Of the target's F frames and K joints [m].
+            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            balls: Those of the source's feet, in these axes ``(F, L, 3)`` [m].
         """
+        target = world.positions
         self._frames += len(target)
         part = slice(begin, begin + len(target))
         for k, side in enumerate(self._standing.sides):
-            rows = []
-            for person, points, size in self._both(target, source):
-                _, _, ankle, toe = leg_of(person, side)
-                rows.append(size * points[:, [ankle, toe if toe >= 0 else ankle]])
+            ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
+            tips, rows = (ball, balls[:, k]), []
+            for (person, points, size), tip in zip(
+                self._both(target, source), tips, strict=True
+            ):
+                ankle = points[:, leg_of(person, side)[2]]
+                rows.append(size * np.stack([ankle, tip], axis=1))
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
         self._reach = max(self._reach, _reach_error(self._both(target, source)))
@@ -191,8 +199,8 @@ class FitMeter:
         for k, side in enumerate(standing.sides):
             feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
             stands += float(contacts.any.mean()) / len(standing.sides)
-            has_toe = leg_of(transfer.target, side)[3] >= 0
-            both = has_toe and leg_of(transfer.source, side)[3] >= 0
+            has_toe = side in transfer.target.balls
+            both = has_toe and side in transfer.source.balls
             for joint, mask in enumerate((contacts.ankle, contacts.toe)):
                 if joint == 0 or both:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
+from animtool.mocap.retarget.balls import Ball, balls_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import base_role
 from animtool.mocap.standing import STANDS
@@ -42,6 +43,8 @@ class Person:
     roles: tuple[str, ...]  # of each joint (J,)
     positions: FloatArray  # at rest (J, 3) [m]
     turns: FloatArray  # at rest, in the world (J, 4)
+    # Where its feet roll, by side; of a skeleton beside another one.
+    balls: Mapping[str, Ball] = field(default_factory=dict)
 
     @staticmethod
     def of(rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None) -> Person:
@@ -69,6 +72,10 @@ class Person:
         if end < 0:
             below = [k for k, p in enumerate(self.rig.parents) if p == joint]
             end = below[0] if len(below) == 1 else -1
+        ball = self.balls.get(role[-1:]) if own == "foot" else None
+        if end < 0 and ball is not None:
+            way = so3.rotate(self.turns[joint], ball.offset)
+            return np.asarray(way / np.linalg.norm(way))
         if end < 0 or not self.apart(joint, end):
             return None
         way = self.positions[end] - self.positions[joint]
@@ -136,6 +143,16 @@ class Person:
         points = self.positions[list(leg[:3])]
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
+    def leg_bones(self, side: str) -> FloatArray:
+        """Return the lengths of thigh, shin and, if known, foot ``(2 or 3,)`` [m]."""
+        leg = self.leg(side)
+        assert leg is not None
+        points = self.positions[list(leg[:3])]
+        bones = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if side in self.balls:
+            bones = np.append(bones, np.linalg.norm(self.balls[side].offset))
+        return np.asarray(bones)
+
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
@@ -164,6 +181,9 @@ class Transfer:
 
         ``as_rig``: whether the source rests as the target does.
         """
+        balls = balls_of(source, target), balls_of(target, source)
+        source = replace(source, balls=balls[0])
+        target = replace(target, balls=balls[1])
         turn = up_from_up(target.rig.up, source.rig.up)
         upright = so3.IDENTITY if turn is None else np.array(turn)
         count = len(target.rig.joints)
@@ -200,26 +220,15 @@ class Transfer:
     @property
     def alike(self) -> bool:
         """Whether legs and feet of both are the same but for their size."""
-        pairs = [
-            (self.target.leg(side), self.source.leg(side))
-            for side in "lr"
-            if self.target.leg(side) and self.source.leg(side)
-        ]
-        for own, other in pairs:
-            assert own is not None
-            assert other is not None
-            if (own[3] < 0) is not (other[3] < 0):
+        sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
+        for side in sides:
+            bones = [each.leg_bones(side) for each in (self.target, self.source)]
+            if len(bones[0]) != len(bones[1]):
                 return False
-            bones = [
-                np.linalg.norm(
-                    np.diff(one.positions[[j for j in leg if j >= 0]], axis=0), axis=1
-                )
-                for one, leg in ((self.target, own), (self.source, other))
-            ]
             off = np.abs(bones[0] - self.scale * bones[1])
             if (off > ALIKE * bones[0].sum()).any():
                 return False
-        return bool(pairs)
+        return bool(sides)
 
     def turns(self, world: FloatArray) -> FloatArray:
         """Return turns of the target in the world ``(F, K, 4)``.
