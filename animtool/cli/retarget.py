@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -27,16 +25,12 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.errors import counted, listed, percent
+from animtool.cli.retarget_summary import MAX_NAMED, retarget_json, retarget_text
 from animtool.mocap.options import RetargetOptions
-from animtool.quantities import angle_text, duration_text, length_text
+from animtool.options import options_of
 
-if TYPE_CHECKING:
-    from animtool.scene.retarget import RetargetResult
-
-MAX_NAMED = 8
-# What rounding leaves of lengths and angles [m, rad].
-NEGLIGIBLE = 1e-9
+# Options of retargeting that those of writing do not have.
+OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")
 
 
 @click.command(
@@ -59,7 +53,7 @@ Examples:
     help="The rig that the take goes onto: a rig file, USD file or BVH.",
 )
 @take_output_option
-@record_option(RetargetOptions)
+@record_option(RetargetOptions, *OWN_OPTIONS)
 @click.option(
     "--write-map",
     type=OUTPUT,
@@ -106,83 +100,3 @@ def retarget(
         lambda: retarget_text(report, most),
         report.seconds,
     )
-
-
-def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
-    """Return the lines of a summary; ``most``: names in a line, None is all."""
-    score = report.score
-    frames, spent = score.frames, report.seconds["solve"]
-    each = duration_text(spent / max(frames, 1))
-    lines = [
-        f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
-        f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
-        f"{each} a frame"
-    ]
-    if score.contacts:
-        lines.append(
-            f"  feet stand in {percent(score.contacts)} of frames; they drift "
-            f"{_length(score.drift_mean)}, {_length(score.drift_max)} at most "
-            f"(the source {_length(score.source_drift_max)}, scaled); soles within "
-            f"{_length(score.sole_error)}"
-        )
-    lines.append(
-        f"  limbs {_angle(score.bone_angle_mean)} off the source's, "
-        f"{_angle(score.bone_angle_max)} at most; hands reach within "
-        f"{percent(score.reach_error)} of the arm; accelerations up to "
-        f"{score.acceleration:.3g} times the source's"
-    )
-    if score.hand_error:
-        lines.append(
-            f"  hands within {length_text(score.hand_error)} of what they hold"
-        )
-    if score.lowered:
-        lines.append(
-            f"  hips lowered by up to {length_text(score.lowered)}: legs reach"
-        )
-    for what, names in (
-        ("stopped by their limits", _held(report)),
-        ("not mapped, of the source", score.unmapped_source),
-        ("not mapped, of the rig", score.unmapped_target),
-    ):
-        if names:
-            lines.append(f"  {what}: {listed(names, most or len(names))}")
-    if report.outputs:
-        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
-    return lines
-
-
-def _length(meters: float) -> str:
-    return length_text(meters if meters > NEGLIGIBLE else 0.0)
-
-
-def _angle(radians: float) -> str:
-    return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
-
-
-def _held(report: RetargetResult) -> list[str]:
-    most = sorted(report.score.held.items(), key=lambda item: -item[1])
-    return [f"{name} ({percent(share)} of frames)" for name, share in most]
-
-
-def retarget_json(report: RetargetResult) -> dict[str, object]:
-    """Return a summary as plain values; lengths in metres, angles in radians."""
-    ours, theirs = report.source_rig.names, report.target.names
-    return {
-        "retarget": "animtool/1",
-        "source": str(report.source),
-        "rig": str(report.rig),
-        "outputs": [str(path) for path in report.outputs],
-        **asdict(report.score),
-        "joints": [
-            {
-                "source": ours[pair.source],
-                "target": theirs[pair.target],
-                "role": pair.role,
-                "found": str(pair.found),
-                "confidence": pair.confidence,
-            }
-            for pair in report.joint_map.pairs
-        ],
-        "seconds": report.seconds,
-        "notices": [notice.as_dict() for notice in report.notices],
-    }

@@ -115,3 +115,52 @@ def test_the_pass_gives_what_the_command_does(root: Path, tmp_path: Path) -> Non
         joint_positions(open_stage(path), range(1, 65)) for path in (made, wanted)
     ]
     assert_array_equal(*places)
+
+
+LAMP = """\
+rig: animtool/1
+name: lamp
+joints:
+- {name: base, type: fixed}
+- {name: swivel, type: pin, parent: base, translate: [0, .04, 0], axis: [0, 1, 0]}
+- {name: elbow, type: pin, parent: swivel, translate: [0, .3, 0], axis: [0, 0, 1]}
+- {name: head, type: pin, parent: elbow, translate: [0, .25, 0], axis: [0, 0, 1]}
+"""
+
+
+def test_a_person_does_not_go_onto_a_lamp(root: Path, tmp_path: Path) -> None:
+    lamp, output = tmp_path / "lamp.rig.yaml", tmp_path / "out.bvh"
+    lamp.write_text(LAMP, "utf-8")
+    done = animtool("retarget", root / WALK, "--to", lamp, "-o", output)
+    assert (done.code, "MAP010" in done.stderr) == (3, True)
+    assert not output.exists()
+    forced = animtool(
+        *("retarget", root / WALK, "--to", lamp, "-o", output),
+        *("--force-fit", "--format", "json"),
+    )
+    assert forced.code == 0, forced.stderr
+    found = json.loads(forced.stdout)
+    assert found["bone_angle_mean"] is None
+    assert found["reach_error"] is None
+    assert output.exists()
+
+
+def test_of_a_rig_that_shares_no_joint_a_person_is_refused_too(
+    root: Path, tmp_path: Path
+) -> None:
+    ball = root / "rigs/ball/ball.rig.yaml"
+    for more in ([], ["--force-fit"]):
+        done = animtool("retarget", root / WALK, "--to", ball, *more, cwd=tmp_path)
+        assert (done.code, "MAP010" in done.stderr) == (3, True)
+
+
+def test_a_map_file_says_enough_of_what_follows_what(
+    root: Path, tmp_path: Path
+) -> None:
+    lamp, mapped = tmp_path / "lamp.rig.yaml", tmp_path / "a.map.yaml"
+    lamp.write_text(LAMP, "utf-8")
+    mapped.write_text(
+        "map: animtool/1\njoints:\n- {source: Head, target: head}\n", "utf-8"
+    )
+    done = animtool("retarget", root / WALK, "--to", lamp, "--map", mapped)
+    assert done.code == 0, done.stderr

@@ -49,6 +49,9 @@ BLOCK = 1024
 # How often an ankle gives way at most, and what is left of it then, over the size of
 # the skeleton: each time leaves about a tenth.
 TRIES, GIVEN = 5, 1e-5
+# What moves by less than this share of the skeleton, or turns by about its root, in
+# radians, does not move [1].
+STILL = 1e-6
 # Numbers that differ by less are one but for rounding [1], [m].
 ROUNDING = 1e-13
 
@@ -73,6 +76,7 @@ class Retargeting:
         transfer: How the rig follows.
         standing: Which feet stand, and when.
         clamped: Joints that their limits held, in shares of the frames so far.
+        moving: Joints of the source that move.
     """
 
     def __init__(
@@ -101,6 +105,9 @@ class Retargeting:
             props: Tracks of the take that they may hold.
         """
         self.transfer, self._moves = transfer, False
+        self._start: tuple[FloatArray, FloatArray] | None = None
+        # Joints of the source that move.
+        self.moving: set[int] = set()
         self._spool = Spool()
         self._stopped: list[dict[int, BoolArray]] = []
         legs = "".join(
@@ -150,6 +157,7 @@ class Retargeting:
         for motion in in_blocks(motions, BLOCK):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
+            self._note_moving(motion)
             posed = self._posed(motion, legs)
             turns = posed.turns
             parts = posed.source, turns.world, posed.about
@@ -171,6 +179,16 @@ class Retargeting:
             [joined([each[k] for each in tracks]) for k in range(len(legs))],
             [joined([each[k] for each in reaches]) for k in range(len(arms))],
         )
+
+    def _note_moving(self, motion: Motion) -> None:
+        """Take the joints that leave where they are in the first frame."""
+        values = motion.translations.dense(), motion.rotations.dense()
+        if self._start is None:
+            self._start = values[0][0].copy(), values[1][0].copy()
+        far = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
+        same = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
+        moves = (far > STILL * self.transfer.source.size) | (same < 1 - STILL)
+        self.moving.update(np.flatnonzero(moves).tolist())
 
     def _place_feet(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -41,7 +42,7 @@ USUAL_UNMAPPED = 0.2  # of the source's joints
 
 @dataclass(frozen=True, slots=True)
 class RetargetReport:
-    """What became of a take; of what there is none, values are 0."""
+    """How well a take fits its rig; a score of what there is none of is NaN."""
 
     frames: int
     scale: float  # lengths of the target's legs over those of the source's
@@ -98,7 +99,7 @@ class FitMeter:
         # is the ankle where none is known (F, 2, 2, 3).
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
-        self._reach = self._hand = 0.0
+        self._reach, self._hand = math.nan, 0.0
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
@@ -134,7 +135,8 @@ class FitMeter:
                 rows.append(size * np.stack([ankle, tip], axis=1))
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
-        self._reach = max(self._reach, _reach_error(self._both(target, source)))
+        reach = _reach_error(self._both(target, source))
+        self._reach = float(np.fmax(self._reach, reach))
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
             off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
@@ -195,7 +197,9 @@ class FitMeter:
         """
         transfer, found, standing = self._transfer, self._found, self._standing
         drifts, others = [np.zeros(0)], [np.zeros(0)]
-        soles, below, stands = [0.0], [0.0], 0.0
+        soles: list[float] = []
+        below: list[float] = []
+        stands = 0.0
         for k, side in enumerate(standing.sides):
             feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
             stands += float(contacts.any.mean()) / len(standing.sides)
@@ -223,16 +227,16 @@ class FitMeter:
             transfer.scale,
             len(found.pairs),
             stands,
-            float(drift.mean()) if len(drift) else 0.0,
-            float(drift.max(initial=0.0)),
-            float(theirs.max(initial=0.0)),
-            max(soles),
-            max(below),
+            float(drift.mean()) if len(drift) else math.nan,
+            float(drift.max()) if len(drift) else math.nan,
+            float(theirs.max()) if len(theirs) else math.nan,
+            max(soles, default=math.nan),
+            max([0.0, *below]) if below else math.nan,
             self._reach,
             self._hand,
-            total / count if count else 0.0,
-            most,
-            own / other if other > 0 else 0.0,
+            total / count if count else math.nan,
+            most if count else math.nan,
+            own / other if other > 0 else math.nan,
             0.0 if placed is None else placed.lowered,
             {names[j]: share for j, share in clamped.items()},
             _mean_held(found, clamped),
@@ -283,8 +287,11 @@ def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
 
 
 def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
-    """Return how far the share of the arm that a hand is off differs, at most."""
-    worst = 0.0
+    """Return how far the share of the arm that a hand is off differs, at most.
+
+    NaN where there is no pair of arms.
+    """
+    worst = math.nan
     for side in "lr":
         shares = []
         for person, points, _ in both:
@@ -296,5 +303,6 @@ def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
             if length > 0:
                 shares.append(np.linalg.norm(own[:, 2] - own[:, 0], axis=1) / length)
         if len(shares) == 2:
-            worst = max(worst, float(np.abs(shares[0] - shares[1]).max(initial=0.0)))
+            off = float(np.abs(shares[0] - shares[1]).max(initial=0.0))
+            worst = float(np.fmax(worst, off))
     return worst
