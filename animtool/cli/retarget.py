@@ -62,7 +62,7 @@ Examples:
 )
 @written_options
 @source_options
-@source_option("prim_path", "take")
+@source_option("prim_path", "take", "positions")
 @writing_options
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any
@@ -79,7 +79,7 @@ def retarget(
     job = RetargetJob(
         source,
         params["rig"],
-        source_options_record(params, "prim_path", "take"),
+        source_options_record(params, "prim_path", "take", "positions"),
         RetargetOptions(**read_values(RetargetOptions, params)),
         None if to_stdout else output,
         to_stdout,

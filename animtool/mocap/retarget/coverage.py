@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from animtool._types import IntArray
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, counted, listed
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import (
@@ -15,6 +17,7 @@ from animtool.mocap.retarget.roles import (
     TWIST,
     base_role,
 )
+from animtool.quantities import length_text
 from animtool.rig.skeleton import Rig
 
 # Bones that a whole limb has.
@@ -25,6 +28,8 @@ PAIRED = 1 / 3
 _DETAIL = {*FINGERS, MITTEN, "toe", "jaw", "eye", TWIST, END, CONTROL}
 _ENDS = {"head", "hand", "foot"}
 MAX_NAMED = 6
+# Share of its length at rest that a bone keeps at most that has none [1].
+NO_LENGTH = 1e-4
 
 
 def lacking_pairs(
@@ -56,6 +61,38 @@ def lacking_pairs(
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
     hint = "write a map file, or bring what is paired all the same with --force-fit"
     return Fault("MAP010", message, hint=hint)
+
+
+def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None:
+    """Return which limbs of a take have bones without length (MAP011); None for none.
+
+    Args:
+        source: The skeleton of the take, of J joints.
+        found: Which joints follow which.
+        longest: How far its joints get from their parents, at most ``(J,)`` [m].
+    """
+    roles = found.source.roles
+    lengths = np.linalg.norm(source.rest_translations, axis=1)
+    lost = (longest <= NO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
+    bones = sorted(
+        {
+            j
+            for joints in _limbs(roles).values()
+            for bottom, top in ((joints[-1], joints[0]),)
+            for j in source.upwards(bottom)
+            if lost[j] and j != top and top in source.upwards(j)
+        }
+    )
+    if not bones:
+        return None
+    names = listed([repr(source.names[j]) for j in bones], MAX_NAMED)
+    message = (
+        f"{counted(len(bones), 'limb bone')} of {source.name!r} have no length in any "
+        f"frame, and up to {length_text(float(lengths[bones].max()))} at rest: {names} "
+        "are at their parents"
+    )
+    hint = "of a BVH, --positions offsets lets OFFSETs hold; --force-fit takes it so"
+    return Fault("MAP011", message, hint=hint)
 
 
 def nothing_paired(source: Rig, roles: tuple[str, ...], target: Rig) -> Fault | None:

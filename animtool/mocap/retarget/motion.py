@@ -77,6 +77,7 @@ class Retargeting:
         standing: Which feet stand, and when.
         clamped: Joints that their limits held, in shares of the frames so far.
         moving: Joints of the source that move.
+        longest: How far its joints get from their parents, at most ``(J,)`` [m].
     """
 
     def __init__(
@@ -108,6 +109,8 @@ class Retargeting:
         self._start: tuple[FloatArray, FloatArray] | None = None
         # Joints of the source that move.
         self.moving: set[int] = set()
+        # How far its joints get from their parents, at most (J,) [m].
+        self.longest: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
         self._stopped: list[dict[int, BoolArray]] = []
         legs = "".join(
@@ -185,6 +188,8 @@ class Retargeting:
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
+        longest = np.linalg.norm(values[0], axis=2).max(axis=0)
+        self.longest = np.maximum(self.longest, longest)
         far = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
         same = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
         moves = (far > STILL * self.transfer.source.size) | (same < 1 - STILL)

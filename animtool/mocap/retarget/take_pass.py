@@ -14,7 +14,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.mocap.options import RetargetOptions
 from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.coverage import lacking_pairs, nothing_paired
+from animtool.mocap.retarget.coverage import collapsed, lacking_pairs, nothing_paired
 from animtool.mocap.retarget.legs import leg_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
@@ -65,7 +65,7 @@ def onto_rig(
 
     Raises:
         FormatError: The map file cannot be read, or names joints that neither has; or
-            too little is paired (MAP010).
+            too little is paired (MAP010), or limbs have no length (MAP011).
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
     """
@@ -94,7 +94,10 @@ def onto_rig(
         transfer, found, motions, fps, lock=lock, same=same, hands=hands, props=props
     )
     lacking = lacking_pairs(source, found, transfer.follows, made.moving)
-    if lacking is not None and options.map is None and not options.force_fit:
+    if options.map is not None:
+        lacking = None
+    lacking = collapsed(source, found, made.longest) or lacking
+    if lacking is not None and not options.force_fit and not same:
         raise FormatError(lacking)
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
