@@ -38,7 +38,7 @@ def read_bvh(
     path: Path | str,
     *,
     unit: LengthUnit | None = None,
-    up: UpAxis = UpAxis.Y,
+    up: UpAxis | None = None,
     fps: FractionLike | None = None,
     positions: str | None = None,
     progress: Callable[[float], None] | None = None,
@@ -55,7 +55,7 @@ def read_bvh(
         path: The file.
         unit: What its numbers are in; None is centimetres, with a note where the
             skeleton's size fits another unit better.
-        up: Which of its axes points up.
+        up: Which of its axes points up; None is Y, which it does not say.
         fps: The real frame rate, where ``Frame Time`` is wrong.
         positions: ``offsets``: the OFFSETs of joints below a root hold, whatever their
             position channels say. None or ``channels``: these replace them; joints
@@ -76,7 +76,7 @@ def read_bvh(
             rows_start = file.tell() - len(lines.rest)
         except OSError as error:
             raise unreadable(path, error) from error
-    rig = _rig(header, path.stem, unit or LengthUnit.CM, up)
+    rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     assert header.rate is not None
     stream = TakeStream(
@@ -94,6 +94,8 @@ def read_bvh(
             "channels": sum(len(joint.channels or ()) for joint in header.joints),
         },
     )
+    if up is not None:
+        stream.details["up_choice"] = "stated"
     if fps is not None:
         stream.notices[:] = [n for n in notices if n.code not in _RATE_CODES]
     names = [

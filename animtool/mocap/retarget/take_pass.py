@@ -77,11 +77,13 @@ def onto_rig(
     found = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
     notices = list(found.notices)
     source = stream.rig
-    stands = stands_along(source, first, found.source.roles)
+    stands = None
+    if stream.details.get("up_choice") != "stated":
+        stands = stands_along(source, first, found.source.roles)
     if stands is not None:
         message = f"the take stands along {stands}, though its up axis is {source.up}; "
         message += f"it is taken as {stands} up"
-        hint = f"say so with --up {stands}, or turn it if it lies"
+        hint = f"say so with --up {stands}, or --up {source.up} if it lies"
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
     transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
