@@ -16,6 +16,7 @@ from animtool.mocap.contacts import (
     smoothed,
     without_short,
 )
+from animtool.rig.limits import RangeLimit
 
 # The hips go over from one foot to the other within this time of a contact [s].
 HANDOVER = 0.15
@@ -38,8 +39,9 @@ FADE = 0.06
 LEVEL = np.radians(20.0)
 # A leg is never straighter than this share of its length.
 STRAIGHT = 0.9995
-# Legs are as straight as those of the source are within this time of it [s].
-ALIKE = 1.0
+# Legs are as straight as those of the source are within this time of it, smoothed by a
+# Gaussian of that width [s]: a second from a cut nothing may show of either.
+ALIKE, ALIKE_SMOOTH = 0.75, 0.05
 # The hips come down within about this time for a leg that does not reach [s].
 LOWERING = 0.07
 # How often that is put right at most, and by how much legs may fail to reach [m].
@@ -329,7 +331,7 @@ def _reaching(
     down, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
-        most = upper(foot.straight, ALIKE * fps)
+        most = upper(foot.straight, ALIKE * fps, ALIKE_SMOOTH * fps)
         # The same leg may be as straight as it was.
         bent = BENT if foot.level is not None else 1.0
         share = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
@@ -369,12 +371,15 @@ def _peaks(values: FloatArray) -> BoolArray:
     return np.asarray(high & (values > 0))
 
 
-def upper(values: FloatArray, width: float) -> FloatArray:
-    """Return what is smooth and above values ``(F,)`` within a width [frames]."""
+def upper(values: FloatArray, width: float, smooth: float | None = None) -> FloatArray:
+    """Return what is smooth and above values ``(F,)`` within a width [frames].
+
+    It is smoothed by a Gaussian of a width [frames]; None is a quarter of the other.
+    """
     reach = int(np.ceil(width))
     padded = np.pad(values, reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return smoothed(windows.max(axis=1), width / 4)
+    return smoothed(windows.max(axis=1), width / 4 if smooth is None else smooth)
 
 
 def bend_limb(
@@ -429,11 +434,12 @@ def bend_at_pin(
     bones: tuple[FloatArray, FloatArray],
     axis: FloatArray,
     angle: FloatArray,
+    limits: RangeLimit | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return turns of the thigh ``(F, 4)`` and angles of the knee ``(F,)`` [rad].
 
     The knee opens until the ankle is as far off as its goal, then the thigh brings it
-    there by the shortest way.
+    there by the shortest way, or as near as limits of the knee let it.
 
     Args:
         hip: Where the thigh begins ``(F, 3)`` [m].
@@ -443,6 +449,7 @@ def bend_at_pin(
             the thigh ``(3,)`` [m].
         axis: Of the knee there, of length 1 ``(3,)``.
         angle: Of the knee as it is ``(F,)`` [rad].
+        limits: Of the knee: it bends the way that they let it, or else as it does.
     """
     upper, lower = bones
     along = float((upper @ axis) * (lower @ axis))
@@ -456,7 +463,13 @@ def bend_at_pin(
     zero = float(np.arctan2(odd, even))
     both = np.stack([zero + open_by, zero - open_by])
     both -= 2 * np.pi * np.round((both - angle) / (2 * np.pi))
-    bent = np.where(np.abs(both[0] - angle) <= np.abs(both[1] - angle), *both)
+    off = np.abs(both - angle)
+    if limits is not None:
+        # Next to straight, either way is as near; beyond its stop no knee bends.
+        off += BEYOND * np.abs(limits.excess(both))
+    bent = np.where(off[0] <= off[1], *both)
+    if limits is not None:
+        bent = limits.clamped(bent)
     tip = upper + so3.rotate(so3.from_axis_angle(axis, bent), lower)
     return so3.multiply(shortest(so3.rotate(thigh, tip), goal - hip), thigh), bent
 
@@ -470,5 +483,7 @@ def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     return so3.normalize(np.where(known, made, [1.0, 0.0, 0.0, 0.0]))
 
 
+# How much more a knee beyond its stop counts than one that goes far [1].
+BEYOND = 100.0
 # Directions whose product is nearer to -1 are opposite.
 OPPOSITE = 1e-9

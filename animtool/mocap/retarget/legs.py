@@ -249,11 +249,10 @@ def _bent_pin(
     pin = np.array(joint.axis, np.float64)
     angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
     bones = rig.rest_translations[middle], so3.rotate(rest, target.way(middle, end))
+    limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     upper, bent = bend_at_pin(
-        start, goal, turns[0], bones, so3.rotate(rest, pin), angle
+        start, goal, turns[0], bones, so3.rotate(rest, pin), angle, limits
     )
-    if isinstance(joint.limits, RangeLimit):
-        bent = joint.limits.clamped(bent)
     lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))
     return upper, lower
 

@@ -37,6 +37,8 @@ USUAL_REACH = 0.01  # of the arm
 USUAL_ANGLE = np.radians(3.0)  # [rad]
 USUAL_ACCELERATION = 1.25  # of the source's
 USUAL_HELD = 0.05  # of frames
+# A heel that is farther from where it is placed has given way, over the size [1].
+GAVE_WAY = 1e-4
 USUAL_UNMAPPED = 0.2  # of the source's joints
 
 
@@ -189,6 +191,14 @@ class FitMeter:
                 most = max(most, float(angle.max(initial=0.0)))
         self._angles = total, count, most
 
+    def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
+        """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
+        placed, contacts = self._standing.placed, self._standing.contacts[k]
+        if placed is None or not contacts.toe.any():
+            return np.zeros(len(ankle), np.bool_)
+        off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
+        return np.asarray(contacts.toe & (off > GAVE_WAY * self._transfer.target.size))
+
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return how well the frames so far fit.
 
@@ -205,10 +215,12 @@ class FitMeter:
             stands += float(contacts.any.mean()) / len(standing.sides)
             has_toe = side in transfer.target.balls
             both = has_toe and side in transfer.source.balls
-            for joint, mask in enumerate((contacts.ankle, contacts.toe)):
+            heel = contacts.ankle & ~self._raised(k, feet[:, 0, 0])
+            for joint, mask in enumerate((heel, contacts.toe)):
                 if joint == 0 or both:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))
-                    others.append(_drift(feet[:, 1, joint], mask, self._up))
+                    stood = contacts.toe if joint else contacts.ankle
+                    others.append(_drift(feet[:, 1, joint], stood, self._up))
             sole = feet[:, 0, 1, self._up]
             flat = contacts.toe if has_toe else contacts.any
             if flat.any():
