@@ -11,6 +11,7 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
+    bake_option,
     read_values,
     record_option,
     source_option,
@@ -41,7 +42,8 @@ Examples:
   animtool retarget walk.bvh --to hero.usda --rig-layer hero.usda -o walk_layer.usdc
   animtool retarget walk.bvh --to hero.rig.yaml --write-map walk.map.yaml
   animtool retarget walk.bvh --to hero.rig.yaml --map walk.map.yaml -o walk.bvh
-  animtool retarget take.bvh --to hero.rig.yaml --rest frame:1 -o take.usdc"""
+  animtool retarget take.bvh --to hero.rig.yaml --rest frame:1 -o take.usdc
+  animtool retarget take.bvh --to hero.rig.yaml -o cut.usdc --fps 24 --range 1-48"""
 )
 @click.argument("source", type=INPUT)
 @click.option(
@@ -63,6 +65,7 @@ Examples:
 @written_options
 @source_options
 @source_option("prim_path", "take", "positions")
+@bake_option("fps", "frame_range", "start")
 @writing_options
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any

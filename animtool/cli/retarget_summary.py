@@ -11,9 +11,11 @@ from animtool.quantities import angle_text, duration_text, length_text
 
 if TYPE_CHECKING:
     from animtool.mocap.retarget.report import RetargetReport
+    from animtool.mocap.retarget.verdict import Verdict
     from animtool.scene.retarget import RetargetResult
 
 MAX_NAMED = 8
+MAX_RUNS = 6
 # What rounding leaves of lengths and angles [m, rad].
 NEGLIGIBLE = 1e-9
 
@@ -24,9 +26,10 @@ def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[
     frames, spent = score.frames, report.seconds["solve"]
     each = duration_text(spent / max(frames, 1))
     lines = [
+        verdict_text(report.verdict),
         f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
         f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
-        f"{each} a frame"
+        f"{each} a frame",
     ]
     if score.contacts:
         lines.append(
@@ -54,6 +57,20 @@ def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[
     if report.outputs:
         lines.append(f"  written: {', '.join(map(str, report.outputs))}")
     return lines
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """Return a verdict in a line: what to look at, and in which frames."""
+    reasons = []
+    for reason in verdict.reasons:
+        text = f"{reason.what} {reason.text}".rstrip()
+        if reason.frames:
+            runs = [f"{a}" if a == b else f"{a}-{b}" for a, b in reason.frames]
+            text = f"{listed(runs, MAX_RUNS)} ({text})"
+        reasons.append(text)
+    if not reasons:
+        return str(verdict.status)
+    return f"{verdict.status}: {'; '.join(reasons)}"
 
 
 def _fit(score: RetargetReport) -> list[str]:
@@ -93,6 +110,7 @@ def retarget_json(report: RetargetResult) -> dict[str, object]:
     """
     ours, theirs = report.source_rig.names, report.target.names
     return {
+        **report.verdict.as_dict(),
         "retarget": "animtool/1",
         "source": str(report.source),
         "rig": str(report.rig),

@@ -303,3 +303,37 @@ class TakeRun:
             if self.props is not None:
                 self.props.see(codes, motion)
             yield codes, motion
+
+
+def in_frames(
+    stream: TakeStream, options: BakeOptions, source: Path, notices: list[Fault]
+) -> TakeStream:
+    """Return a take at the rate and frames that options ask for, numbered as they say.
+
+    Args:
+        stream: The take.
+        options: Their ``fps``, ``frame_range`` and ``start`` count.
+        source: File that notices are located at.
+        notices: Where these go.
+    """
+    if (options.fps, options.frame_range, options.start) == (None, None, None):
+        return stream
+    from animtool.scene.bake import start_of
+
+    fps, start = options.fps or stream.fps, start_of(options, None, stream, source)
+    usual = BakeOptions(fps=options.fps, frame_range=options.frame_range)
+    plan = TakePlan(source, "", stream, None, usual, fps, start, notices)
+    timed = timed_blocks(plan, stream)
+    if timed.times is None:
+        return replace(stream, start=start)
+    step = 1 if options.frame_range is None else options.frame_range.step
+    return replace(
+        stream,
+        fps=fps,
+        start=timed.times.first,
+        step=Fraction(step),
+        blocks=(motion for _, motion in timed.blocks),
+        curve=None,
+        count=0,
+        control_curves={},
+    )

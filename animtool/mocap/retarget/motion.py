@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
@@ -37,6 +38,7 @@ from animtool.mocap.retarget.poses import (
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import FitMeter, RetargetReport, Standing
 from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.verdict import Verdict
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -78,6 +80,7 @@ class Retargeting:
         clamped: Joints that their limits held, in shares of the frames so far.
         moving: Joints of the source that move.
         longest: How far its joints get from their parents, at most ``(J,)`` [m].
+        forced: Errors that are passed over on request.
     """
 
     def __init__(
@@ -106,6 +109,8 @@ class Retargeting:
             props: Tracks of the take that they may hold.
         """
         self.transfer, self._moves = transfer, False
+        # Errors that were passed over on request.
+        self.forced: list[Fault] = []
         self._start: tuple[FloatArray, FloatArray] | None = None
         # Joints of the source that move.
         self.moving: set[int] = set()
@@ -240,6 +245,10 @@ class Retargeting:
     def report(self) -> RetargetReport:
         """Return how well the frames so far fit."""
         return self._meter.report(self.clamped)
+
+    def verdict(self) -> Verdict:
+        """Return whether the frames so far can be used."""
+        return self._meter.verdict(self.clamped, self.forced)
 
     def blocks(self) -> Iterator[Motion]:
         """Yield the motion of the target; to be called once."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
 from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand
@@ -16,6 +17,7 @@ from animtool.mocap.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
 from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.verdict import Verdict, verdict_of
 from animtool.rig.kinematics import WorldTransforms
 from animtool.scores import PassScores, Score, ScoreUnit
 
@@ -102,6 +104,9 @@ class FitMeter:
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach, self._hand = math.nan, 0.0
+        # Of each frame, by score.
+        self._values: dict[str, list[FloatArray]] = {}
+        self._worst: dict[str, FloatArray] = {}
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
@@ -137,8 +142,9 @@ class FitMeter:
                 rows.append(size * np.stack([ankle, tip], axis=1))
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
-        reach = _reach_error(self._both(target, source))
-        self._reach = float(np.fmax(self._reach, reach))
+        reach = _reach_errors(self._both(target, source))
+        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach)))
+        self._note("hands", reach)
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
             off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
@@ -153,10 +159,16 @@ class FitMeter:
         self._last = [each[-2:].copy() for each in now]
         if len(now[0]) > 2:
             sizes = [
-                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(initial=0.0)
+                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(axis=1, initial=0)
                 for each in now
             ]
-            self._fastest = np.maximum(self._fastest, sizes)
+            self._fastest = np.maximum(
+                self._fastest, [each.max(initial=0.0) for each in sizes]
+            )
+            self._note("acceleration", sizes[0])
+
+    def _note(self, score: str, values: FloatArray) -> None:
+        self._values.setdefault(score, []).append(values)
 
     def _both(
         self, target: FloatArray, source: FloatArray
@@ -172,6 +184,7 @@ class FitMeter:
         """Take angles between bones of both, legs that stand left out."""
         standing = self._standing
         total, count, most = self._angles
+        bends, counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end in BONES.items():
                 ways = []
@@ -186,10 +199,17 @@ class FitMeter:
                 angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
                 if role in {"thigh", "shin"} and side in standing.sides:
                     k = standing.sides.index(side)
-                    angle = angle[~standing.contacts[k].any[part]]
+                    free = ~standing.contacts[k].any[part]
+                    bends[free] += angle[free]
+                    counts[free] += 1
+                    angle = angle[free]
+                else:
+                    bends += angle
+                    counts += 1
                 total, count = total + float(angle.sum()), count + len(angle)
                 most = max(most, float(angle.max(initial=0.0)))
         self._angles = total, count, most
+        self._note("limbs", bends / np.maximum(counts, 1))
 
     def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
@@ -199,6 +219,31 @@ class FitMeter:
         off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
         return np.asarray(contacts.toe & (off > GAVE_WAY * self._transfer.target.size))
 
+    def _keep_worst(self, score: str, values: FloatArray) -> None:
+        """Take values of all frames; the worst of several counts."""
+        before = self._worst.get(score)
+        self._worst[score] = values if before is None else np.fmax(before, values)
+
+    def verdict(
+        self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
+    ) -> Verdict:
+        """Return whether the frames so far can be used; see `report`.
+
+        Args:
+            clamped: Joints that limits held, in shares of the frames.
+            forced: Errors that were passed over on request.
+        """
+        report = self.report(clamped)
+        values = {
+            name: np.concatenate(blocks) for name, blocks in self._values.items()
+        } | self._worst
+        if "acceleration" in values:
+            # Second differences stand at the frame in their middle.
+            fast = values["acceleration"] / max(float(self._fastest[1]), 1e-300)
+            values["acceleration"] = np.pad(fast, 1)
+        least = {"drift": report.source_drift_max}
+        return verdict_of(scores_of(report), values, least, forced)
+
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return how well the frames so far fit.
 
@@ -206,6 +251,7 @@ class FitMeter:
             clamped: Joints that limits held, in shares of the frames.
         """
         transfer, found, standing = self._transfer, self._found, self._standing
+        self._worst.clear()
         drifts, others = [np.zeros(0)], [np.zeros(0)]
         soles: list[float] = []
         below: list[float] = []
@@ -221,6 +267,7 @@ class FitMeter:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))
                     stood = contacts.toe if joint else contacts.ankle
                     others.append(_drift(feet[:, 1, joint], stood, self._up))
+                    self._keep_worst("drift", drifts[-1])
             sole = feet[:, 0, 1, self._up]
             flat = contacts.toe if has_toe else contacts.any
             if flat.any():
@@ -228,8 +275,12 @@ class FitMeter:
                 if standing.placed is not None:
                     level = standing.placed.soles[k]
                 soles.append(float(np.abs(sole[flat] - level).max()))
+                self._keep_worst("soles", np.where(flat, np.abs(sole - level), 0.0))
                 below.append(level - float(sole.min()))
-        drift, theirs = np.concatenate(drifts), np.concatenate(others)
+        drift, theirs = (
+            each[~np.isnan(each)]
+            for each in (np.concatenate(drifts), np.concatenate(others))
+        )
         total, count, most = self._angles
         own, other = self._fastest.tolist()
         names, ours = transfer.target.rig.names, transfer.source.rig.names
@@ -289,21 +340,24 @@ def _mean_held(found: JointMap, clamped: Mapping[int, float]) -> float:
 
 
 def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
-    """Return distances on the ground from the middle of each contact [m]."""
+    """Return distances on the ground from the middle of each contact ``(F,)`` [m].
+
+    NaN where nothing stands.
+    """
     flat = [k for k in range(3) if k != up]
-    rows = [np.zeros(0)]
+    made = np.full(len(points), math.nan)
     for start, end in intervals(stands):
         own = points[start:end][:, flat]
-        rows.append(np.linalg.norm(own - own.mean(axis=0), axis=1))
-    return np.concatenate(rows)
+        made[start:end] = np.linalg.norm(own - own.mean(axis=0), axis=1)
+    return made
 
 
-def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
-    """Return how far the share of the arm that a hand is off differs, at most.
+def _reach_errors(both: Sequence[tuple[Person, FloatArray, float]]) -> FloatArray:
+    """Return how far the share of the arm that a hand is off differs ``(F,)``.
 
     NaN where there is no pair of arms.
     """
-    worst = math.nan
+    worst = np.full(len(both[0][1]), math.nan)
     for side in "lr":
         shares = []
         for person, points, _ in both:
@@ -315,6 +369,5 @@ def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
             if length > 0:
                 shares.append(np.linalg.norm(own[:, 2] - own[:, 0], axis=1) / length)
         if len(shares) == 2:
-            off = float(np.abs(shares[0] - shares[1]).max(initial=0.0))
-            worst = float(np.fmax(worst, off))
+            worst = np.fmax(worst, np.abs(shares[0] - shares[1]))
     return worst

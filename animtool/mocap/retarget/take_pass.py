@@ -101,6 +101,7 @@ def onto_rig(
     lacking = collapsed(source, found, made.longest) or lacking
     if lacking is not None and not options.force_fit and not same:
         raise FormatError(lacking)
+    made.forced = [] if lacking is None else [lacking]
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"
