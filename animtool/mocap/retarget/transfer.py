@@ -221,8 +221,13 @@ class Transfer:
     def alike(self) -> bool:
         """Whether legs and feet of both are the same but for their size."""
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
+        both = self.target, self.source
         for side in sides:
-            bones = [each.leg_bones(side) for each in (self.target, self.source)]
+            balls = [each.balls.get(side) for each in both]
+            # Feet with other toes roll otherwise, though they are as long.
+            if len({ball is not None and ball.joint >= 0 for ball in balls}) > 1:
+                return False
+            bones = [each.leg_bones(side) for each in both]
             if len(bones[0]) != len(bones[1]):
                 return False
             off = np.abs(bones[0] - self.scale * bones[1])

