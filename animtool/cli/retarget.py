@@ -87,7 +87,9 @@ def retarget(
         None if to_stdout else output,
         to_stdout,
         params["write_map"],
-        written_options_record(params, strict=params["strict"]),
+        written_options_record(
+            params, "fps", "frame_range", "start", strict=params["strict"]
+        ),
     )
     if job.output is not None and skipped(
         console, "retarget", params, job.output, lambda: retarget_outputs(job)

@@ -306,21 +306,22 @@ class TakeRun:
 
 
 def in_frames(
-    stream: TakeStream, options: BakeOptions, source: Path, notices: list[Fault]
+    stream: TakeStream,
+    options: BakeOptions,
+    start: Fraction,
+    source: Path,
+    notices: list[Fault],
 ) -> TakeStream:
     """Return a take at the rate and frames that options ask for, numbered as they say.
 
     Args:
         stream: The take.
-        options: Their ``fps``, ``frame_range`` and ``start`` count.
+        options: Their ``fps`` and ``frame_range`` count.
+        start: Time code of the first frame of the take.
         source: File that notices are located at.
         notices: Where these go.
     """
-    if (options.fps, options.frame_range, options.start) == (None, None, None):
-        return stream
-    from animtool.scene.bake import start_of
-
-    fps, start = options.fps or stream.fps, start_of(options, None, stream, source)
+    fps = options.fps or stream.fps
     usual = BakeOptions(fps=options.fps, frame_range=options.frame_range)
     plan = TakePlan(source, "", stream, None, usual, fps, start, notices)
     timed = timed_blocks(plan, stream)

@@ -129,7 +129,13 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         stream.details = {"format": "retarget", "units": unit}
         if job.to_stdout or (job.output is not None and is_usd(job.output)):
             return stream
-        return in_frames(stream, job.bake, job.source, stream.notices)
+        wanted = job.bake.fps, job.bake.frame_range, job.bake.start
+        if wanted == (None, None, None):
+            return stream
+        from animtool.scene.bake import start_of
+
+        start = start_of(job.bake, None, stream, job.source)
+        return in_frames(stream, job.bake, start, job.source, stream.notices)
 
     with together():
         if job.output is None and not job.to_stdout:

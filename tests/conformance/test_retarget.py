@@ -20,8 +20,8 @@ from animtool.mocap.contacts import intervals
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.take_pass import FeetOptions, held_feet
-from animtool.mocap.retarget.transfer import Person
 from animtool.passes import PassContext
 
 # Frames of captures in the default profile.

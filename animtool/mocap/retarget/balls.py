@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.mocap.retarget.person import Ball, Person
 from animtool.mocap.retarget.roles import END
-
-if TYPE_CHECKING:
-    from animtool.mocap.retarget.transfer import Person
 
 # The end of a foot nearer to its ankle than this share of the leg is none [1].
 SHORT = 0.04
@@ -21,14 +18,6 @@ SHORT = 0.04
 ALONG_SHIN = 0.97
 # A toe that begins this near to the ankle, over its length, has a metatarsal [1].
 AT_ANKLE = 0.15
-
-
-@dataclass(frozen=True, slots=True)
-class Ball:
-    """The point that a foot rolls over."""
-
-    joint: int  # the toe that begins there; -1 where no joint does
-    offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
 
 
 def balls_of(person: Person, other: Person) -> dict[str, Ball]:

@@ -26,6 +26,7 @@ from animtool.mocap.retarget.legs import (
 )
 from animtool.mocap.retarget.legs_in_limits import within_limits
 from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.poses import (
     LocalTurns,
     about_hips,
@@ -37,7 +38,7 @@ from animtool.mocap.retarget.poses import (
 )
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import FitMeter, RetargetReport, Standing
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.retarget.verdict import Verdict
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward

@@ -15,8 +15,9 @@ from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand
 from animtool.mocap.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.retarget.verdict import Verdict, verdict_of
 from animtool.rig.kinematics import WorldTransforms
 from animtool.scores import PassScores, Score, ScoreUnit
