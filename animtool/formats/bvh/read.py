@@ -278,7 +278,8 @@ def _without_length(
     sizes = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
     lengths = np.linalg.norm(left, axis=1) * rig.meters_per_unit
     short = lengths <= NO_LENGTH * sizes * rig.meters_per_unit
-    lost = short & (sizes > 0) & (rig.parents[moving] >= 0)
+    below = (sizes > 0) & (rig.parents[moving] >= 0)
+    lost = short & below
     if not lost.any():
         return []
     names = [rig.names[j] for j in moving[lost].tolist()]
@@ -288,4 +289,6 @@ def _without_length(
         f"without a bone ({listed(names, MAX_NAMED)})"
     )
     hint = "position channels replace OFFSETs; --positions offsets lets OFFSETs hold"
-    return [Fault("BVH111", message, path, (), hint, Severity.WARNING)]
+    # Where channels of other joints are filled in, these may be meant as well.
+    severity = Severity.WARNING if lost.sum() == below.sum() else Severity.NOTE
+    return [Fault("BVH111", message, path, (), hint, severity)]
