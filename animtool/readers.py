@@ -64,7 +64,7 @@ BVH = Reader(
     "Biovision Hierarchy",
     "animtool.formats.bvh.read:read_bvh_rig",
     "animtool.formats.bvh.read:read_bvh",
-    ("unit", "up", "fps", "progress"),
+    ("unit", "up", "fps", "positions", "progress"),
 )
 USD = Reader(
     "USD",

@@ -29,7 +29,7 @@ class Score:
 
     Attributes:
         name: What reports call it.
-        value: The number, in the unit.
+        value: The number, in the unit; NaN where there was nothing to score.
         unit: Metres, radians, a share of 1, or a ratio.
         usual: The most that a good result has, above ``ideal``.
         ideal: That of a perfect result.
@@ -43,20 +43,26 @@ class Score:
 
     @property
     def excess(self) -> float:
-        """How bad it is: 0 is perfect, 1 the most that a good result has.
+        """How bad it is: 0 is perfect, or nothing; 1 the most that a good result has.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).excess
         3.0
         """
+        if math.isnan(self.value):
+            return 0.0
         return max(0.0, (self.value - self.ideal) / (self.usual - self.ideal))
 
     @property
     def text(self) -> str:
-        """The value with its unit; 0 where it is too small to matter.
+        """The value with its unit; 0 where it is too small to matter, or none.
 
         >>> Score("drift", 0.003, ScoreUnit.LENGTH, 0.001).text
         '3 mm'
+        >>> Score("drift", math.nan, ScoreUnit.LENGTH, 0.001).text
+        'none'
         """
+        if math.isnan(self.value):
+            return "none"
         small = not self.ideal and self.excess < NEGLIGIBLE
         value = 0.0 if small else self.value
         if self.unit is ScoreUnit.LENGTH:
@@ -69,7 +75,7 @@ class Score:
         """Return it as plain values."""
         return {
             "name": self.name,
-            "value": self.value,
+            "value": None if math.isnan(self.value) else self.value,
             "unit": str(self.unit),
             "usual": self.usual,
             "ideal": self.ideal,

@@ -109,7 +109,17 @@ class LimitsModel(FileModel):
 @with_keys(
     BakeOptions,
     "batch",
-    *("rig", "units", "up", "source_fps", "clamp", "fps", "range", "start"),
+    *(
+        "rig",
+        "units",
+        "up",
+        "positions",
+        "source_fps",
+        "clamp",
+        "fps",
+        "range",
+        "start",
+    ),
     *("as", "rig_layer", "force_fit", "prim_path", "to_units", "to_up", "sparse"),
     *("bones", "reduce", "reduce_at", "strict"),
 )

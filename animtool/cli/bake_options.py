@@ -107,13 +107,14 @@ _ORDER: tuple[str | Callable[[Command], Command], ...] = (
     source_option("rig", "template", "cameras", "clamp"),
     set_option,
     source_options,
-    source_option("prim_path", "take", "remap", "dropped"),
+    source_option("prim_path", "take", "remap", "dropped", "positions"),
     *("to_units", "to_up", "fps", "frame_range", "start"),
     *SHOT_OPTIONS,
 )
 # Of a source, beyond what `source_options` are.
 _OF_SOURCE = (
     *("prim_path", "rig", "template", "cameras", "clamp", "take", "remap", "dropped"),
+    "positions",
 )
 # Commands have them with a help of their own; a take that is written has no flag.
 _ELSEWHERE = {"strict", "overwrite", "take"}

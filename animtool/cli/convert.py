@@ -42,7 +42,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@source_option("rig", "take", "dropped")
+@source_option("rig", "take", "dropped", "positions")
 @click.option(
     "--reduce",
     type=LENGTH,
@@ -95,7 +95,9 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         _rig(console, source, output, params)
         return
     options = source_options_record(
-        params, "rig", "take", "dropped", prim_path=params["prim_path"]
+        params,
+        *("rig", "take", "dropped", "positions"),
+        prim_path=params["prim_path"],
     )
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(

@@ -34,7 +34,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
-@source_option("take")
+@source_option("take", "positions")
 @set_option
 @format_option
 @common_options
@@ -96,7 +96,8 @@ def _described(
     from animtool.report.describe import describe
 
     if not is_usd(path):
-        return describe(path, source_options_record(params)), info_summary.take_text
+        options = source_options_record(params, "positions")
+        return describe(path, options), info_summary.take_text
     if params["prim_path"] is None and params["take"] is None:
         from animtool.usd.point_info import describe_points
 

@@ -61,9 +61,14 @@ written_options = stacked(
 )
 
 
-def written_options_record(params: Mapping[str, Any], **values: Any) -> BakeOptions:
-    """Return how a take is written by a command, and values as they are."""
-    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite")
+def written_options_record(
+    params: Mapping[str, Any], *more: str, **values: Any
+) -> BakeOptions:
+    """Return how a take is written by a command, and values as they are.
+
+    more: Names of options that the command has beyond those that all have.
+    """
+    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite", *more)
     form = "split" if params["split"] else None
     return BakeOptions(form=form, **{name: params[name] for name in names}, **values)
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,6 +11,7 @@ from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
     OUTPUT,
+    bake_option,
     read_values,
     record_option,
     source_option,
@@ -27,16 +26,12 @@ from animtool.cli.outputs import (
     written_options,
     written_options_record,
 )
-from animtool.errors import counted, listed, percent
+from animtool.cli.retarget_summary import MAX_NAMED, retarget_json, retarget_text
 from animtool.mocap.options import RetargetOptions
-from animtool.quantities import angle_text, duration_text, length_text
+from animtool.options import options_of
 
-if TYPE_CHECKING:
-    from animtool.scene.retarget import RetargetResult
-
-MAX_NAMED = 8
-# What rounding leaves of lengths and angles [m, rad].
-NEGLIGIBLE = 1e-9
+# Options of retargeting that those of writing do not have.
+OWN_OPTIONS = tuple(name for name in options_of(RetargetOptions) if name != "force_fit")
 
 
 @click.command(
@@ -47,7 +42,8 @@ Examples:
   animtool retarget walk.bvh --to hero.usda --rig-layer hero.usda -o walk_layer.usdc
   animtool retarget walk.bvh --to hero.rig.yaml --write-map walk.map.yaml
   animtool retarget walk.bvh --to hero.rig.yaml --map walk.map.yaml -o walk.bvh
-  animtool retarget take.bvh --to hero.rig.yaml --rest frame:1 -o take.usdc"""
+  animtool retarget take.bvh --to hero.rig.yaml --rest frame:1 -o take.usdc
+  animtool retarget take.bvh --to hero.rig.yaml -o cut.usdc --fps 24 --range 1-48"""
 )
 @click.argument("source", type=INPUT)
 @click.option(
@@ -59,7 +55,7 @@ Examples:
     help="The rig that the take goes onto: a rig file, USD file or BVH.",
 )
 @take_output_option
-@record_option(RetargetOptions)
+@record_option(RetargetOptions, *OWN_OPTIONS)
 @click.option(
     "--write-map",
     type=OUTPUT,
@@ -68,7 +64,8 @@ Examples:
 )
 @written_options
 @source_options
-@source_option("prim_path", "take")
+@source_option("prim_path", "take", "positions")
+@bake_option("fps", "frame_range", "start")
 @writing_options
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any
@@ -85,12 +82,14 @@ def retarget(
     job = RetargetJob(
         source,
         params["rig"],
-        source_options_record(params, "prim_path", "take"),
+        source_options_record(params, "prim_path", "take", "positions"),
         RetargetOptions(**read_values(RetargetOptions, params)),
         None if to_stdout else output,
         to_stdout,
         params["write_map"],
-        written_options_record(params, strict=params["strict"]),
+        written_options_record(
+            params, "fps", "frame_range", "start", strict=params["strict"]
+        ),
     )
     if job.output is not None and skipped(
         console, "retarget", params, job.output, lambda: retarget_outputs(job)
@@ -106,83 +105,3 @@ def retarget(
         lambda: retarget_text(report, most),
         report.seconds,
     )
-
-
-def retarget_text(report: RetargetResult, most: int | None = MAX_NAMED) -> list[str]:
-    """Return the lines of a summary; ``most``: names in a line, None is all."""
-    score = report.score
-    frames, spent = score.frames, report.seconds["solve"]
-    each = duration_text(spent / max(frames, 1))
-    lines = [
-        f"{report.source} onto {report.target.name}: {counted(frames, 'frame')}, "
-        f"{counted(score.pairs, 'joint')} paired, scaled by {score.scale:.3g}, "
-        f"{each} a frame"
-    ]
-    if score.contacts:
-        lines.append(
-            f"  feet stand in {percent(score.contacts)} of frames; they drift "
-            f"{_length(score.drift_mean)}, {_length(score.drift_max)} at most "
-            f"(the source {_length(score.source_drift_max)}, scaled); soles within "
-            f"{_length(score.sole_error)}"
-        )
-    lines.append(
-        f"  limbs {_angle(score.bone_angle_mean)} off the source's, "
-        f"{_angle(score.bone_angle_max)} at most; hands reach within "
-        f"{percent(score.reach_error)} of the arm; accelerations up to "
-        f"{score.acceleration:.3g} times the source's"
-    )
-    if score.hand_error:
-        lines.append(
-            f"  hands within {length_text(score.hand_error)} of what they hold"
-        )
-    if score.lowered:
-        lines.append(
-            f"  hips lowered by up to {length_text(score.lowered)}: legs reach"
-        )
-    for what, names in (
-        ("stopped by their limits", _held(report)),
-        ("not mapped, of the source", score.unmapped_source),
-        ("not mapped, of the rig", score.unmapped_target),
-    ):
-        if names:
-            lines.append(f"  {what}: {listed(names, most or len(names))}")
-    if report.outputs:
-        lines.append(f"  written: {', '.join(map(str, report.outputs))}")
-    return lines
-
-
-def _length(meters: float) -> str:
-    return length_text(meters if meters > NEGLIGIBLE else 0.0)
-
-
-def _angle(radians: float) -> str:
-    return angle_text(math.degrees(radians if radians > NEGLIGIBLE else 0.0))
-
-
-def _held(report: RetargetResult) -> list[str]:
-    most = sorted(report.score.held.items(), key=lambda item: -item[1])
-    return [f"{name} ({percent(share)} of frames)" for name, share in most]
-
-
-def retarget_json(report: RetargetResult) -> dict[str, object]:
-    """Return a summary as plain values; lengths in metres, angles in radians."""
-    ours, theirs = report.source_rig.names, report.target.names
-    return {
-        "retarget": "animtool/1",
-        "source": str(report.source),
-        "rig": str(report.rig),
-        "outputs": [str(path) for path in report.outputs],
-        **asdict(report.score),
-        "joints": [
-            {
-                "source": ours[pair.source],
-                "target": theirs[pair.target],
-                "role": pair.role,
-                "found": str(pair.found),
-                "confidence": pair.confidence,
-            }
-            for pair in report.joint_map.pairs
-        ],
-        "seconds": report.seconds,
-        "notices": [notice.as_dict() for notice in report.notices],
-    }

@@ -20,8 +20,8 @@ from animtool.maths import so3
 from animtool.maths.filters import lowpass
 from animtool.mocap.contacts import find_contacts, intervals
 from animtool.mocap.retarget.pairing import map_joints
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.take_pass import nobody
-from animtool.mocap.retarget.transfer import Person
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.quantities import angle_text, length_text
 from animtool.take import Take

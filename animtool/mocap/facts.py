@@ -11,7 +11,8 @@ from animtool._types import FloatArray
 from animtool.maths.filters import noise_level
 from animtool.mocap.contacts import find_contacts, intervals, smoothed
 from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.transfer import Person, middle_of_hips
+from animtool.mocap.retarget.person import Person
+from animtool.mocap.retarget.transfer import middle_of_hips
 from animtool.rig.kinematics import forward
 from animtool.take import Take
 from animtool.units import UpAxis

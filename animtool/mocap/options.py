@@ -222,6 +222,8 @@ class RetargetOptions:
             its skeleton.
         free_feet: Whether feet may slide where they stand.
         hold_hands: Whether hands keep their contacts with each other and the ground.
+        force_fit: Whether a take goes onto a rig with which it shares less than a limb
+            or a third of the joints that move (MAP010); a map file is enough, too.
         warn_above: Warn of scores that are more than so many times what a good take
             has (MAP107), 0 or more; None warns of none.
     """
@@ -277,6 +279,13 @@ class RetargetOptions:
         choices=("free", "hold"),
         help="Whether arms turn as the source's, or hands keep their contacts with "
         "each other and the ground.  [default: free]",
+    )
+    force_fit: bool = option(
+        False,
+        "switch",
+        "--force-fit",
+        help="Bring over what is paired, though it is less than one limb or a third of "
+        "the joints that move.",
     )
     warn_above: float | None = option(
         None,

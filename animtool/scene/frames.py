@@ -321,3 +321,38 @@ class TakeRun:
             if self.props is not None:
                 self.props.see(codes, motion)
             yield codes, motion
+
+
+def in_frames(
+    stream: TakeStream,
+    options: BakeOptions,
+    start: Fraction,
+    source: Path,
+    notices: list[Fault],
+) -> TakeStream:
+    """Return a take at the rate and frames that options ask for, numbered as they say.
+
+    Args:
+        stream: The take.
+        options: Their ``fps`` and ``frame_range`` count.
+        start: Time code of the first frame of the take.
+        source: File that notices are located at.
+        notices: Where these go.
+    """
+    fps = options.fps or stream.fps
+    usual = BakeOptions(fps=options.fps, frame_range=options.frame_range)
+    plan = TakePlan(source, "", stream, None, usual, fps, start, notices)
+    timed = timed_blocks(plan, stream)
+    if timed.times is None:
+        return replace(stream, start=start)
+    step = 1 if options.frame_range is None else options.frame_range.step
+    return replace(
+        stream,
+        fps=fps,
+        start=timed.times.first,
+        step=Fraction(step),
+        blocks=(motion for _, motion in timed.blocks),
+        curve=None,
+        count=0,
+        control_curves={},
+    )

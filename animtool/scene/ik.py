@@ -16,6 +16,7 @@ from animtool.config import project_roots
 from animtool.documents.names import is_named
 from animtool.errors import (
     Fault,
+    FormatError,
     OptionError,
     ToleranceError,
     refuse_warnings,
@@ -167,12 +168,12 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Give faults of options that name no file the one that they do not fit."""
+    """Give faults that name no file the one that they are about."""
     try:
         yield
-    except OptionError as error:
+    except (FormatError, OptionError) as error:
         faults = [replace(f, path=f.path or str(path)) for f in error.faults]
-        raise OptionError(faults) from error
+        raise type(error)(faults) from error
 
 
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:

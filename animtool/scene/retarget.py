@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +17,16 @@ from animtool.mocap.retarget.map import JointMap, map_text
 from animtool.mocap.retarget.motion import Retargeting
 from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
+from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
+from animtool.scene.frames import in_frames
 from animtool.scene.ik import naming
 from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress, timed
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.scene.written import take_outputs, write_take
 from animtool.take import TakeStream
 from animtool.units import unit_name
@@ -45,7 +48,8 @@ class RetargetJob:
     output: Path | None = None
     to_stdout: bool = False  # write usda to stdout
     write_map: Path | None = None  # map file to write
-    # How USD is written; `reduce`, `overwrite` and `strict` of it are for others too.
+    # How USD is written; `fps`, `frame_range`, `start`, `reduce`, `overwrite` and
+    # `strict` of it are for others too.
     bake: BakeOptions = field(default_factory=BakeOptions)
 
 
@@ -61,8 +65,17 @@ class RetargetResult:
     target: Rig
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
+    # Of the source: its first frame, and frames a second.
+    start: Fraction = Fraction(1)
+    rate: Fraction = Fraction(24)
+    numbers: FrameNumbers = field(default_factory=FrameNumbers)
     outputs: list[Path] = field(default_factory=list)
     written: BakeReport | ConvertReport | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the take can be used; frames are numbered as the output has them."""
+        return self.going.verdict().numbered(self.numbers)
 
     @property
     def score(self) -> RetargetReport:
@@ -115,7 +128,15 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         results.append(result)
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details = {"format": "retarget", "units": unit}
-        return stream
+        if job.to_stdout or (job.output is not None and is_usd(job.output)):
+            return stream
+        wanted = job.bake.fps, job.bake.frame_range, job.bake.start
+        if wanted == (None, None, None):
+            return stream
+        from animtool.scene.bake import start_of
+
+        start = start_of(job.bake, None, stream, job.source)
+        return in_frames(stream, job.bake, start, job.source, stream.notices)
 
     with together():
         if job.output is None and not job.to_stdout:
@@ -138,7 +159,29 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
             text = map_text(report.joint_map, report.source_rig, report.target)
             write_parts(job.write_map, [text.encode()])
     report.outputs = outputs
+    report.numbers = _numbers(job, report)
     return report
+
+
+def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
+    """Return how the output numbers the frames of the take."""
+    start, rate = report.start, report.rate
+    fps = job.bake.fps or rate
+    if isinstance(report.written, ConvertReport) or report.written is None:
+        start = job.bake.start or start
+    else:
+        span = report.written.span
+        fps, start = span.fps, job.bake.start or start
+        if job.bake.frame_range is None:
+            start = Fraction(span.first)
+        elif job.bake.start is None and job.bake.rig_layer is not None:
+            from animtool.usd.target import open_target
+
+            target = open_target(job.bake.rig_layer, job.bake.prim_path)
+            start = start if target.start is None else target.start
+    wanted = job.bake.frame_range
+    ends = (None, None) if wanted is None else (wanted.first, wanted.last)
+    return FrameNumbers(start, Fraction(fps) / rate, *ends)
 
 
 def _retargeted(
@@ -172,4 +215,6 @@ def _retargeted(
     result = RetargetResult(
         job.source, job.rig, going, found, stream.rig, rig, notices, seconds
     )
+    result.start = Fraction(1) if stream.start is None else stream.start
+    result.rate = stream.fps / stream.step
     return driven_stream(mapped), result

@@ -52,7 +52,7 @@ class TracksModel(FileModel):
     SourceOptions,
     "scene",
     *("file", "units", "up", "fps", "prim", "take", "remap", "dropped", "clamp"),
-    *("template", "cameras"),
+    *("template", "cameras", "positions"),
 )
 class SourceModel(FileModel):
     """A clip, BVH, USD or marker file, and what it leaves open."""

@@ -28,6 +28,7 @@ ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Those that no reader is given.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
 _DROPPED = ("interpolate", "hold", "close")
+_POSITIONS = ("channels", "offsets")
 _OF_BVH = "says what a BVH leaves open; this file states it"
 
 
@@ -38,6 +39,8 @@ class SourceOptions:
     Attributes:
         unit: Unit of its lengths; None is what the file says, centimetres for BVH.
         up: Its up axis; None is what the file says, Y for BVH.
+        positions: Of a BVH: whether position channels below the root count, or
+            OFFSETs hold (``offsets``); None is that they count.
         fps: Its real frame rate; a number or text becomes a fraction. None is what
             the file says.
         prim_path: The character, where a stage has several.
@@ -80,6 +83,27 @@ class SourceOptions:
         scene=Key("Of a BVH: its up axis. Not given: Y.", "Z"),
         batch=Key("Of BVH files: their up axis. Not given: Y.", "Z"),
         help="Up axis of a BVH.  [default: Y]",
+    )
+    positions: str | None = option(
+        None,
+        "choice",
+        "--positions",
+        reason=_OF_BVH,
+        scene=Key(
+            "Of a BVH: whether position channels of joints below a root count, or "
+            "their OFFSETs hold. Not given: `channels`.",
+            "offsets",
+            _POSITIONS,
+        ),
+        batch=Key(
+            "Of BVH files: whether position channels of joints below a root count, or "
+            "their OFFSETs hold. Not given: `channels`.",
+            "offsets",
+            _POSITIONS,
+        ),
+        choices=_POSITIONS,
+        help="Of a BVH: whether position channels of joints below a root count, or "
+        "their OFFSETs hold, as where these channels are all 0.  [default: channels]",
     )
     fps: OptionalFraction = option(
         None,

@@ -12,6 +12,8 @@ from numpy.testing import assert_array_equal
 from support.cli import animtool
 from support.usd import joint_positions, open_stage, validation_errors
 
+from animtool import open_source
+
 BIPED, WALK = "rigs/biped/biped.rig.yaml", "samples/walk/walk.bvh"
 
 
@@ -24,6 +26,49 @@ def test_a_report_alone_writes_nothing(root: Path, tmp_path: Path) -> None:
     assert done.code == 0, done.stderr
     assert "feet stand in" in done.stderr
     assert "not mapped, of the rig: jaw" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_report_begins_with_a_verdict(root: Path, tmp_path: Path) -> None:
+    assert run(root).stderr.startswith("good\n")
+    found = json.loads(run(root, "--format", "json").stdout)
+    assert next(iter(found.items())) == ("verdict", "good")
+    lamp = tmp_path / "lamp.rig.yaml"
+    lamp.write_text(LAMP, "utf-8")
+    job = ("retarget", root / WALK, "--to", lamp, "--force-fit", "--format", "json")
+    forced = json.loads(animtool(*job).stdout)
+    assert forced["verdict"] == "not usable"
+    assert len(forced["look_at"]) == 1
+
+
+@pytest.mark.parametrize("suffix", ["usda", "bvh", "clip.yaml"])
+def test_frames_are_those_that_bake_writes_of_the_whole(
+    root: Path, tmp_path: Path, suffix: str
+) -> None:
+    options = ("--fps", 24, "--start", 1001, "--range", "1005-1030")
+    whole, part, other = (tmp_path / f"{n}.usda" for n in ("whole", "part", "other"))
+    assert run(root, "-o", whole).code == 0
+    assert animtool("bake", whole, "-o", part, *options).code == 0
+    output = other if suffix == "usda" else tmp_path / f"other.{suffix}"
+    rig = tmp_path / "rig.usda"
+    assert animtool("convert", root / BIPED, rig).code == 0
+    done = animtool("retarget", root / WALK, "--to", rig, "-o", output, *options)
+    assert done.code == 0, done.stderr
+    if suffix != "usda":
+        units = ["--units", "m"] if suffix == "bvh" else []
+        made = animtool("bake", output, "-o", other, *units, "--fps", 24)
+        assert made.code == 0, made.stderr
+    wanted, found = (open_source(path).collect() for path in (part, other))
+    assert (found.clock.count, found.clock.fps) == (26, 24)
+    assert suffix != "usda" or found.clock.start == wanted.clock.start == 1005
+    order = [found.rig.index(name) for name in wanted.rig.names]
+    off = found.world().positions[:, order] - wanted.world().positions
+    assert abs(off).max() < (2e-3 if suffix == "clip.yaml" else 1e-5)
+
+
+def test_a_range_outside_of_the_take_is_refused(root: Path, tmp_path: Path) -> None:
+    done = run(root, "-o", tmp_path / "a.bvh", "--range", "2000-2001")
+    assert done.code == 2
     assert not list(tmp_path.iterdir())
 
 
@@ -115,3 +160,52 @@ def test_the_pass_gives_what_the_command_does(root: Path, tmp_path: Path) -> Non
         joint_positions(open_stage(path), range(1, 65)) for path in (made, wanted)
     ]
     assert_array_equal(*places)
+
+
+LAMP = """\
+rig: animtool/1
+name: lamp
+joints:
+- {name: base, type: fixed}
+- {name: swivel, type: pin, parent: base, translate: [0, .04, 0], axis: [0, 1, 0]}
+- {name: elbow, type: pin, parent: swivel, translate: [0, .3, 0], axis: [0, 0, 1]}
+- {name: head, type: pin, parent: elbow, translate: [0, .25, 0], axis: [0, 0, 1]}
+"""
+
+
+def test_a_person_does_not_go_onto_a_lamp(root: Path, tmp_path: Path) -> None:
+    lamp, output = tmp_path / "lamp.rig.yaml", tmp_path / "out.bvh"
+    lamp.write_text(LAMP, "utf-8")
+    done = animtool("retarget", root / WALK, "--to", lamp, "-o", output)
+    assert (done.code, "MAP010" in done.stderr) == (3, True)
+    assert not output.exists()
+    forced = animtool(
+        *("retarget", root / WALK, "--to", lamp, "-o", output),
+        *("--force-fit", "--format", "json"),
+    )
+    assert forced.code == 0, forced.stderr
+    found = json.loads(forced.stdout)
+    assert found["bone_angle_mean"] is None
+    assert found["reach_error"] is None
+    assert output.exists()
+
+
+def test_of_a_rig_that_shares_no_joint_a_person_is_refused_too(
+    root: Path, tmp_path: Path
+) -> None:
+    ball = root / "rigs/ball/ball.rig.yaml"
+    for more in ([], ["--force-fit"]):
+        done = animtool("retarget", root / WALK, "--to", ball, *more, cwd=tmp_path)
+        assert (done.code, "MAP010" in done.stderr) == (3, True)
+
+
+def test_a_map_file_says_enough_of_what_follows_what(
+    root: Path, tmp_path: Path
+) -> None:
+    lamp, mapped = tmp_path / "lamp.rig.yaml", tmp_path / "a.map.yaml"
+    lamp.write_text(LAMP, "utf-8")
+    mapped.write_text(
+        "map: animtool/1\njoints:\n- {source: Head, target: head}\n", "utf-8"
+    )
+    done = animtool("retarget", root / WALK, "--to", lamp, "--map", mapped)
+    assert done.code == 0, done.stderr

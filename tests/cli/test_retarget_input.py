@@ -40,6 +40,26 @@ def twice() -> str:
     return "\n".join([f"{HEAD}{other}MOTION", COUNT, TIME, *rows, ""])
 
 
+def with_positions(zero: str = "") -> str:
+    """Return the walk with position channels of 0 on joints whose names match."""
+    lines, columns, name = [], [], ""
+    for text in HEAD.splitlines():
+        line, words = text, text.split()
+        if words[:1] in (["JOINT"], ["ROOT"]):
+            name = words[1]
+        if words[:1] == ["CHANNELS"] and int(words[1]) == 3 and re.search(zero, name):
+            line = line.replace("3 ", "6 Xposition Yposition Zposition ", 1)
+            columns += [False] * 3
+        if words[:1] == ["CHANNELS"]:
+            columns += [True] * int(words[1])
+        lines.append(line)
+    rows = []
+    for row in ROWS:
+        values = iter(row.split())
+        rows.append(" ".join(next(values) if own else "0" for own in columns))
+    return "\n".join([*lines, "MOTION", COUNT, TIME, *rows, ""])
+
+
 def of_two_frames() -> str:
     """Return the first two frames of the walk."""
     return "\n".join([f"{HEAD}MOTION", "Frames: 2", TIME, *ROWS[:2], ""])
@@ -180,9 +200,13 @@ def test_a_mixamo_take_goes_onto_a_rig_of_unreal_without_a_map(tmp_path: Path) -
 def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     tmp_path: Path,
 ) -> None:
-    """The jump bends the ankles further than those of the rig go."""
-    for path in (*SAMPLE.glob("takes/[jm]*.bvh"), SAMPLE / "rigs/giant.rig.yaml"):
+    """The march bends the knees further than those of the rig go."""
+    for path in SAMPLE.glob("takes/[jm]*.bvh"):
         shutil.copy(path, tmp_path)
+    giant = (SAMPLE / "rigs/giant.rig.yaml").read_text("utf-8")
+    stiff = re.sub(r"(name: knee_l.*limits: )\[.*?\]", r"\1[0, 80]", giant)
+    assert stiff != giant
+    (tmp_path / "giant.rig.yaml").write_text(stiff, "utf-8")
     scene = tmp_path / "onto.scene.yaml"
     scene.write_text(
         "scene: animtool/1\nsource: {file: ${input}}\npasses:\n"
@@ -193,10 +217,10 @@ def test_a_take_that_fits_worse_than_asked_for_fails_under_strict(
     done = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=2")
     assert done.code == 1
     jump, march = json.loads(done.stdout)["items"]
-    assert [fault["code"] for fault in jump["faults"]] == ["MAP107"]
-    assert march["status"] == "done"
-    assert not (tmp_path / "jump.usdc").exists()
-    drift = march["scores"][0]["scores"][0]
+    assert [fault["code"] for fault in march["faults"]] == ["MAP107"]
+    assert jump["status"] == "done"
+    assert not (tmp_path / "march.usdc").exists()
+    drift = jump["scores"][0]["scores"][0]
     assert drift["value"] <= 2 * drift["usual"]
     odd = animtool(*command, "-o", f"{tmp_path}/{{stem}}.usdc", "--set", "times=-1")
     assert "CAP001 passes[0].retarget.warn_above" in odd.stderr
@@ -237,3 +261,41 @@ def test_a_batch_of_them_says_of_each_what_was_done(tmp_path: Path) -> None:
     assert [fault["code"] for fault in faults["short"]] == ["MAP006"]
     assert [(f["code"], f["lines"]) for f in faults["two"]] == [("MAP001", [3])]
     assert f"  of {items['legs']['input']}" in done.stderr
+
+
+@pytest.mark.parametrize("zero", ["", "Leg|Foot", "RightForeArm"])
+def test_bones_without_length_are_refused_and_said(zero: str, tmp_path: Path) -> None:
+    source, output = tmp_path / "zero.bvh", tmp_path / "out.bvh"
+    source.write_text(with_positions(zero), "utf-8")
+    rig = tmp_path / "walk.bvh"
+    rig.write_text(WALK, "utf-8")
+    for command in ("info", "validate", "bake"):
+        where = ["-o", str(tmp_path / "a.usda")] if command == "bake" else []
+        done = animtool(command, str(source), *where)
+        assert (done.stdout + done.stderr).count("BVH111") == 1, command
+    job = ("retarget", source, "--to", rig, "-o", output)
+    done = animtool(*job)
+    assert (done.code, "MAP011" in done.stderr) == (3, True)
+    assert not output.exists()
+    held = animtool(*job, "--positions", "offsets")
+    assert held.code == 0, held.stderr
+    assert "BVH111" not in held.stderr
+    found = open_source(output).collect().world().positions
+    expected = open_source(rig).collect().world().positions
+    assert abs(found - expected).max() < 1e-4
+
+
+def test_position_channels_that_say_where_joints_are_are_taken(tmp_path: Path) -> None:
+    """And those of bones that are no limb's may vanish, with the warning."""
+    source = tmp_path / "zero.bvh"
+    source.write_text(with_positions("Toe"), "utf-8")
+    rig = tmp_path / "walk.bvh"
+    rig.write_text(WALK, "utf-8")
+    done = animtool("retarget", source, "--to", rig)
+    assert (done.code, done.stderr.count("BVH111")) == (0, 1)
+    take = open_source(rig).collect()
+    moving = Channel.from_dense(take.motion.translations.dense())
+    free = replace(take, motion=replace(take.motion, translations=moving))
+    written = tmp_path / "free.bvh"
+    write_bvh(free, written)
+    assert "BVH111" not in animtool("info", written).stderr

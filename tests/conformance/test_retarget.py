@@ -20,8 +20,8 @@ from animtool.mocap.contacts import intervals
 from animtool.mocap.retarget import map_joints
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.retarget.motion import Retargeted, retarget_take
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.take_pass import FeetOptions, held_feet
-from animtool.mocap.retarget.transfer import Person
 from animtool.passes import PassContext
 
 # Frames of captures in the default profile.
@@ -130,6 +130,24 @@ def test_a_part_of_a_take_goes_as_in_the_whole(which: tuple[Path, str]) -> None:
     inside = slice(second, end - begin - second)
     expected = whole.world.positions[begin:end][inside]
     assert np.abs(own.world.positions[inside] - expected).max() <= 1e-4
+
+
+@pytest.mark.parametrize("which", cases())
+@pytest.mark.parametrize("path", data_files("mocap", "warp_*.a.bvh"))
+def test_a_part_of_any_take_goes_as_in_the_whole(
+    path: Path, which: tuple[Path, str]
+) -> None:
+    rig, take = Case(*which).rig, open_source(path).collect()
+    found = map_joints(take.rig, rig)
+    count, second = take.clock.count, round(take.clock.rate)
+    whole = retarget_take(take, rig, found).world.positions
+    for begin, end in ((count // 3, count), (0, 2 * count // 3)):
+        clock = replace(take.clock, count=end - begin)
+        motion = take.motion.select(slice(begin, end))
+        part = replace(take, clock=clock, motion=motion)
+        own = retarget_take(part, rig, found).world.positions
+        inside = slice(second if begin else 0, end - begin - (0 if begin else second))
+        assert np.abs(own[inside] - whole[begin:end][inside]).max() <= 1e-4
 
 
 @pytest.mark.parametrize("which", cases())

@@ -115,7 +115,8 @@ def test_the_batch_reports_each_take_on_each_rig_and_the_worst_first(
     )
     found = json.loads(alone.stdout)
     scores = {one["name"]: one["value"] for one in worst["scores"][0]["scores"]}
-    assert scores["drift"] == found["drift_max"] > 1e-3
+    assert worst["worst"] > 1
+    assert scores["drift"] == found["drift_max"]
     assert scores["soles"] == found["sole_error"]
     assert (
         worst["scores"][0]["names"]["not mapped, of the rig"]

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, counted, listed
 from animtool.files import open_input, unreadable
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
@@ -29,14 +29,18 @@ LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
 # Fewer joints are a prop as likely as a character.
 MIN_JOINTS = 8
+MAX_NAMED = 4
+# Shares of their OFFSETs that bones keep at most that have no length [1].
+NO_LENGTH = 1e-4
 
 
 def read_bvh(
     path: Path | str,
     *,
     unit: LengthUnit | None = None,
-    up: UpAxis = UpAxis.Y,
+    up: UpAxis | None = None,
     fps: FractionLike | None = None,
+    positions: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
     """Open a BVH file; its rows are read as the blocks are taken.
@@ -51,8 +55,11 @@ def read_bvh(
         path: The file.
         unit: What its numbers are in; None is centimetres, with a note where the
             skeleton's size fits another unit better.
-        up: Which of its axes points up.
+        up: Which of its axes points up; None is Y, which it does not say.
         fps: The real frame rate, where ``Frame Time`` is wrong.
+        positions: ``offsets``: the OFFSETs of joints below a root hold, whatever their
+            position channels say. None or ``channels``: these replace them; joints
+            whose channels are all 0 are named (BVH111).
         progress: Called with the share of the file read, 0 to 1.
 
     Raises:
@@ -69,7 +76,7 @@ def read_bvh(
             rows_start = file.tell() - len(lines.rest)
         except OSError as error:
             raise unreadable(path, error) from error
-    rig = _rig(header, path.stem, unit or LengthUnit.CM, up)
+    rig = _rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     assert header.rate is not None
     stream = TakeStream(
@@ -87,6 +94,8 @@ def read_bvh(
             "channels": sum(len(joint.channels or ()) for joint in header.joints),
         },
     )
+    if up is not None:
+        stream.details["up_choice"] = "stated"
     if fps is not None:
         stream.notices[:] = [n for n in notices if n.code not in _RATE_CODES]
     names = [
@@ -104,7 +113,8 @@ def read_bvh(
         header.frames_line,
         progress,
     )
-    stream.blocks = _blocks(source, header, rig, stream.notices)
+    layout = _Layout(header, offsets=positions == "offsets")
+    stream.blocks = _blocks(source, layout, rig, stream.notices)
     return stream
 
 
@@ -181,7 +191,8 @@ def _axis(letter: str) -> tuple[float, float, float]:
 class _Layout:
     """Which column of a row goes where."""
 
-    def __init__(self, header: BvhHeader) -> None:
+    def __init__(self, header: BvhHeader, *, offsets: bool = False) -> None:
+        """Take those of a hierarchy; ``offsets``: these hold below roots."""
         self.moving: list[int] = []
         self.turning: list[int] = []
         slots: list[int] = []
@@ -194,7 +205,9 @@ class _Layout:
             moves = False
             for name in joint.channels or ():
                 axis = "XYZ".index(name[0])
-                if name.endswith("position"):
+                if name.endswith("position") and offsets and joint.parent >= 0:
+                    pass
+                elif name.endswith("position"):
                     slots.append(3 * len(self.moving) + axis)
                     columns.append(column)
                     moves = True
@@ -215,10 +228,9 @@ class _Layout:
 
 
 def _blocks(
-    source: RowSource, header: BvhHeader, rig: Rig, notices: list[Fault]
+    source: RowSource, layout: _Layout, rig: Rig, notices: list[Fault]
 ) -> Iterator[Motion]:
-    reader = RowReader(source)
-    layout = _Layout(header)
+    reader, farthest = RowReader(source), np.zeros(len(layout.columns))
     moving = np.array(layout.moving, np.int64)
     turning = np.array(layout.turning, np.int64)
     rest = rig.rest_translations[moving].ravel()
@@ -226,6 +238,7 @@ def _blocks(
     previous: FloatArray = np.tile(IDENTITY, (len(turning), 1))
     for rows in reader.blocks():
         translations = np.repeat(rest[None], len(rows), axis=0)
+        farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
         translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
         rotations = _kernels.euler_to_quaternion(
             rows, layout.turn_columns, layout.turn_axes, previous
@@ -240,3 +253,42 @@ def _blocks(
             Channel(identity, turning, rotations),
         )
     notices.extend(reader.notices)
+    reaches = np.zeros(3 * len(moving))
+    reaches[layout.slots] = farthest
+    named = np.zeros(3 * len(moving), np.bool_)
+    named[layout.slots] = True
+    faults = _without_length(rig, moving, reaches, named, str(source.path))
+    notices.extend(faults)
+
+
+def _without_length(
+    rig: Rig, moving: IntArray, reaches: FloatArray, named: BoolArray, path: str
+) -> list[Fault]:
+    """Return a warning of joints that position channels of 0 put at their parents.
+
+    Args:
+        rig: The skeleton.
+        moving: Joints with position channels ``(M,)``.
+        reaches: How far each of these goes from 0 along each axis ``(3 M,)``.
+        named: Which axes have a channel ``(3 M,)``.
+        path: The file.
+    """
+    offsets = rig.rest_translations[moving]
+    left = np.where(named.reshape(-1, 3), reaches.reshape(-1, 3), np.abs(offsets))
+    sizes = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
+    lengths = np.linalg.norm(left, axis=1) * rig.meters_per_unit
+    short = lengths <= NO_LENGTH * sizes * rig.meters_per_unit
+    below = (sizes > 0) & (rig.parents[moving] >= 0)
+    lost = short & below
+    if not lost.any():
+        return []
+    names = [rig.names[j] for j in moving[lost].tolist()]
+    message = (
+        f"the position channels of {counted(len(names), 'joint')} are 0 in all frames, "
+        f"with OFFSETs up to {sizes[lost].max():.4g}: they are at their parents, "
+        f"without a bone ({listed(names, MAX_NAMED)})"
+    )
+    hint = "position channels replace OFFSETs; --positions offsets lets OFFSETs hold"
+    # Where channels of other joints are filled in, these may be meant as well.
+    severity = Severity.WARNING if lost.sum() == below.sum() else Severity.NOTE
+    return [Fault("BVH111", message, path, (), hint, severity)]

@@ -59,6 +59,8 @@ _SURE = {
     RoleSource.NONE: 0.0,
 }
 MAX_NAMED = 4
+# What reaches less far ahead, over the longest toe, is a heel and no toe.
+_TOE = 0.4
 # Joints of a skeleton that is one more person, at least.
 _PERSON = 8
 
@@ -321,6 +323,8 @@ def _limb(search: _Search, limb: str) -> None:
     if kind == "arm" and hands:
         for j, role in finger_roles(body, hands, side).items():
             search.put(j, "" if body.kinds[j] == CONTROL else role)
+    if kind == "leg":
+        _toes(search, side)
 
 
 def _to_hand(search: _Search, way: list[int], side: str) -> tuple[list[int], int]:
@@ -344,6 +348,35 @@ def _to_toe(search: _Search, way: list[int]) -> list[int]:
     forks = [i for i, j in enumerate(way) if len(body.limb_children(j)) > 1]
     ends = [*named, *(i for i in forks if i >= max(last, 2))]
     return way[: ends[0] + 1] if ends else way
+
+
+def _toes(search: _Search, side: str) -> None:
+    """Give all toes of a foot that has several their role, to their last joints."""
+    body, role = search.body, f"toe_{side}"
+    feet = [j for j, own in enumerate(search.roles) if own == f"foot_{side}"]
+    if not feet:
+        return
+    begins = [
+        j
+        for j in body.limb_children(feet[-1])
+        if search.roles[j] in {"", role} and not body.kinds[j]
+    ]
+    ways = np.array([_ahead(body, j) - body.positions[feet[-1]] for j in begins])
+    if len(begins) < 2:
+        return
+    sizes = np.linalg.norm(ways, axis=1)
+    along = ways @ ways[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
+    toes = [j for j, far in zip(begins, along, strict=True) if far > _TOE * along.max()]
+    for top in toes if len(toes) > 1 else ():
+        for j in range(top, len(search.roles)):
+            if top in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
+                search.put(j, role)
+
+
+def _ahead(body: Body, joint: int) -> FloatArray:
+    """Return where a chain that begins at a joint ends ``(3,)`` [m]."""
+    last = body.heaviest(joint)[-1]
+    return np.asarray(body.positions[last] + body.last_bones[last])
 
 
 def _rest(search: _Search) -> None:

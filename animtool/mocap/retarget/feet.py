@@ -16,6 +16,7 @@ from animtool.mocap.contacts import (
     smoothed,
     without_short,
 )
+from animtool.rig.limits import RangeLimit
 
 # The hips go over from one foot to the other within this time of a contact [s].
 HANDOVER = 0.15
@@ -38,10 +39,13 @@ FADE = 0.06
 LEVEL = np.radians(20.0)
 # A leg is never straighter than this share of its length.
 STRAIGHT = 0.9995
-# Legs are as straight as those of the source are within this time of it [s].
-ALIKE = 1.0
-# How far ahead the hips know that a leg does not reach [s].
-LOWERING = 0.03
+# Legs are as straight as those of the source are within this time of it, smoothed by a
+# Gaussian of that width [s]: a second from a cut nothing may show of either.
+ALIKE, ALIKE_SMOOTH = 0.75, 0.05
+# The hips come down within about this time for a leg that does not reach [s].
+LOWERING = 0.07
+# How often that is put right at most, and by how much legs may fail to reach [m].
+PINS, COVERED = 12, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +102,8 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
         for foot, bone in zip(feet, bones, strict=True)
     ]
     hips = hips.copy()
-    hips[:, up] += _lift(hips, feet, held, fps, up)
+    raised = [_raised(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)]
+    hips[:, up] += _lift(hips, feet, held, raised, fps, up)
     locked = [foot.contacts.any for foot in feet]
     ankles = [
         _locked(hips + ankle, bone, foot, fps, up)
@@ -109,7 +114,13 @@ def place_feet(hips: FloatArray, feet: Sequence[Foot], fps: float, up: int) -> P
     soles = [foot.height + _level_bone(foot, up) for foot in feet]
     rolls = [_rolls(foot.contacts.toe, fps) for foot in feet]
     return Placed(
-        hips, ankles, turns, locked, rolls, soles, float(down.max(initial=0.0))
+        hips,
+        ankles,
+        turns,
+        locked,
+        rolls,
+        soles,
+        max(float(down.max(initial=0.0)), 0.0),
     )
 
 
@@ -154,18 +165,25 @@ def _bone(foot: Foot, turn: FloatArray) -> FloatArray:
     return so3.rotate(change, foot.toe - foot.ankle)
 
 
+def _raised(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
+    """Return how far the ankle is raised where the toe alone stands ``(F,)`` [m]."""
+    alone = foot.contacts.toe & ~foot.contacts.ankle
+    return np.where(alone, _level_bone(foot, up) - bone[:, up], 0.0)
+
+
 def _lift(
     hips: FloatArray,
     feet: Sequence[Foot],
     relative: Sequence[FloatArray],
+    raised: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
     """Return how far the standing feet lift the hips, smoothly ``(F,)`` [m]."""
     weights = np.array([_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
-    for weight, foot, ankle in zip(weights, feet, relative, strict=True):
-        lift[:, 0] += weight * (foot.height - ankle[:, up] - hips[:, up])
+    for weight, foot, ankle, more in zip(weights, feet, relative, raised, strict=True):
+        lift[:, 0] += weight * (foot.height + more - ankle[:, up] - hips[:, up])
     return _smoothest(weights.sum(axis=0), lift, (SMOOTH * fps) ** 4)[:, 0]
 
 
@@ -310,10 +328,10 @@ def _reaching(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far hips come down and up so that legs reach, both ``(F,)`` [m]."""
-    down, rise = np.zeros((2, len(hips)))
+    down, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         way = hips + foot.hip - ankle
-        most = upper(foot.straight, ALIKE * fps)
+        most = upper(foot.straight, ALIKE * fps, ALIKE_SMOOTH * fps)
         # The same leg may be as straight as it was.
         bent = BENT if foot.level is not None else 1.0
         share = np.clip(1 - bent * (1 - most), FAR_FROM_STRAIGHT, STRAIGHT)
@@ -326,19 +344,42 @@ def _reaching(
         # Who hangs by the feet is not turned over.
         upright = (way[:, up] > 0) & (low > 0)
         rise = np.maximum(rise, np.where(upright, low - way[:, up], 0.0))
-    width = max(2 * LOWERING * fps, 2.0)
-    return (
-        upper(down, width) if down.any() else down,
-        upper(rise, width) if rise.any() else rise,
-    )
+    return covering(down, LOWERING * fps), covering(rise, LOWERING * fps)
 
 
-def upper(values: FloatArray, width: float) -> FloatArray:
-    """Return what is smooth and above values ``(F,)`` within a width [frames]."""
+def covering(values: FloatArray, width: float) -> FloatArray:
+    """Return what bends least, is no less than values, and else near 0 ``(F,)``.
+
+    It is 0 where no value is above 0; it goes back there within a width [frames].
+    """
+    made, pinned = np.zeros((len(values), 1)), np.zeros(len(values), np.bool_)
+    for _ in range(PINS):
+        low = values > made[:, 0] + COVERED
+        if not low.any():
+            break
+        pinned |= low & _peaks(values - made[:, 0])
+        draw = np.where(pinned, PINNED, 1.0)
+        places = np.where(pinned, PINNED * values, 0.0)[:, None]
+        made = _smoothest(draw, places, max(width, 1.0) ** 4)
+    return np.asarray(made[:, 0])
+
+
+def _peaks(values: FloatArray) -> BoolArray:
+    """Return where values are above 0 and no less than their neighbours ``(F,)``."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    high = (values >= padded[:-2]) & (values >= padded[2:])
+    return np.asarray(high & (values > 0))
+
+
+def upper(values: FloatArray, width: float, smooth: float | None = None) -> FloatArray:
+    """Return what is smooth and above values ``(F,)`` within a width [frames].
+
+    It is smoothed by a Gaussian of a width [frames]; None is a quarter of the other.
+    """
     reach = int(np.ceil(width))
     padded = np.pad(values, reach, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return smoothed(windows.max(axis=1), width / 4)
+    return smoothed(windows.max(axis=1), width / 4 if smooth is None else smooth)
 
 
 def bend_limb(
@@ -393,11 +434,12 @@ def bend_at_pin(
     bones: tuple[FloatArray, FloatArray],
     axis: FloatArray,
     angle: FloatArray,
+    limits: RangeLimit | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return turns of the thigh ``(F, 4)`` and angles of the knee ``(F,)`` [rad].
 
     The knee opens until the ankle is as far off as its goal, then the thigh brings it
-    there by the shortest way.
+    there by the shortest way, or as near as limits of the knee let it.
 
     Args:
         hip: Where the thigh begins ``(F, 3)`` [m].
@@ -407,6 +449,7 @@ def bend_at_pin(
             the thigh ``(3,)`` [m].
         axis: Of the knee there, of length 1 ``(3,)``.
         angle: Of the knee as it is ``(F,)`` [rad].
+        limits: Of the knee: it bends the way that they let it, or else as it does.
     """
     upper, lower = bones
     along = float((upper @ axis) * (lower @ axis))
@@ -420,7 +463,13 @@ def bend_at_pin(
     zero = float(np.arctan2(odd, even))
     both = np.stack([zero + open_by, zero - open_by])
     both -= 2 * np.pi * np.round((both - angle) / (2 * np.pi))
-    bent = np.where(np.abs(both[0] - angle) <= np.abs(both[1] - angle), *both)
+    off = np.abs(both - angle)
+    if limits is not None:
+        # Next to straight, either way is as near; beyond its stop no knee bends.
+        off += BEYOND * np.abs(limits.excess(both))
+    bent = np.where(off[0] <= off[1], *both)
+    if limits is not None:
+        bent = limits.clamped(bent)
     tip = upper + so3.rotate(so3.from_axis_angle(axis, bent), lower)
     return so3.multiply(shortest(so3.rotate(thigh, tip), goal - hip), thigh), bent
 
@@ -434,5 +483,7 @@ def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
     return so3.normalize(np.where(known, made, [1.0, 0.0, 0.0, 0.0]))
 
 
+# How much more a knee beyond its stop counts than one that goes far [1].
+BEYOND = 100.0
 # Directions whose product is nearer to -1 are opposite.
 OPPOSITE = 1e-9

@@ -10,8 +10,10 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.mocap.contacts import find_contacts
+from animtool.mocap.retarget.balls import ball_places
 from animtool.mocap.retarget.feet import Foot, bend_at_pin, bend_limb
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.person import Person
+from animtool.mocap.retarget.transfer import Transfer
 from animtool.mocap.standing import STANDS
 from animtool.rig.limits import RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType, Rig
@@ -27,7 +29,7 @@ class LegTracks:
 
     hip: FloatArray  # of the target, about the middle of its hips (F, 3) [m]
     ankle: FloatArray  # (F, 3) [m]
-    toe: FloatArray  # (F, 3) [m]; the ankle where there is none
+    toe: FloatArray  # its ball (F, 3) [m]; the ankle where none is known
     knee: FloatArray  # (F, 3) [m]
     # In the world: of what is above the thigh, of thigh, shin and foot (F, 4, 4).
     turns: FloatArray
@@ -38,6 +40,7 @@ class LegTracks:
         transfer: Transfer,
         side: str,
         source: FloatArray,
+        ball: FloatArray,
         turns: FloatArray,
         about: FloatArray,
     ) -> LegTracks:
@@ -47,19 +50,19 @@ class LegTracks:
             transfer: How the target follows.
             side: Of the leg.
             source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            ball: That of its foot, or its ankle, in these axes ``(F, 3)`` [m].
             turns: Of the target in the world ``(F, K, 4)``.
             about: Joints of the target about the middle of its hips ``(F, K, 3)`` [m].
         """
         target = transfer.target
-        thigh, shin, foot, tip = leg_of(target, side)
+        thigh, shin, foot, _ = leg_of(target, side)
         above = int(target.rig.parents[thigh])
-        first, _, ankle, toe = leg_of(transfer.source, side)
-        ends = source[:, [first, ankle, toe if toe >= 0 else ankle]]
-        tip = tip if tip >= 0 else foot
+        first, _, ankle, _ = leg_of(transfer.source, side)
+        ends = np.concatenate([source[:, [first, ankle]], ball[:, None]], axis=1)
         return LegTracks(
             about[:, thigh],
             about[:, foot],
-            about[:, tip],
+            ball_of_foot(target, side, about, turns),
             about[:, shin],
             turns[:, [max(above, 0), thigh, shin, foot]],
             ends.reshape(len(ends), 9),
@@ -67,11 +70,11 @@ class LegTracks:
 
     def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
         """Return the foot of the target, and when that of the source stands."""
-        own, other = (leg_of(each, side) for each in (transfer.target, transfer.source))
+        own = leg_of(transfer.target, side)
         up = up_index(transfer.target.rig)
         hip, ankle, toe = self.source[:, :3], self.source[:, 3:6], self.source[:, 6:]
         length = transfer.source.leg_length(side)
-        tip = toe if other[3] >= 0 else None
+        tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)
         reach = np.linalg.norm(ankle - hip, axis=1)
         share = reach / length if length > 0 else np.ones(len(reach))
@@ -80,7 +83,7 @@ class LegTracks:
             contacts,
             self.hip,
             self.ankle,
-            self.toe if own[3] >= 0 else None,
+            self.toe if side in transfer.target.balls else None,
             self.turns[:, 3],
             None if transfer.alike else _level(transfer, own[2]),
             _standing(transfer, side, contacts.ground, up),
@@ -101,6 +104,23 @@ def leg_of(person: Person, side: str) -> tuple[int, int, int, int]:
     leg = person.leg(side)
     assert leg is not None
     return leg
+
+
+def ball_of_foot(
+    person: Person, side: str, positions: FloatArray, turns: FloatArray
+) -> FloatArray:
+    """Return where the ball of a foot is, or its ankle ``(F, 3)`` [m].
+
+    Args:
+        person: Whose foot it is.
+        side: Of the foot.
+        positions: Of all joints ``(F, J, 3)`` [m].
+        turns: Of all joints in the world ``(F, J, 4)``.
+    """
+    foot, ball = leg_of(person, side)[2], person.balls.get(side)
+    if ball is None:
+        return positions[:, foot]
+    return ball_places(ball, foot, positions, turns)
 
 
 def _reach(target: Person, leg: tuple[int, int, int, int]) -> tuple[float, float]:
@@ -143,7 +163,7 @@ def _level(transfer: Transfer, foot: int) -> FloatArray:
 def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
     """Return how high an ankle stands above the ground [m]."""
     target, source = transfer.target, transfer.source
-    own, other = leg_of(target, side), leg_of(source, side)
+    own = leg_of(target, side)
     if transfer.alike:
         return transfer.scale * ground
     low = float(target.positions[:, up].min())
@@ -151,14 +171,11 @@ def _standing(transfer: Transfer, side: str, ground: float, up: int) -> float:
     # A rig that stands on the ground at rest says how high its ankles are.
     if abs(low) < 0.1 * target.leg_length(side):
         return ankle
-    scale = 1.0
-    if own[3] >= 0 and other[3] >= 0:
-        feet = [
-            float(np.linalg.norm(one.positions[leg[3]] - one.positions[leg[2]]))
-            for one, leg in ((target, own), (source, other))
-        ]
-        scale = feet[0] / feet[1] if feet[1] > 0 else 1.0
-    return ground * scale
+    balls = target.balls.get(side), source.balls.get(side)
+    if balls[0] is None or balls[1] is None:
+        return ground * transfer.scale
+    feet = [float(np.linalg.norm(ball.offset)) for ball in balls if ball is not None]
+    return ground * (feet[0] / feet[1] if feet[1] > 0 else transfer.scale)
 
 
 def put_ankle(
@@ -233,11 +250,10 @@ def _bent_pin(
     pin = np.array(joint.axis, np.float64)
     angle = swing_twist(so3.multiply(so3.conjugate(rest), own), joint.axis)[1]
     bones = rig.rest_translations[middle], so3.rotate(rest, target.way(middle, end))
+    limits = joint.limits if isinstance(joint.limits, RangeLimit) else None
     upper, bent = bend_at_pin(
-        start, goal, turns[0], bones, so3.rotate(rest, pin), angle
+        start, goal, turns[0], bones, so3.rotate(rest, pin), angle, limits
     )
-    if isinstance(joint.limits, RangeLimit):
-        bent = joint.limits.clamped(bent)
     lower = so3.multiply(upper, so3.multiply(rest, so3.from_axis_angle(pin, bent)))
     return upper, lower
 

@@ -21,7 +21,7 @@ from animtool.mocap.retarget.legs import (
     swivelled,
     up_index,
 )
-from animtool.mocap.retarget.transfer import Person
+from animtool.mocap.retarget.person import Person
 from animtool.rig.limits import BallLimit
 
 # How far knees may go round: what is tried, and then about the best of it [rad].

@@ -14,12 +14,20 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.driving import driven_take
+from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.mocap.retarget.feet import Foot, Placed, place_feet
 from animtool.mocap.retarget.hands import ArmTracks, Floor, arm_of, place_hands
-from animtool.mocap.retarget.legs import LegTracks, leg_of, put_ankle, up_index
+from animtool.mocap.retarget.legs import (
+    LegTracks,
+    ball_of_foot,
+    leg_of,
+    put_ankle,
+    up_index,
+)
 from animtool.mocap.retarget.legs_in_limits import within_limits
 from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.poses import (
     LocalTurns,
     about_hips,
@@ -31,7 +39,8 @@ from animtool.mocap.retarget.poses import (
 )
 from animtool.mocap.retarget.props import Props
 from animtool.mocap.retarget.report import FitMeter, RetargetReport, Standing
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.transfer import Transfer
+from animtool.mocap.retarget.verdict import Verdict
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -44,6 +53,9 @@ BLOCK = 1024
 # How often an ankle gives way at most, and what is left of it then, over the size of
 # the skeleton: each time leaves about a tenth.
 TRIES, GIVEN = 5, 1e-5
+# What moves by less than this share of the skeleton, or turns by about its root, in
+# radians, does not move [1].
+STILL = 1e-6
 # Numbers that differ by less are one but for rounding [1], [m].
 ROUNDING = 1e-13
 
@@ -53,6 +65,8 @@ class _Posed:
     """Frames of the target before its feet are placed."""
 
     source: FloatArray  # the source's joints, in the target's axes (F, J, 3) [m]
+    # Balls of its feet, or their ankles, in these axes (F, L, 3) [m].
+    balls: FloatArray
     turns: LocalTurns
     bones: FloatArray  # local translations (F or 1, K, 3) [m]
     about: FloatArray  # joints about the middle of the hips (F, K, 3) [m]
@@ -66,6 +80,9 @@ class Retargeting:
         transfer: How the rig follows.
         standing: Which feet stand, and when.
         clamped: Joints that their limits held, in shares of the frames so far.
+        moving: Joints of the source that move.
+        longest: How far its joints get from their parents, at most ``(J,)`` [m].
+        forced: Errors that are passed over on request.
     """
 
     def __init__(
@@ -94,6 +111,13 @@ class Retargeting:
             props: Tracks of the take that they may hold.
         """
         self.transfer, self._moves = transfer, False
+        # Errors that were passed over on request.
+        self.forced: list[Fault] = []
+        self._start: tuple[FloatArray, FloatArray] | None = None
+        # Joints of the source that move.
+        self.moving: set[int] = set()
+        # How far its joints get from their parents, at most (J,) [m].
+        self.longest: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
         self._stopped: list[dict[int, BoolArray]] = []
         legs = "".join(
@@ -143,21 +167,40 @@ class Retargeting:
         for motion in in_blocks(motions, BLOCK):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
             self._moves |= moving > 0
-            posed = self._posed(motion)
+            self._note_moving(motion)
+            posed = self._posed(motion, legs)
             turns = posed.turns
             parts = posed.source, turns.world, posed.about
-            tracks.append([LegTracks.of(transfer, side, *parts) for side in legs])
+            tracks.append(
+                [
+                    LegTracks.of(
+                        transfer, side, parts[0], posed.balls[:, k], *parts[1:]
+                    )
+                    for k, side in enumerate(legs)
+                ]
+            )
             reaches.append([ArmTracks.of(transfer, side, *parts) for side in arms])
             hips.append(posed.hips)
-            self._spool.append(
-                [posed.source, turns.local, turns.world, posed.bones, posed.about]
-            )
+            kept = [turns.local, turns.world, posed.bones, posed.about, posed.balls]
+            self._spool.append([posed.source, *kept])
             self._stopped.append(turns.held)
         self._hips = np.concatenate(hips)
         return (
             [joined([each[k] for each in tracks]) for k in range(len(legs))],
             [joined([each[k] for each in reaches]) for k in range(len(arms))],
         )
+
+    def _note_moving(self, motion: Motion) -> None:
+        """Take the joints that leave where they are in the first frame."""
+        values = motion.translations.dense(), motion.rotations.dense()
+        if self._start is None:
+            self._start = values[0][0].copy(), values[1][0].copy()
+        longest = np.linalg.norm(values[0], axis=2).max(axis=0)
+        self.longest = np.maximum(self.longest, longest)
+        far = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
+        same = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
+        moves = (far > STILL * self.transfer.source.size) | (same < 1 - STILL)
+        self.moving.update(np.flatnonzero(moves).tolist())
 
     def _place_feet(
         self,
@@ -178,7 +221,7 @@ class Retargeting:
         )
         return placed
 
-    def _posed(self, motion: Motion) -> _Posed:
+    def _posed(self, motion: Motion, legs: str) -> _Posed:
         """Return frames of the target whose joints follow those of the source."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
@@ -190,7 +233,11 @@ class Retargeting:
         bones = transfer.bones(world, local[0], made.world)
         about = about_hips(target, made.world, bones, limbs_of(target))
         hips = transfer.hips(places)
-        return _Posed(transfer.turned(places), made, bones, about, hips)
+        balls = np.zeros((len(places), len(legs), 3))
+        for k, side in enumerate(legs):
+            balls[:, k] = ball_of_foot(source, side, places, world)
+        parts = transfer.turned(places), transfer.turned(balls)
+        return _Posed(*parts, made, bones, about, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:
@@ -201,6 +248,10 @@ class Retargeting:
         """Return how well the frames so far fit."""
         return self._meter.report(self.clamped)
 
+    def verdict(self) -> Verdict:
+        """Return whether the frames so far can be used."""
+        return self._meter.verdict(self.clamped, self.forced)
+
     def blocks(self) -> Iterator[Motion]:
         """Yield the motion of the target; to be called once."""
         rig = self.transfer.target.rig
@@ -210,7 +261,7 @@ class Retargeting:
         for held, arrays in zip(self._stopped, self._spool.drain(), strict=True):
             begin, count = self._frames, len(arrays[0])
             hips = self._hips[begin : begin + count]
-            source, local, world, bones, about = arrays
+            source, local, world, bones, about, balls = arrays
             turns = LocalTurns(local, world, held)
             turns = self._with_legs(turns, hips, about, begin)
             turns = self._with_arms(turns, begin)
@@ -231,7 +282,7 @@ class Retargeting:
             for values, start in zip((places, local), first, strict=True):
                 still = np.abs(values - start) < ROUNDING
                 np.copyto(values, start, where=still)
-            self._meter.add(begin, forward(rig, places, local).positions, source)
+            self._meter.add(begin, forward(rig, places, local), source, balls)
             yield Motion(
                 self._channel(places, first[0]), self._channel(local, first[1])
             )
@@ -257,11 +308,15 @@ class Retargeting:
             # Where a limit stops the foot, the ankle gives way for the toe.
             most = np.zeros(len(rows))
             at = rows + begin
-            for k, (_, _, foot, tip) in enumerate(legs):
-                if foot not in made.held or tip < 0:
+            for k, (_, _, foot, _) in enumerate(legs):
+                ball = target.balls.get(self.standing.sides[k])
+                if foot not in made.held or ball is None:
                     continue
-                back = so3.conjugate(turns.world[rows, foot])
-                bone = so3.rotate(back, about[rows, tip] - about[rows, foot])
+                bone = ball.offset
+                if ball.joint >= 0:
+                    back = so3.conjugate(turns.world[rows, foot])
+                    tip = about[rows, ball.joint] - about[rows, foot]
+                    bone = so3.rotate(back, tip)
                 wanted, actual = placed.turns[k][at], made.world[rows, foot]
                 off = so3.rotate(wanted, bone) - so3.rotate(actual, bone)
                 goal = placed.ankles[k][at] + placed.rolls[k][at, None] * off

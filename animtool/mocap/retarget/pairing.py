@@ -26,6 +26,7 @@ from animtool.mocap.retarget.roles import (
     RoleSource,
     base_role,
 )
+from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 # Where the last bone of a chain leads to, the first of them that there is.
@@ -176,8 +177,23 @@ class _Pairing:
             ours = [j for j in ours if j not in taken]
             for k, j in zip(ours, theirs, strict=False):
                 self._add(role, [k], [j])
+        elif ours and theirs and base_role(role) == "toe":
+            self._add_toes(role, ours, theirs)
         elif ours and theirs:
             self._add(role, ours, theirs)
+
+    def _add_toes(self, role: str, ours: list[int], theirs: list[int]) -> None:
+        """Pair the toes of a foot, in their order from the inner side on."""
+        rows = [
+            _in_order(rig, known, role, chain)
+            for rig, known, chain in zip(
+                self.rigs, self.anatomies, (ours, theirs), strict=True
+            )
+        ]
+        last = len(rows[0]) - 1
+        for i, toe in enumerate(rows[1]):
+            at = i / (len(rows[1]) - 1) if len(rows[1]) > 1 else 0.5
+            self._add(role, rows[0][int(at * last + 0.5)], toe)
 
     def add_mittens(self) -> None:
         """Pair fingers with a hand that has them in one, whichever side has it."""
@@ -224,6 +240,20 @@ class _Pairing:
             if found is not None:
                 sure, how = 1.0, found
             self.pairs[j] = JointPair(k, j, role, how, sure)
+
+
+def _in_order(
+    rig: Rig, known: Anatomy, role: str, joints: list[int]
+) -> list[list[int]]:
+    """Return the joints of each toe of a foot, the innermost first."""
+    tops = [j for j in joints if int(rig.parents[j]) not in joints]
+    toes = [[j for j in joints if top in rig.upwards(j)] for top in tops]
+    side, places = role[-1:], rest_world(rig).positions[0]
+    feet = [known.chain(f"foot_{each}") for each in (side, "lr".replace(side, ""))]
+    if len(toes) < 2 or not all(feet):
+        return toes
+    inwards = places[feet[1][0]] - places[feet[0][0]]
+    return sorted(toes, key=lambda toe: -float(places[toe[0]] @ inwards))
 
 
 def _by_name(known: Anatomy, joint: int) -> bool:

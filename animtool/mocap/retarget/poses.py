@@ -9,7 +9,8 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.mocap.retarget.transfer import Person, Transfer, middle_of_hips
+from animtool.mocap.retarget.person import Person
+from animtool.mocap.retarget.transfer import Transfer, middle_of_hips
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import Joint, JointType, Rig
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
 from animtool.mocap.contacts import FootContacts, intervals
 from animtool.mocap.retarget.feet import Placed
 from animtool.mocap.retarget.hands import HeldHand
-from animtool.mocap.retarget.legs import leg_of, up_index
+from animtool.mocap.retarget.legs import ball_of_foot, leg_of, up_index
 from animtool.mocap.retarget.map import JointMap
+from animtool.mocap.retarget.person import Person
 from animtool.mocap.retarget.roles import FINGERS, MITTEN, base_role
-from animtool.mocap.retarget.transfer import Person, Transfer
+from animtool.mocap.retarget.transfer import Transfer
+from animtool.mocap.retarget.verdict import Verdict, verdict_of
+from animtool.rig.kinematics import WorldTransforms
 from animtool.scores import PassScores, Score, ScoreUnit
 
 # Roles whose bones are compared, with the role that each ends at.
@@ -35,12 +40,14 @@ USUAL_REACH = 0.01  # of the arm
 USUAL_ANGLE = np.radians(3.0)  # [rad]
 USUAL_ACCELERATION = 1.25  # of the source's
 USUAL_HELD = 0.05  # of frames
+# A heel that is farther from where it is placed has given way, over the size [1].
+GAVE_WAY = 1e-4
 USUAL_UNMAPPED = 0.2  # of the source's joints
 
 
 @dataclass(frozen=True, slots=True)
 class RetargetReport:
-    """What became of a take; of what there is none, values are 0."""
+    """How well a take fits its rig; a score of what there is none of is NaN."""
 
     frames: int
     scale: float  # lengths of the target's legs over those of the source's
@@ -93,11 +100,14 @@ class FitMeter:
         self._transfer, self._found, self._standing = transfer, found, standing
         self._up = up_index(transfer.target.rig)
         self._frames = 0
-        # Ankle and toe of each leg, of the target and of the source, scaled; the toe is
-        # the ankle where there is none (F, 2, 2, 3).
+        # Ankle and ball of each foot, of the target and of the source, scaled; the ball
+        # is the ankle where none is known (F, 2, 2, 3).
         self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
         self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
-        self._reach = self._hand = 0.0
+        self._reach, self._hand = math.nan, 0.0
+        # Of each frame, by score.
+        self._values: dict[str, list[FloatArray]] = {}
+        self._worst: dict[str, FloatArray] = {}
         # The largest accelerations of both so far, and the last frames of both.
         self._fastest = np.zeros(2)
         self._last: list[FloatArray] = []
@@ -109,24 +119,33 @@ class FitMeter:
         # Hands of arms that are longer, over the legs, go that much faster.
         self._sizes = np.maximum(ratios, transfer.scale)[:, None]
 
-    def add(self, begin: int, target: FloatArray, source: FloatArray) -> None:
+    def add(
+        self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
+    ) -> None:
         """Take the frames that come next.
 
         Args:
             begin: The first of them.
-            target: Its joints ``(F, K, 3)`` [m].
-            source: Those of the source, in the target's axes ``(F, J, 3)`` [m].
+            world: Of the target's F frames and K joints [m].
+            source: Joints of the source, in the target's axes ``(F, J, 3)`` [m].
+            balls: Those of the source's feet, in these axes ``(F, L, 3)`` [m].
         """
+        target = world.positions
         self._frames += len(target)
         part = slice(begin, begin + len(target))
         for k, side in enumerate(self._standing.sides):
-            rows = []
-            for person, points, size in self._both(target, source):
-                _, _, ankle, toe = leg_of(person, side)
-                rows.append(size * points[:, [ankle, toe if toe >= 0 else ankle]])
+            ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
+            tips, rows = (ball, balls[:, k]), []
+            for (person, points, size), tip in zip(
+                self._both(target, source), tips, strict=True
+            ):
+                ankle = points[:, leg_of(person, side)[2]]
+                rows.append(size * np.stack([ankle, tip], axis=1))
             self._feet[k].append(np.stack(rows, axis=1))
         self._add_angles(part, target, source)
-        self._reach = max(self._reach, _reach_error(self._both(target, source)))
+        reach = _reach_errors(self._both(target, source))
+        self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach)))
+        self._note("hands", reach)
         for hand in self._standing.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
             off = np.linalg.norm(wrist - hand.goal[part], axis=1)[hand.held[part]]
@@ -141,10 +160,16 @@ class FitMeter:
         self._last = [each[-2:].copy() for each in now]
         if len(now[0]) > 2:
             sizes = [
-                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(initial=0.0)
+                np.linalg.norm(np.diff(each, 2, axis=0), axis=2).max(axis=1, initial=0)
                 for each in now
             ]
-            self._fastest = np.maximum(self._fastest, sizes)
+            self._fastest = np.maximum(
+                self._fastest, [each.max(initial=0.0) for each in sizes]
+            )
+            self._note("acceleration", sizes[0])
+
+    def _note(self, score: str, values: FloatArray) -> None:
+        self._values.setdefault(score, []).append(values)
 
     def _both(
         self, target: FloatArray, source: FloatArray
@@ -160,6 +185,7 @@ class FitMeter:
         """Take angles between bones of both, legs that stand left out."""
         standing = self._standing
         total, count, most = self._angles
+        bends, counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end in BONES.items():
                 ways = []
@@ -174,10 +200,50 @@ class FitMeter:
                 angle = np.arctan2(across, (ways[0] * ways[1]).sum(axis=1))
                 if role in {"thigh", "shin"} and side in standing.sides:
                     k = standing.sides.index(side)
-                    angle = angle[~standing.contacts[k].any[part]]
+                    free = ~standing.contacts[k].any[part]
+                    bends[free] += angle[free]
+                    counts[free] += 1
+                    angle = angle[free]
+                else:
+                    bends += angle
+                    counts += 1
                 total, count = total + float(angle.sum()), count + len(angle)
                 most = max(most, float(angle.max(initial=0.0)))
         self._angles = total, count, most
+        self._note("limbs", bends / np.maximum(counts, 1))
+
+    def _raised(self, k: int, ankle: FloatArray) -> BoolArray:
+        """Return where a limit raises a heel about its toe, which stands ``(F,)``."""
+        placed, contacts = self._standing.placed, self._standing.contacts[k]
+        if placed is None or not contacts.toe.any():
+            return np.zeros(len(ankle), np.bool_)
+        off = np.linalg.norm(ankle - placed.ankles[k], axis=1)
+        return np.asarray(contacts.toe & (off > GAVE_WAY * self._transfer.target.size))
+
+    def _keep_worst(self, score: str, values: FloatArray) -> None:
+        """Take values of all frames; the worst of several counts."""
+        before = self._worst.get(score)
+        self._worst[score] = values if before is None else np.fmax(before, values)
+
+    def verdict(
+        self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
+    ) -> Verdict:
+        """Return whether the frames so far can be used; see `report`.
+
+        Args:
+            clamped: Joints that limits held, in shares of the frames.
+            forced: Errors that were passed over on request.
+        """
+        report = self.report(clamped)
+        values = {
+            name: np.concatenate(blocks) for name, blocks in self._values.items()
+        } | self._worst
+        if "acceleration" in values:
+            # Second differences stand at the frame in their middle.
+            fast = values["acceleration"] / max(float(self._fastest[1]), 1e-300)
+            values["acceleration"] = np.pad(fast, 1)
+        least = {"drift": report.source_drift_max}
+        return verdict_of(scores_of(report), values, least, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return how well the frames so far fit.
@@ -186,17 +252,23 @@ class FitMeter:
             clamped: Joints that limits held, in shares of the frames.
         """
         transfer, found, standing = self._transfer, self._found, self._standing
+        self._worst.clear()
         drifts, others = [np.zeros(0)], [np.zeros(0)]
-        soles, below, stands = [0.0], [0.0], 0.0
+        soles: list[float] = []
+        below: list[float] = []
+        stands = 0.0
         for k, side in enumerate(standing.sides):
             feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
             stands += float(contacts.any.mean()) / len(standing.sides)
-            has_toe = leg_of(transfer.target, side)[3] >= 0
-            both = has_toe and leg_of(transfer.source, side)[3] >= 0
-            for joint, mask in enumerate((contacts.ankle, contacts.toe)):
+            has_toe = side in transfer.target.balls
+            both = has_toe and side in transfer.source.balls
+            heel = contacts.ankle & ~self._raised(k, feet[:, 0, 0])
+            for joint, mask in enumerate((heel, contacts.toe)):
                 if joint == 0 or both:
                     drifts.append(_drift(feet[:, 0, joint], mask, self._up))
-                    others.append(_drift(feet[:, 1, joint], mask, self._up))
+                    stood = contacts.toe if joint else contacts.ankle
+                    others.append(_drift(feet[:, 1, joint], stood, self._up))
+                    self._keep_worst("drift", drifts[-1])
             sole = feet[:, 0, 1, self._up]
             flat = contacts.toe if has_toe else contacts.any
             if flat.any():
@@ -204,8 +276,12 @@ class FitMeter:
                 if standing.placed is not None:
                     level = standing.placed.soles[k]
                 soles.append(float(np.abs(sole[flat] - level).max()))
+                self._keep_worst("soles", np.where(flat, np.abs(sole - level), 0.0))
                 below.append(level - float(sole.min()))
-        drift, theirs = np.concatenate(drifts), np.concatenate(others)
+        drift, theirs = (
+            each[~np.isnan(each)]
+            for each in (np.concatenate(drifts), np.concatenate(others))
+        )
         total, count, most = self._angles
         own, other = self._fastest.tolist()
         names, ours = transfer.target.rig.names, transfer.source.rig.names
@@ -215,16 +291,16 @@ class FitMeter:
             transfer.scale,
             len(found.pairs),
             stands,
-            float(drift.mean()) if len(drift) else 0.0,
-            float(drift.max(initial=0.0)),
-            float(theirs.max(initial=0.0)),
-            max(soles),
-            max(below),
+            float(drift.mean()) if len(drift) else math.nan,
+            float(drift.max()) if len(drift) else math.nan,
+            float(theirs.max()) if len(theirs) else math.nan,
+            max(soles, default=math.nan),
+            max([0.0, *below]) if below else math.nan,
             self._reach,
             self._hand,
-            total / count if count else 0.0,
-            most,
-            own / other if other > 0 else 0.0,
+            total / count if count else math.nan,
+            most if count else math.nan,
+            own / other if other > 0 else math.nan,
             0.0 if placed is None else placed.lowered,
             {names[j]: share for j, share in clamped.items()},
             _mean_held(found, clamped),
@@ -265,18 +341,24 @@ def _mean_held(found: JointMap, clamped: Mapping[int, float]) -> float:
 
 
 def _drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
-    """Return distances on the ground from the middle of each contact [m]."""
+    """Return distances on the ground from the middle of each contact ``(F,)`` [m].
+
+    NaN where nothing stands.
+    """
     flat = [k for k in range(3) if k != up]
-    rows = [np.zeros(0)]
+    made = np.full(len(points), math.nan)
     for start, end in intervals(stands):
         own = points[start:end][:, flat]
-        rows.append(np.linalg.norm(own - own.mean(axis=0), axis=1))
-    return np.concatenate(rows)
+        made[start:end] = np.linalg.norm(own - own.mean(axis=0), axis=1)
+    return made
 
 
-def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
-    """Return how far the share of the arm that a hand is off differs, at most."""
-    worst = 0.0
+def _reach_errors(both: Sequence[tuple[Person, FloatArray, float]]) -> FloatArray:
+    """Return how far the share of the arm that a hand is off differs ``(F,)``.
+
+    NaN where there is no pair of arms.
+    """
+    worst = np.full(len(both[0][1]), math.nan)
     for side in "lr":
         shares = []
         for person, points, _ in both:
@@ -288,5 +370,5 @@ def _reach_error(both: Sequence[tuple[Person, FloatArray, float]]) -> float:
             if length > 0:
                 shares.append(np.linalg.norm(own[:, 2] - own[:, 0], axis=1) / length)
         if len(shares) == 2:
-            worst = max(worst, float(np.abs(shares[0] - shares[1]).max(initial=0.0)))
+            worst = np.fmax(worst, np.abs(shares[0] - shares[1]))
     return worst

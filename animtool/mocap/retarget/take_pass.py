@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.mocap.options import RetargetOptions
+from animtool.mocap.retarget.anatomy import anatomy
+from animtool.mocap.retarget.coverage import collapsed, lacking_pairs, nothing_paired
 from animtool.mocap.retarget.legs import leg_of
 from animtool.mocap.retarget.map import JointMap
 from animtool.mocap.retarget.motion import Retargeting, transfer_of
@@ -62,7 +64,8 @@ def onto_rig(
         props: Tracks of the take that hands may hold.
 
     Raises:
-        FormatError: The map file cannot be read, or names joints that neither has.
+        FormatError: The map file cannot be read, or names joints that neither has; or
+            too little is paired (MAP010), or limbs have no length (MAP011).
         OptionError: Nothing maps (MAP004), or the rest frame is none of the take's
             (MAP006).
     """
@@ -71,22 +74,16 @@ def onto_rig(
     frame = None if isinstance(options.rest, str) else options.rest
     rest, blocks = _rest(stream.blocks, frame)
     first = next(blocks)
-    found = map_joints(
-        stream.rig,
-        rig,
-        preset=options.preset,
-        target_preset=options.target_preset,
-        map_file=options.map,
-        mode=options.by,
-        source_positions=_positions(stream.rig, first, rest),
-    )
+    found = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
     notices = list(found.notices)
     source = stream.rig
-    stands = stands_along(source, first, found.source.roles)
+    stands = None
+    if stream.details.get("up_choice") != "stated":
+        stands = stands_along(source, first, found.source.roles)
     if stands is not None:
         message = f"the take stands along {stands}, though its up axis is {source.up}; "
         message += f"it is taken as {stands} up"
-        hint = f"say so with --up {stands}, or turn it if it lies"
+        hint = f"say so with --up {stands}, or --up {source.up} if it lies"
         notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
         source = replace(source, up=stands)
     transfer = transfer_of(source, rig, found, rest, as_rig=as_rig)
@@ -98,12 +95,42 @@ def onto_rig(
     made = Retargeting(
         transfer, found, motions, fps, lock=lock, same=same, hands=hands, props=props
     )
+    lacking = lacking_pairs(source, found, transfer.follows, made.moving)
+    if options.map is not None:
+        lacking = None
+    lacking = collapsed(source, found, made.longest) or lacking
+    if lacking is not None and not options.force_fit and not same:
+        raise FormatError(lacking)
+    made.forced = [] if lacking is None else [lacking]
     contacts = made.standing.contacts if lock else ()
     if contacts and not any(own.any.any() for own in contacts):
         message = "no foot stands in any frame: none is held"
         hint = "is the take of a person with legs, and longer than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
     return made, found, notices
+
+
+def _paired(
+    source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
+) -> JointMap:
+    """Return which joints follow which; ``positions``: of the source's ``(J, 3)``."""
+    try:
+        return map_joints(
+            source,
+            target,
+            preset=options.preset,
+            target_preset=options.target_preset,
+            map_file=options.map,
+            mode=options.by,
+            source_positions=positions,
+        )
+    except OptionError as error:
+        if error.code == "MAP004":
+            roles = anatomy(source, preset=options.preset, positions=positions).roles
+            nothing = nothing_paired(source, roles, target)
+            if nothing is not None:
+                raise FormatError(nothing) from error
+        raise
 
 
 def _rest(

@@ -126,8 +126,9 @@ class Bodies:
             np.stack([speeds, leg * around], axis=1),
             np.array([[one.speed, leg * one.turning] for one in moving]),
         )
-        speed = weights @ np.array([one.speed for one in moving])
-        period = weights @ np.array([one.period for one in moving])
+        # BLAS adds in an order that depends on the number of agents; einsum does not.
+        paced = np.array([[one.speed, one.period] for one in moving])
+        speed, period = np.einsum("ng,gk->kn", weights, paced)
         share = np.maximum(speeds, 0.0) / speed
         cadence = np.clip(share**CADENCE, SLOWEST, FASTEST)
         steps = np.einsum(
@@ -135,7 +136,7 @@ class Bodies:
         )
         stride = share / cadence
         steps[..., 1] *= stride[:, None]
-        stands = weights @ np.stack([one.stands for one in moving])
+        stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
         return Blend(weights, cadence / period, stride, stands, steps)
 
     def next(

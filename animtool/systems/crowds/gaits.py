@@ -10,7 +10,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.mocap.retarget.anatomy import anatomy
-from animtool.mocap.retarget.transfer import Person
+from animtool.mocap.retarget.person import Person
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import about_up
 

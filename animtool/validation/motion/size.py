@@ -10,7 +10,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
-from animtool.units import UpAxis
+from animtool.mocap.retarget.anatomy import anatomy
+from animtool.mocap.standing import Stance, stance
+from animtool.rig.kinematics import rest_world
 from animtool.validation.motion.contacts import feet_of
 from animtool.validation.motion.subject import MotionSubject
 
@@ -30,9 +32,6 @@ LIKELY = (0.3, 5.0)
 ANYTHING = (0.004, 400.0)
 # Fewer joints are a prop, of any size.
 MIN_JOINTS = 10
-# Cosine beyond which the body is along an axis, and share of the frames in which it
-# is: a fall or a roll is shorter [1].
-ALONG, MOSTLY = 0.85, 0.9
 # Fewer frames are a pose, which may lie.
 MIN_FRAMES = 8
 
@@ -196,43 +195,27 @@ def strange_size(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT215", None, None, message, hint)
 
 
+def body_axis(subject: MotionSubject) -> Stance | None:
+    """Return how a body stands, where that is not along the axis that is up."""
+    rig = subject.take.rig
+    if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
+        return None
+    rest = rest_world(rig).positions[0] if subject.has_rest else None
+    found = stance(anatomy(rig).roles, subject.positions, rig.up, rest)
+    return None if found.axis is None and not found.upside_down else found
+
+
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the body stands along another axis than the up axis (MOT214)."""
-    axis = body_axis(subject)
-    if axis is None:
+    rig, found = subject.take.rig, body_axis(subject)
+    if found is None:
         return
-    name, share = axis
-    up = subject.take.rig.up
-    where = f"along {name}" if name else "upside down"
-    message = f"the body is {where} in {100.0 * share:.0f}% of the frames; up is {up}"
+    where = "upside down" if found.axis is None else f"along {found.axis}"
+    share = 100.0 * found.share
+    message = f"the body is {where} in {share:.0f}% of the frames; up is {rig.up}"
     hint = "turn the root"
-    if name:
-        hint = f"author upAxis {name}, or read the file with --up {name}"
-    root = int(subject.take.rig.roots[0])
-    fault = subject.fault("MOT214", root, 0, message, hint)
+    if found.axis is not None:
+        hint = f"author upAxis {found.axis}, or read the file with --up {found.axis}"
+    fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file that states no up axis is read in the usual one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)
-
-
-def body_axis(subject: MotionSubject) -> tuple[str, float] | None:
-    """Return the axis that a body stands along in place of up, and how often.
-
-    The axis is empty where it is upside down; None where the body stands, or moves.
-    """
-    rig = subject.take.rig
-    feet = feet_of(rig.names)
-    if subject.frames < MIN_FRAMES or not _is_character(subject):
-        return None
-    others = np.setdiff1d(np.arange(len(rig.joints)), feet)
-    body = subject.positions[:, others].mean(axis=1)
-    body = body - subject.positions[:, feet].mean(axis=1)
-    lengths = np.linalg.norm(body, axis=1)
-    body = body / np.maximum(lengths, 1e-12)[:, None]
-    if np.median(body @ subject.up) > 0.5:
-        return None
-    other = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
-    for axis, name in ((np.array(other.vector), str(other)), (-subject.up, "")):
-        share = float(np.mean(body @ axis > ALONG))
-        if share >= MOSTLY:
-            return name, share
-    return None

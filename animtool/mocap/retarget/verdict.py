@@ -1,0 +1,166 @@
+"""Whether a take on its rig can be used as it is, and which frames to look at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
+from animtool.mocap.contacts import intervals
+from animtool.scores import PassScores, Score
+
+# Scores of more than so many times what a good take has are looked at [1].
+LOOK = 3.0
+# Limbs that are off the source's by more, on the mean, are not its motion [rad].
+UNLIKE = np.radians(30.0)
+# Runs of frames that are nearer to each other are one [frames].
+NEAR = 4
+
+
+class Status(StrEnum):
+    """What to do with a take."""
+
+    GOOD = "good"
+    LOOK = "look at these frames"
+    UNUSABLE = "not usable"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameNumbers:
+    """How an output numbers the frames of a take.
+
+    Attributes:
+        start: Number of the first.
+        step: From one frame of the take to the next.
+        first: First that the output has; None is that of the take.
+        last: Likewise.
+
+    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), 1001, 1010).run(48, 60)
+    (1010, 1010)
+    """
+
+    start: Fraction = Fraction(1)
+    step: Fraction = Fraction(1)
+    first: int | None = None
+    last: int | None = None
+
+    def run(self, first: int, last: int) -> tuple[int, int] | None:
+        """Return the numbers of a run of frames from 0; None where none is left."""
+        low = math.floor(self.start + first * self.step)
+        high = math.ceil(self.start + last * self.step)
+        low = low if self.first is None else max(low, self.first)
+        high = high if self.last is None else min(high, self.last)
+        return (low, high) if low <= high else None
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a take is not good as it is.
+
+    Attributes:
+        what: The score, or what is wrong.
+        text: Its value with its unit; empty for none.
+        frames: First and last frames of where it is, from 0; empty where that is
+            everywhere.
+    """
+
+    what: str
+    text: str = ""
+    frames: tuple[tuple[int, int], ...] = ()
+
+    def numbered(self, numbers: FrameNumbers) -> Reason | None:
+        """Return it with the frames of an output; None where it has none of them."""
+        if not self.frames:
+            return self
+        runs = [numbers.run(first, last) for first, last in self.frames]
+        frames = tuple(run for run in runs if run is not None)
+        return replace(self, frames=frames) if frames else None
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a take can be used, and why not, the worst first."""
+
+    status: Status
+    reasons: tuple[Reason, ...] = ()
+
+    def numbered(self, numbers: FrameNumbers) -> Verdict:
+        """Return that of the frames of an output, as it numbers them."""
+        found = [reason.numbered(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in found if reason is not None)
+        good = self.status is Status.LOOK and not reasons
+        return Verdict(Status.GOOD if good else self.status, reasons)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "verdict": str(self.status),
+            "look_at": [
+                {
+                    "what": reason.what,
+                    "value": reason.text,
+                    "frames": [list(frames) for frames in reason.frames],
+                }
+                for reason in self.reasons
+            ],
+        }
+
+
+def verdict_of(
+    scores: PassScores,
+    values: Mapping[str, FloatArray],
+    least: Mapping[str, float],
+    forced: Sequence[Fault] = (),
+) -> Verdict:
+    """Return whether a take can be used.
+
+    Args:
+        scores: Of the whole take.
+        values: Of some of these, what each of F frames has ``(F,)``.
+        least: Of some of these, what the source itself has.
+        forced: Errors that were passed over on request.
+    """
+    if forced:
+        why = tuple(Reason(fault.message) for fault in forced)
+        return Verdict(Status.UNUSABLE, why)
+    by_name = {score.name: score for score in scores.scores}
+    limbs = by_name["limbs"]
+    if limbs.value > UNLIKE:
+        return Verdict(Status.UNUSABLE, (Reason("limbs", limbs.text),))
+    worse = [(s, _bound(s, least.get(s.name, math.nan))) for s in scores.scores]
+    worse = [(score, bound) for score, bound in worse if score.value > bound]
+    worse.sort(key=lambda each: -each[0].excess)
+    reasons = tuple(
+        Reason(score.name, score.text, _runs(values, score.name, bound))
+        for score, bound in worse
+    )
+    return Verdict(Status.LOOK if reasons else Status.GOOD, reasons)
+
+
+def _bound(score: Score, least: float) -> float:
+    """Return the value of a score above which it is looked at."""
+    bound = score.ideal + LOOK * (score.usual - score.ideal)
+    return bound if math.isnan(least) else max(bound, least)
+
+
+def _runs(
+    values: Mapping[str, FloatArray], name: str, bound: float
+) -> tuple[tuple[int, int], ...]:
+    """Return first and last frames of the runs in which a score is above a bound."""
+    own = values.get(name)
+    if own is None:
+        return ()
+    high: BoolArray = own > bound
+    runs: list[tuple[int, int]] = []
+    for first, end in intervals(high):
+        if runs and first - runs[-1][1] <= NEAR:
+            runs[-1] = (runs[-1][0], end - 1)
+        else:
+            runs.append((first, end - 1))
+    return tuple(runs)
