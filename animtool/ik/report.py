@@ -306,7 +306,10 @@ def _moving(solved: TakeIk, track: GoalTrack) -> list[str]:
 
 
 def _stretching(solved: TakeIk, worst: Jump) -> str | None:
-    """Return the goal in or out of whose reach a limb snaps straight, if one does."""
+    """Return the goal in or out of whose reach a pin snaps straight, if one does."""
+    rig = solved.take.rig
+    if rig.joints[rig.index(worst.joint)].type is not JointType.PIN:
+        return None
     rows = slice(worst.frame - 1, worst.frame + 1)
     for e, track in enumerate(solved.tracks.goals):
         missed = solved.misses[rows, e, 0] > MISSED_LENGTH
