@@ -7,402 +7,19 @@ counted from the first frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, listed
-from animtool.maths import so3
-from animtool.motion import Channel, Motion
-from animtool.quantities import length_text
-from animtool.rig.driver_plan import DriverPlan, plan_of
-from animtool.rig.drivers import TWIST, split_coordinate
-from animtool.rig.driving import (
-    DriverValues,
-    ball_part,
-    evaluate_drivers,
-)
-from animtool.rig.limits import RangeLimit
-from animtool.rig.shapes import combined_weights, own_weights
-from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.errors import Fault
+from animtool.motion import Motion
+from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
-
-# Less is rounding of float32 [rad], [m]; of weights and controls [1].
-SAME, SAME_WEIGHT = 1e-5, 1e-6
-# Twists that step by more from frame to frame went through half a turn [rad].
-HALF_TURN = np.pi
 
 # What drivers report of the same joint after every pass.
 REPEATED = frozenset({"RIG103", "RIG105"})
-
-
-@dataclass(slots=True)
-class Worst:
-    """The largest of something, and the frame that has it."""
-
-    amount: float = 0.0
-    frame: float = 0.0
-
-    def take(self, amounts: FloatArray, times: FloatArray) -> None:
-        """Look at amounts ``(F,)`` or ``(1,)``, of frames ``(F,)``."""
-        if not len(times) or not len(amounts):
-            return
-        worst = int(np.argmax(amounts))
-        if amounts[worst] > self.amount:
-            self.amount = float(amounts[worst])
-            self.frame = float(times[worst if len(amounts) > 1 else 0])
-
-
-@dataclass(slots=True)
-class DriverRun:
-    """Drives the motion of a rig, block by block in the order of time.
-
-    Attributes:
-        rig: A rig with drivers.
-        replaced: Whether to report motion of the source that drivers take the place of.
-    """
-
-    rig: Rig
-    replaced: bool = False
-    plan: DriverPlan = field(init=False)
-    # Angle of each pin without limits at the end of the last block [rad].
-    _angles: dict[int, float] = field(default_factory=dict, init=False)
-    _twists: dict[str, float] = field(default_factory=dict, init=False)
-    _excess: dict[str, Worst] = field(default_factory=dict, init=False)
-    _gone: dict[str, Worst] = field(default_factory=dict, init=False)
-    _wrapped: dict[str, Worst] = field(default_factory=dict, init=False)
-    _kept: set[str] = field(default_factory=set, init=False)
-
-    def __post_init__(self) -> None:
-        """Find the order of the rig's drivers."""
-        self.plan = plan_of(self.rig)
-
-    def drive(
-        self,
-        motion: Motion,
-        times: FloatArray,
-        coordinates: Mapping[str, FloatArray] | None = None,
-    ) -> Motion:
-        """Return a motion whose driven joints, shapes and controls are driven.
-
-        Args:
-            motion: Consecutive frames.
-            times: Of its frames, for reports ``(F,)``.
-            coordinates: Coordinates of joints that are known better than the motion
-                says, over whole turns, by name such as ``elbow.angle``.
-
-        Raises:
-            FormatError: A driver has no value at some frame (CLIP015).
-        """
-        if motion.frames == 1:
-            # Twice, so that what moves is told from what does not.
-            twice = motion.select(np.zeros(2, np.int64))
-            return self.drive(twice, np.repeat(times, 2), coordinates).select(slice(1))
-        rig = self.rig
-        controls = self._controls(motion)
-        read = _Reader(self, motion, times, coordinates or {})
-        kept = self._keep(motion) if motion.controls is None else set()
-        done = evaluate_drivers(self.plan, read, controls, kept)
-        _refuse_undefined(rig, done, times)
-        for j, excess in done.excess.items():
-            name = rig.names[j]
-            self._excess.setdefault(name, Worst()).take(np.abs(excess), times)
-        return replace(
-            self._joints(motion, done, times),
-            weights=self._weights(motion, done, times),
-            controls=self._new_controls(motion, done, times),
-        )
-
-    def notices(self) -> list[Fault]:
-        """Return what drivers had to say of the frames so far."""
-        return [fault for fault, _, _ in self.targeted()]
-
-    def targeted(self) -> list[tuple[Fault, str, float]]:
-        """Return the same, each with its target and the frame where it is worst."""
-        notices = []
-        for name, worst in self._excess.items():
-            joint = self.rig.joints[self.rig.index(name)]
-            if worst.amount > SAME:
-                message = (
-                    f"the driver of {name!r} goes {_shown(joint, worst.amount)} beyond "
-                    f"its limits at frame {worst.frame:g}; the joint stays inside"
-                )
-                hint = "widen the limits, or drive it less far"
-                fault = _warning("RIG103", message, hint)
-                notices.append((fault, f"joint/{name}", worst.frame))
-        for name, worst in self._wrapped.items():
-            message = (
-                f"{name} passes half a turn at frame {worst.frame:g}: what it drives "
-                "steps there"
-            )
-            hint = "limits of the joint's twist say which half turn is the seam"
-            fault = _warning("RIG105", message, hint)
-            joint_name = split_coordinate(name)[0]
-            notices.append((fault, f"joint/{joint_name}", worst.frame))
-        if self._kept and self.replaced:
-            names = sorted(target.partition("/")[2] for target in self._kept)
-            message = (
-                "the take holds no controls, which drivers read: its own values stay "
-                f"for {listed(names)}"
-            )
-            fault = Fault("RIG106", message, severity=Severity.NOTE)
-            notices.append((fault, sorted(self._kept)[0], 0.0))
-        for target, worst in self._gone.items():
-            kind, _, name = target.partition("/")
-            amount = f"{worst.amount:.4g}"
-            if kind == "joint":
-                joint = self.rig.joints[self.rig.index(name)]
-                amount = _shown(joint, worst.amount)
-            message = (
-                f"{kind} {name!r} is driven, so the source's motion of it is replaced; "
-                f"the largest difference is {amount}, at frame {worst.frame:g}"
-            )
-            hint = "take its `driven` out of the rig to keep the source's motion"
-            fault = _warning("RIG104", message, hint)
-            notices.append((fault, target, worst.frame))
-        return notices
-
-    def unwrapped(self, j: int, angles: FloatArray) -> FloatArray:
-        """Return angles ``(F,)`` of a pin without limits, over whole turns."""
-        before = self._angles.get(j, 0.0)
-        out = np.unwrap(np.concatenate([[before], angles]))[1:]
-        self._angles[j] = float(out[-1]) if len(out) else before
-        return out
-
-    def watch(self, name: str, twists: FloatArray, times: FloatArray) -> None:
-        """Look for frames to which a twist goes through half a turn."""
-        before = self._twists.get(name, twists[0] if len(twists) else 0.0)
-        steps = np.abs(np.diff(twists, prepend=before))
-        if (steps > HALF_TURN).any():
-            first = int(np.argmax(steps > HALF_TURN))
-            worst = Worst(1.0, float(times[first]))
-            self._wrapped.setdefault(name, worst)
-        if len(twists):
-            self._twists[name] = float(twists[-1])
-
-    def _keep(self, motion: Motion) -> set[str]:
-        """Return what reads controls that the motion lacks, where it has values of it.
-
-        Those came of the controls, and are better than what defaults would give.
-        """
-        kept = set()
-        for target in self.plan.by_control:
-            kind, _, name = target.partition("/")
-            if kind == "joint":
-                stated = self._states_joint(motion, self.rig.index(name))
-            elif kind == "shape" and motion.weights is not None:
-                names = [shape.name for shape in self.rig.shapes]
-                stated = _states(motion.weights, names.index(name), np.zeros(1))
-            else:
-                stated = False
-            if stated:
-                kept.add(target)
-        self._kept |= kept
-        return kept
-
-    def _states_joint(self, motion: Motion, j: int) -> bool:
-        rig = self.rig
-        if rig.joints[j].type is JointType.PRISMATIC:
-            return _states(motion.translations, j, rig.rest_translations[j])
-        return _states(motion.rotations, j, rig.rest_rotations[j])
-
-    def _controls(self, motion: Motion) -> dict[str, FloatArray]:
-        if motion.controls is None:
-            return {c.name: np.array([c.default]) for c in self.rig.controls}
-        return {
-            control.name: _column(motion.controls, i)
-            for i, control in enumerate(self.rig.controls)
-        }
-
-    def _joints(self, motion: Motion, done: DriverValues, times: FloatArray) -> Motion:
-        turns: dict[int, FloatArray] = {}
-        places: dict[int, FloatArray] = {}
-        for j, value in done.joints.items():
-            joint = self.rig.joints[j]
-            rest = np.array(joint.rotation)
-            if joint.type is JointType.PRISMATIC:
-                slide = so3.rotate(rest, value[:, None] * np.array(joint.axis))
-                places[j] = np.array(joint.translation) + slide
-            else:
-                turn = so3.from_axis_angle(joint.axis, value)
-                turns[j] = so3.multiply(rest, turn)
-        for j, new in [*turns.items(), *places.items()]:
-            rotates = j in turns
-            channel = motion.rotations if rotates else motion.translations
-            old = _rows(channel, j)
-            resting = self.rig.rest_rotations if rotates else self.rig.rest_translations
-            away = so3.angle_between if rotates else _distance
-            stated = away(old, resting[j][None]).max(initial=0.0) > SAME
-            if stated and self.rig.joints[j].driven is not None:
-                self._replace(f"joint/{self.rig.names[j]}", away(old, new), times, SAME)
-        return replace(
-            motion,
-            rotations=_with_rows(motion.rotations, turns),
-            translations=_with_rows(motion.translations, places),
-        )
-
-    def _weights(
-        self, motion: Motion, done: DriverValues, times: FloatArray
-    ) -> Channel | None:
-        plan, shapes = self.plan, self.rig.shapes
-        if not plan.shapes:
-            return motion.weights
-        old = {shape.name: np.zeros(1) for shape in shapes}
-        channel = Channel.still(np.zeros((len(shapes), 1)), motion.frames)
-        if motion.weights is not None:
-            channel = motion.weights
-            old = {s.name: _column(channel, i) for i, s in enumerate(shapes)}
-        own = own_weights(shapes, old) | done.shapes
-        new = combined_weights(shapes, own)
-        index = {shape.name: i for i, shape in enumerate(shapes)}
-        changed = dict.fromkeys([*done.shapes, *plan.combined])
-        for name in done.shapes:
-            if old[name].any():
-                apart = np.abs(new[name] - old[name])
-                self._replace(f"shape/{name}", apart, times, SAME_WEIGHT)
-        rows = {index[name]: new[name][:, None] for name in changed}
-        return _with_rows(channel, rows)
-
-    def _new_controls(
-        self, motion: Motion, done: DriverValues, times: FloatArray
-    ) -> Channel | None:
-        controls, channel = self.rig.controls, motion.controls
-        if not done.controls or channel is None:
-            return channel
-        rows = {
-            i: done.controls[control.name][:, None]
-            for i, control in enumerate(controls)
-            if control.name in done.controls
-        }
-        for i, value in rows.items():
-            old = _column(channel, i)
-            if (old != controls[i].default).any():
-                apart = np.abs(value[:, 0] - old)
-                target = f"control/{controls[i].name}"
-                self._replace(target, apart, times, SAME_WEIGHT)
-        return _with_rows(channel, rows)
-
-    def _replace(
-        self, target: str, apart: FloatArray, times: FloatArray, same: float
-    ) -> None:
-        """Note how far a source's motion of a target is from what drives it."""
-        if self.replaced and apart.max(initial=0.0) > same:
-            self._gone.setdefault(target, Worst()).take(apart, times)
-
-
-@dataclass(frozen=True, slots=True)
-class _Reader:
-    """Reads coordinates of joints off a motion."""
-
-    run: DriverRun
-    motion: Motion
-    times: FloatArray
-    known: Mapping[str, FloatArray]
-    # What was read already: whole turns are counted once a block.
-    seen: dict[str, FloatArray] = field(default_factory=dict)
-
-    def __call__(self, name: str) -> FloatArray:
-        """Return a coordinate ``(F,)``, or ``(1,)`` where the joint does not move."""
-        if name in self.known:
-            return self.known[name]
-        if name not in self.seen:
-            self.seen[name] = self._value(name)
-        return self.seen[name]
-
-    def _value(self, name: str) -> FloatArray:
-        rig = self.run.rig
-        joint_name, part = split_coordinate(name)
-        j = rig.index(joint_name)
-        joint = rig.joints[j]
-        undo = so3.conjugate(rig.rest_rotations[j])
-        if joint.type is JointType.PRISMATIC:
-            away = _rows(self.motion.translations, j) - rig.rest_translations[j]
-            return np.asarray(so3.rotate(undo, away) @ np.array(joint.axis))
-        turn = so3.multiply(undo, _rows(self.motion.rotations, j))
-        if joint.type is JointType.BALL:
-            values = ball_part(joint, part, turn)
-            if part == TWIST:
-                self.run.watch(name, values, self.times)
-            return values
-        along = turn[:, :3] @ np.array(joint.axis)
-        angles = 2.0 * np.arctan2(along, turn[:, 3])
-        if isinstance(joint.limits, RangeLimit):
-            middle = (joint.limits.low + joint.limits.high) / 2
-            width = joint.limits.high - joint.limits.low
-            if width <= 2 * np.pi:
-                whole = np.round((angles - middle) / (2 * np.pi))
-                return np.asarray(angles - 2 * np.pi * whole)
-        return self.run.unwrapped(j, angles)
-
-
-def _refuse_undefined(rig: Rig, done: DriverValues, times: FloatArray) -> None:
-    named = {f"joint {rig.names[j]!r}": value for j, value in done.joints.items()}
-    named |= {f"control {name!r}": value for name, value in done.controls.items()}
-    named |= {f"shape {name!r}": value for name, value in done.shapes.items()}
-    faults = []
-    for what, values in named.items():
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size and len(times):
-            frame = times[wrong[0] if len(values) > 1 else 0]
-            message = f"the driver of {what} has no value at frame {frame:g}"
-            hint = "an expression divides by nothing, or leaves the numbers"
-            faults.append(Fault("CLIP015", message, None, (), hint))
-    if faults:
-        raise FormatError(faults)
-
-
-def _rows(channel: Channel, i: int) -> FloatArray:
-    """Return one row ``(F, K)`` of a channel, or ``(1, K)`` where it does not move."""
-    place = int(np.searchsorted(channel.animated, i))
-    if place < len(channel.animated) and channel.animated[place] == i:
-        return np.asarray(channel.values[:, place])
-    return np.asarray(channel.rest[i][None])
-
-
-def _states(channel: Channel, i: int, rest: FloatArray) -> bool:
-    """Return whether a channel moves a row, or holds it away from rest."""
-    away = min(np.abs(channel.rest[i] + sign * rest).max() for sign in (-1, 1))
-    return i in channel.animated or bool(away > SAME)
-
-
-def _column(channel: Channel, i: int) -> FloatArray:
-    return _rows(channel, i)[:, 0]
-
-
-def _with_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
-    """Return a channel with rows ``(F, K)``, or ``(1, K)`` that do not move."""
-    if not rows:
-        return channel
-    frames = len(channel.values)
-    still = [i for i, values in rows.items() if len(values) == 1 != frames]
-    moving = sorted(rows.keys() - still)
-    rest = channel.rest.copy()
-    for i in still:
-        rest[i] = rows[i][0]
-    kept = ~np.isin(channel.animated, still)
-    out = Channel(rest, channel.animated[kept], channel.values[:, kept])
-    if not moving:
-        return out
-    values = np.stack(
-        [np.broadcast_to(rows[i], (frames, rest.shape[1])) for i in moving], axis=1
-    )
-    return out.put(np.array(moving, np.int64), values)
-
-
-def _distance(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(one - other, axis=-1))
-
-
-def _shown(joint: Joint, amount: float) -> str:
-    if joint.type is JointType.PRISMATIC:
-        return length_text(amount, 4)
-    return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"
-
-
-def _warning(code: str, message: str, hint: str) -> Fault:
-    return Fault(code, message, None, (), hint, Severity.WARNING)
 
 
 def driven_take(take: Take) -> Take:
@@ -415,6 +32,8 @@ def driven_take(take: Take) -> Take:
     """
     if not take.rig.is_driven:
         return take
+    from animtool.driver_run import DriverRun
+
     run = DriverRun(take.rig)
     motion = run.drive(take.motion, np.asarray(take.clock.times, np.float64))
     new = unsaid(run.notices(), take.notices)
@@ -432,6 +51,8 @@ def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
     """
     if not stream.rig.is_driven:
         return stream
+    from animtool.driver_run import DriverRun
+
     run = DriverRun(stream.rig, replaced)
     start = float(stream.start or 1)
 
@@ -454,6 +75,8 @@ def driven_stream(stream: TakeStream, *, replaced: bool = False) -> TakeStream:
 def _driven_curve(
     rig: Rig, curve: Callable[[FloatArray], Motion]
 ) -> Callable[[FloatArray], Motion]:
+    from animtool.driver_run import DriverRun
+
     return lambda times: DriverRun(rig).drive(curve(times), times)
 
 

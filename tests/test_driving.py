@@ -15,7 +15,8 @@ from animtool._types import FloatArray
 from animtool.clip.keyed_take import keyed_take
 from animtool.clip.sample import sample_values
 from animtool.clock import Clock
-from animtool.driving import DriverRun, driven_stream, driven_take
+from animtool.driver_run import DriverRun
+from animtool.driving import driven_stream, driven_take
 from animtool.errors import FormatError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

@@ -157,7 +157,7 @@ def sample_values(
         moving_controls,
     )
     if rig.is_driven:
-        from animtool.driving import DriverRun
+        from animtool.driver_run import DriverRun
 
         run = DriverRun(rig, replaced=True)
         motion = run.drive(motion, times, coordinates)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.config import project_roots
 from animtool.documents.arrays import Archives
@@ -17,7 +18,6 @@ from animtool.errors import AnimtoolError
 from animtool.readers import DOCUMENT, find_reader
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.driver_entries import DriverCheck
-from animtool.rig.drivers import Driver
 from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of, quaternion
 from animtool.rig.joint_schema import PoseModel
 from animtool.rig.part_entries import PartReader
@@ -26,6 +26,9 @@ from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
 from animtool.units import LengthUnit, UpAxis
+
+if TYPE_CHECKING:
+    from animtool.rig.drivers import Driver
 
 
 def bind_of(

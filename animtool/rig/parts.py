@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives, load_array
-from animtool.rig.drivers import Driver
+
+if TYPE_CHECKING:
+    from animtool.rig.drivers import Driver
 
 Vector = tuple[float, float, float]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.readers import find_reader
 from animtool.rig.controls import Control
-from animtool.rig.drivers import Driver
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
     Attachment,
@@ -28,6 +27,9 @@ from animtool.rig.parts import (
 )
 from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
+
+if TYPE_CHECKING:
+    from animtool.rig.drivers import Driver
 
 # Letters of the paths of all joints: a chain has the square of its joints.
 MAX_PATHS = 500_000_000
