@@ -49,6 +49,7 @@ LAYERS = [
     {
         "clock",
         "contacts",
+        "driver_run",
         "driving",
         "physics",
         "frames",
