@@ -58,11 +58,11 @@ class Interval:
         return self.problem.chain
 
     def solved(
-        self, starts: FloatArray, frames: IntArray
+        self, starts: FloatArray, frames: IntArray, steps: int = DESCENT
     ) -> tuple[FloatArray, FloatArray]:
         """Return poses ``(B, C)`` for starts in frames of the clip, and their cost."""
         rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
-        chosen = replace(self.options, warm=False, restarts=0, iterations=DESCENT)
+        chosen = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, chosen)
         misses = result.misses / by_unit(self.chain.length, 1.0)
         poses = self.chain.from_rig(result.coordinates)
@@ -153,8 +153,8 @@ def branch_tracks(
 ) -> tuple[FloatArray, FloatArray]:
     """Return paths through a whole interval ``(K, L, C)``, as of `branches`.
 
-    The path as it is, and for each of some rows the poses there and beside it and
-    other solutions, each followed both ways through time to the ends.
+    The path as it is, and for each of some rows the poses there and beside it and the
+    nearest of other solutions, each followed both ways through time to the ends.
     """
     paths, prices = [interval.poses[None]], [interval.costs[None]]
     for row in rows.tolist():
@@ -164,7 +164,9 @@ def branch_tracks(
         frames = np.full(len(starts), interval.frames[row])
         solutions, cost = interval.solved(np.array(starts), frames)
         kept = _distinct(interval.chain, solutions[cost <= cost.min() + NO_WORSE])
-        tracks, costs = follow_both_ways(interval, kept, row)
+        away = np.abs(difference(interval.chain, home, kept)).max(axis=1)
+        kept = kept[np.argsort(away, kind="stable")[:STRANDS]]
+        tracks, costs = follow_both_ways(interval, kept, row, STEPS)
         paths.append(tracks)
         prices.append(costs)
     return np.concatenate(paths), np.concatenate(prices)
@@ -240,7 +242,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def follow_both_ways(
-    interval: Interval, poses: FloatArray, at: int
+    interval: Interval, poses: FloatArray, at: int, steps: int = DESCENT
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses ``(K, C)`` of a row followed to both ends of the interval."""
     length = len(interval.frames)
@@ -253,7 +255,7 @@ def follow_both_ways(
                 change = interval.changed(now, row - way)
                 now = moved(interval.chain, interval.reference[row], change)
             frames = np.full(len(now), interval.frames[row])
-            now, costs[:, row] = interval.solved(now, frames)
+            now, costs[:, row] = interval.solved(now, frames, steps)
             tracks[:, row] = now
     return tracks, costs
 

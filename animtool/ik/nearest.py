@@ -17,11 +17,14 @@ from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import IkOptions, solve
 
-# Starts: so many combinations of limits, and a third as many random poses; chains of
-# more degrees of freedom have a ninth of them.
+# Starts: so many combinations of limits, and as many random poses; chains of more
+# degrees of freedom have a ninth of them.
 MAX_STARTS, MANY_DEGREES = 27, 12
-# Steps from each.
-DESCENT = 100
+# Steps from each, and from the best of them; what is still this many times as costly as
+# the pose at hand then is not followed.
+GLANCE, DESCENT, HOPELESS = 8, 100, 1.3
+# So many of the most promising starts are followed to their end.
+FOLLOWED = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
@@ -45,16 +48,34 @@ def nearest(
 
     ``result`` and ``targets`` are of the B problems, ``prefer`` ``(B, Q)``.
     """
-    chosen = replace(options, ordered=False, warm=False, method=IkMethod.DAMPED)
+    chosen = replace(
+        options,
+        ordered=False,
+        warm=False,
+        restarts=0,
+        near=False,
+        method=IkMethod.DAMPED,
+    )
     wished = np.asarray(prefer, np.float64)
-    best = result
-    trial = solve(problem, result.coordinates, targets, chosen, prefer=wished)
-    best = _better(best, trial)
-    once = replace(chosen, restarts=0, iterations=DESCENT, near=False)
+    glance, descent = (replace(chosen, iterations=n) for n in (GLANCE, DESCENT))
+    ends: list[FloatArray] = []
+    costs: list[FloatArray] = []
     for start in _starts(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        best = _better(best, solve(problem, rows, targets, once, prefer=wished))
+        end = solve(problem, rows, targets, glance, prefer=wished)
+        ends.append(end.coordinates)
+        costs.append(cost_of(end))
+    best, order = result, np.argsort(costs, axis=0, kind="stable")
+    for choice in order[:FOLLOWED]:
+        reached = np.array(costs)[choice, np.arange(len(choice))]
+        hopeful = np.flatnonzero(reached < HOPELESS * cost_of(best))
+        if len(hopeful):
+            starts = np.array(ends)[choice[hopeful], hopeful]
+            some = rows_of(targets, hopeful)
+            end = solve(problem, starts, some, descent, prefer=wished[hopeful])
+            better = cost_of(end) < cost_of(best)[hopeful]
+            best = _placed(best, end, hopeful[better], np.flatnonzero(better))
     return best
 
 
@@ -86,7 +107,7 @@ def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArra
     most = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
     pose = chain.from_rig(home[None])[0]
     yield from _corners(chain, pose, most)
-    yield from random_poses(chain, pose, most // 3, [seed])
+    yield from random_poses(chain, pose, most, [seed])
 
 
 def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
@@ -103,12 +124,6 @@ def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
         pose = home.copy()
         pose[[column for column, _ in held]] = values
         yield pose
-
-
-def _better(one: IkResult, other: IkResult) -> IkResult:
-    """Return of each problem the result that misses less."""
-    rows = np.flatnonzero(cost_of(other) < cost_of(one))
-    return _placed(one, other, rows, rows)
 
 
 def _placed(

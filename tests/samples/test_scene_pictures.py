@@ -16,6 +16,9 @@ from support.printed import ROOT, Printed
 # machine to machine. Frames that are three further differ by 5 and more.
 SAME = 3.0
 NAMES = ["flag", "drape", "sheets", "embers", "rope", "murmuration", "fall"]
+# Atoms that collide are elsewhere after a few hundred steps where another processor
+# rounds one number another way: only how much of what is drawn is the same.
+CHAOTIC = {"argon"}
 # One script draws them.
 SIMULATED = ["wingnut", "dominoes", "wrecking_ball", "galaxies", "argon"]
 
@@ -53,6 +56,8 @@ def test_the_committed_picture_is_what_is_drawn(
     draw(baked_by(printed, name), out)
     drawn, committed = pixels(out), pixels(ROOT / f"samples/{name}/{name}.png")
     assert drawn.shape == committed.shape
+    if name in CHAOTIC:
+        drawn, committed = (np.sort(image, axis=None) for image in (drawn, committed))
     assert np.abs(drawn - committed).mean() < SAME
 
 
