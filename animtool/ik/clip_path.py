@@ -173,7 +173,7 @@ class ClipPath:
         """Return a result whose frames that are not the nearest say so."""
         whole = slice(0, len(self))
         costs = self.interval(self.poses(result), whole, 0).costs
-        # Frames that were not searched have no least, and targets beyond numbers no cost.
+        # Frames that were not searched have no least, targets beyond numbers no cost.
         known = np.isfinite(costs) & np.isfinite(self.least)
         own, least = (
             missed_by(np.where(known, values, 0.0)) for values in (costs, self.least)
