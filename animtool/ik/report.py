@@ -282,9 +282,10 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
         return f"{hint}eases it out, short of its target by a little"
     if solved.between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
-    hint = "no steadier path was found on other branches, nor with --smooth; targets "
-    hint += "that pass farther from where the limb turns over, that come sooner or "
-    return f"{hint}that ask for less may leave one"
+    hint = (
+        "no steadier path was found, nor with --smooth; a target that passes farther "
+    )
+    return f"{hint}from {worst.joint!r}, moves sooner or has less weight may leave one"
 
 
 def _fading(solved: TakeIk, worst: Jump) -> GoalTrack | None:
