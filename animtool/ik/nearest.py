@@ -9,9 +9,9 @@ from itertools import product
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.ik.branches import price, random_poses
+from animtool.ik.branches import price, random_poses, weighed
 from animtool.ik.chain import BALL, Chain, with_periods
-from animtool.ik.goals import Targets, by_unit, rows_of
+from animtool.ik.goals import Targets, rows_of
 from animtool.ik.options import IkMethod
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
@@ -49,12 +49,13 @@ def nearest(
     wished = np.asarray(prefer, np.float64)
     best = result
     trial = solve(problem, result.coordinates, targets, chosen, prefer=wished)
-    best = _better(best, trial)
+    best = _better(best, trial, targets)
     once = replace(chosen, restarts=0, iterations=DESCENT, near=False)
     for start in _starts(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        best = _better(best, solve(problem, rows, targets, once, prefer=wished))
+        other = solve(problem, rows, targets, once, prefer=wished)
+        best = _better(best, other, targets)
     return best
 
 
@@ -74,9 +75,9 @@ def settled(
     return _placed(result, found, rows, np.arange(len(rows)))
 
 
-def cost_of(result: IkResult) -> FloatArray:
+def cost_of(result: IkResult, targets: Targets) -> FloatArray:
     """Return what the misses of a result cost ``(B,)``, see `price`."""
-    misses = result.misses / by_unit(result.problem.chain.length, 1.0)
+    misses = weighed(result.problem, result.misses, targets)
     return price(misses, result.converged)
 
 
@@ -105,9 +106,9 @@ def _corners(chain: Chain, home: FloatArray, most: int) -> Iterator[FloatArray]:
         yield pose
 
 
-def _better(one: IkResult, other: IkResult) -> IkResult:
+def _better(one: IkResult, other: IkResult, targets: Targets) -> IkResult:
     """Return of each problem the result that misses less."""
-    rows = np.flatnonzero(cost_of(other) < cost_of(one))
+    rows = np.flatnonzero(cost_of(other, targets) < cost_of(one, targets))
     return _placed(one, other, rows, rows)
 
 
