@@ -190,6 +190,26 @@ def test_a_person_does_not_go_onto_a_lamp(root: Path, tmp_path: Path) -> None:
     assert output.exists()
 
 
+def test_a_scene_says_where_too_little_is_paired_and_what_helps(
+    root: Path, tmp_path: Path
+) -> None:
+    shutil.copy(root / WALK, tmp_path / "walk.bvh")
+    (tmp_path / "lamp.rig.yaml").write_text(LAMP, "utf-8")
+    scene = tmp_path / "s.scene.yaml"
+    text = (
+        "scene: animtool/1\nsource: {file: walk.bvh}\npasses:\n"
+        "- retarget: {rig: lamp.rig.yaml}\noutput: {file: s.usda}\n"
+    )
+    scene.write_text(text, "utf-8")
+    done = animtool("bake", scene, "--log-format", "json")
+    assert done.code == 3
+    (said,) = [json.loads(line) for line in done.stderr.splitlines()]
+    assert (said["code"], said["lines"]) == ("MAP010", [4])
+    assert "force_fit: true" in said["hint"]
+    scene.write_text(text.replace("yaml}", "yaml, force_fit: true}"), "utf-8")
+    assert animtool("bake", scene).code == 0
+
+
 def test_of_a_rig_that_shares_no_joint_a_person_is_refused_too(
     root: Path, tmp_path: Path
 ) -> None:
