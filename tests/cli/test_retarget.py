@@ -190,6 +190,18 @@ def test_a_person_does_not_go_onto_a_lamp(root: Path, tmp_path: Path) -> None:
     assert output.exists()
 
 
+def test_what_is_driven_is_not_named_as_lacking(root: Path, tmp_path: Path) -> None:
+    patch = "- {name: patch, type: pin, parent: head, axis: [0, 1, 0]%s}\nmeshes:\n"
+    shutil.copytree(root / "rigs/biped", tmp_path / "biped")
+    rig = tmp_path / "biped/biped.rig.yaml"
+    text, missing = rig.read_text("utf-8"), []
+    for driven in ("", ", driven: {expr: elbow_l.angle / 10}"):
+        rig.write_text(text.replace("meshes:\n", patch % driven, 1), "utf-8")
+        done = animtool("retarget", root / WALK, "--to", rig, "--format", "json")
+        missing.append("patch" in json.loads(done.stdout)["unmapped_target"])
+    assert missing == [True, False]
+
+
 def test_a_scene_says_where_too_little_is_paired_and_what_helps(
     root: Path, tmp_path: Path
 ) -> None:
