@@ -205,6 +205,17 @@ def test_a_driver_without_a_value_is_an_error_with_the_frame(roll: str) -> None:
         assert "frame 3" in fault.message
 
 
+def test_a_driver_may_be_a_number() -> None:
+    made = rig("0.25")
+    shape = replace(made.shapes[0], driven=expr("1 / 2"))
+    made = replace(made, shapes=(shape, *made.shapes[1:]))
+    motion = driven_take(take_of(made, np.zeros(3), np.zeros(3))).motion
+    turns = so3.log(motion.rotations.dense()[:, 1])
+    np.testing.assert_allclose(turns[:, 0], 0.25, atol=1e-12)
+    assert motion.weights is not None
+    np.testing.assert_array_equal(motion.weights.dense()[:, 0], 0.5)
+
+
 def test_numbers_beyond_numbers_are_an_error_too() -> None:
     made = rig("exp(elbow.angle * 1e300)")
     with pytest.raises(FormatError) as caught:

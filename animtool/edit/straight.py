@@ -95,8 +95,8 @@ def straight_notices(between: Between, places: Places) -> list[Fault]:
         "the take has samples and no curves there, so between two frames it goes "
         f"straight, which may be off by about {listed(said)}"
     )
-    hint = "a resample pass with smooth: true goes along curves; --keep-samples keeps "
-    hint += "the frames as they are"
+    hint = "in a scene, a resample pass with smooth: true goes along curves; bake "
+    hint += "--keep-samples keeps the frames as they are"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 

@@ -17,6 +17,8 @@ from animtool.ik.solving import IkOptions, solve
 
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4
+# Weight of goals of the next priority number [1].
+GIVES_WAY = 1e-2
 # Poses that cost no more than this much more miss their goals by as much, see `price`.
 NO_WORSE = 1e-3
 # Poses nearer than this are one branch [rad], [share of the length].
@@ -64,8 +66,8 @@ class Interval:
         rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
         chosen = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, chosen)
-        misses = result.misses / by_unit(self.chain.length, 1.0)
         poses = self.chain.from_rig(result.coordinates)
+        misses = weighed(self.problem, result.misses, rows_of(self.targets, frames))
         return poses, price(misses, result.converged)
 
     def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
@@ -98,8 +100,24 @@ class Interval:
         return difference(self.chain, self.reference[row], poses)
 
 
+def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArray:
+    """Return what misses ``(F, E, 4)`` [m], [rad] count in a search ``(F, E, 4)`` [1].
+
+    As in the solver, goals count by their weights, and those that give way hardly
+    against the others; what counts most in a frame counts as it is, in shares of the
+    length.
+    """
+    counts = np.array([goal.weights for goal in problem.goals])
+    counts = counts * GIVES_WAY ** problem.chain.goals[:, 3:4]
+    if targets.weights is not None:
+        counts = counts * np.asarray(targets.weights, np.float64)
+    most = counts.max(axis=(-2, -1), keepdims=True)
+    counts = np.divide(counts, most, out=np.zeros_like(counts), where=most > 0)
+    return np.asarray(misses / by_unit(problem.length, 1.0) * counts)
+
+
 def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
-    """Return the cost of misses ``(F, E, 4)``, 0 where goals are reached ``(F,)``."""
+    """Return the cost of misses as `weighed`, 0 where goals are reached ``(F,)``."""
     cost = MISSED * (1.0 + (misses**2).sum(axis=(1, 2)))
     return np.where(reached, 0.0, cost)
 

@@ -9,9 +9,16 @@ from typing import Any
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.ik.branches import Interval, best_path, forgiving, missed_by, price
+from animtool.ik.branches import (
+    Interval,
+    best_path,
+    forgiving,
+    missed_by,
+    price,
+    weighed,
+)
 from animtool.ik.chain import difference
-from animtool.ik.goals import Targets, rows_of
+from animtool.ik.goals import Targets, by_unit, rows_of
 from animtool.ik.jumps import largest_step
 from animtool.ik.options import IkMethod
 from animtool.ik.path import at_poses, jumping_frames, path_of
@@ -134,14 +141,16 @@ class ClipPath:
     def interval(self, poses: FloatArray, window: slice, frame: int) -> Interval:
         """Return a window of the clip with its poses ``(L, C)``, broken at a frame."""
         path = self.path.frames(window)
-        misses = path.measured(poses)
+        shares = path.measured(poses)
+        misses = shares * by_unit(self.problem.length, 1.0)
+        counts = weighed(self.problem, misses, rows_of(self.targets, window))
         return Interval(
             self.problem,
             self.targets,
             range(window.start, window.stop),
             frame,
             poses,
-            price(misses, path.excess(misses) <= 1),
+            price(counts, path.excess(shares) <= 1),
             self.reference[window],
             np.full(len(path.drifts), SMOOTH_ENOUGH * self.largest),
             self.prefer,

@@ -9,9 +9,9 @@ from itertools import product
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
-from animtool.ik.branches import price, random_poses
+from animtool.ik.branches import price, random_poses, weighed
 from animtool.ik.chain import BALL, Chain, with_periods
-from animtool.ik.goals import Targets, by_unit, rows_of
+from animtool.ik.goals import Targets, rows_of
 from animtool.ik.options import IkMethod
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
@@ -65,16 +65,16 @@ def nearest(
         rows = problem.chain.into_rig(starts, result.coordinates)
         end = solve(problem, rows, targets, glance, prefer=wished)
         ends.append(end.coordinates)
-        costs.append(cost_of(end))
+        costs.append(cost_of(end, targets))
     best, order = result, np.argsort(costs, axis=0, kind="stable")
     for choice in order[:FOLLOWED]:
         reached = np.array(costs)[choice, np.arange(len(choice))]
-        hopeful = np.flatnonzero(reached < HOPELESS * cost_of(best))
+        hopeful = np.flatnonzero(reached < HOPELESS * cost_of(best, targets))
         if len(hopeful):
             starts = np.array(ends)[choice[hopeful], hopeful]
             some = rows_of(targets, hopeful)
             end = solve(problem, starts, some, descent, prefer=wished[hopeful])
-            better = cost_of(end) < cost_of(best)[hopeful]
+            better = cost_of(end, some) < cost_of(best, targets)[hopeful]
             best = _placed(best, end, hopeful[better], np.flatnonzero(better))
     return best
 
@@ -95,9 +95,9 @@ def settled(
     return _placed(result, found, rows, np.arange(len(rows)))
 
 
-def cost_of(result: IkResult) -> FloatArray:
+def cost_of(result: IkResult, targets: Targets) -> FloatArray:
     """Return what the misses of a result cost ``(B,)``, see `price`."""
-    misses = result.misses / by_unit(result.problem.chain.length, 1.0)
+    misses = weighed(result.problem, result.misses, targets)
     return price(misses, result.converged)
 
 

@@ -15,6 +15,7 @@ from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump
+from animtool.ik.limbs import find_limbs
 from animtool.ik.options import MISSED, MISSED_DEGREES
 from animtool.ik.result import IkStatus
 from animtool.ik.take_run import TakeIk
@@ -29,6 +30,8 @@ MISSED_LENGTH, MISSED_ANGLE = parse_length(MISSED), math.radians(MISSED_DEGREES)
 FAR = 10.0
 # So are targets that are this many sizes of the rig away from it in every frame.
 AWAY = 20.0
+# Share of its reach that a limb is told to ease out over.
+EASED = 0.1
 # Distances whose squares have no number are at least this [m].
 BEYOND = 1e150
 
@@ -278,8 +281,8 @@ def _cure(solved: TakeIk, worst: Jump) -> str:
         return "its goals move or turn as fast there: keys farther apart slow them"
     goal = _stretching(solved, worst)
     if goal is not None:
-        hint = f"the limb comes to full stretch there: soft: 0.1 on the goal {goal!r} "
-        return f"{hint}eases it out, short of its target by a little"
+        hint = f"the limb comes to full stretch there: soft: {EASED:g} on the goal "
+        return f"{hint}{goal!r} eases it out, short of its target by a little"
     if solved.between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = (
@@ -316,9 +319,18 @@ def _stretching(solved: TakeIk, worst: Jump) -> str | None:
         missed = solved.misses[rows, e, 0] > MISSED_LENGTH
         asked = solved.asked[rows, e, 0].all()
         snaps = asked and missed[0] != missed[1] and not track.goal.soft
-        if snaps and worst.joint in _moving(solved, track):
+        if snaps and worst.joint in _moving(solved, track) and _may_ease(solved, e):
             return track.name
     return None
+
+
+def _may_ease(solved: TakeIk, e: int) -> bool:
+    """Return whether a goal may be soft, so that its limb eases out."""
+    problem = solved.problem
+    goals = list(problem.goals)
+    goals[e] = replace(goals[e], soft=EASED)
+    moving = {problem.rig.index(name) for name in problem.joints}
+    return not find_limbs(problem.rig, goals, moving, problem.chain)[1]
 
 
 def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:

@@ -64,7 +64,8 @@ class Driver:
         """
         own = {name: values[name] / self.unit_of(name) for name in self.names}
         if self.expression is not None:
-            return self.expression.evaluate(own) * self.unit
+            # One that reads nothing is a number.
+            return np.atleast_1d(self.expression.evaluate(own)) * self.unit
         return curve_values(self.curve, own[self.by], smooth=self.smooth) * self.unit
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:

@@ -73,14 +73,14 @@ class Place:
         """Give faults that have no file this place.
 
         Raises:
-            FormatError: What an `OptionError` said.
+            FormatError: What an `OptionError` or a `FormatError` said.
             ToleranceError: What one said.
         """
         try:
             yield
         except ToleranceError as error:
             raise ToleranceError([self.put(fault) for fault in error.faults]) from error
-        except OptionError as error:
+        except (OptionError, FormatError) as error:
             raise FormatError([self.put(fault) for fault in error.faults]) from error
 
 

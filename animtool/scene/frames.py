@@ -218,7 +218,9 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     notices = []
     if times.dropped:
         faults = dropped_notice(times.dropped, plan.fps, times.last)
-        notices.append(replace(faults, path=where, hint="--keep-samples writes it"))
+        notices.append(
+            replace(faults, path=where, hint="bake --keep-samples writes it")
+        )
     if frame_range is None or plan.options.shot is not None:
         return notices
     ends = f"{frame_label(times.first)} to {frame_label(times.last)}"

@@ -579,3 +579,42 @@ def test_a_folder_is_no_stage(place: Path) -> None:
     done = run(place, "-t", "prop.targets.yaml")
     assert done.code == 3
     assert "'samples' is a folder" in done.stderr
+
+
+SNAPS = """\
+targets: animtool/1
+fps: 24
+range: [1, 24]
+goals:
+- effector: tip
+  position:
+    interp: linear
+    keys: [{t: 1, v: [1, 0.3, 0]}, {t: 12, v: [2.2, 0.3, 0]}, {t: 24, v: [1, 0.3, 0]}]
+"""
+LIMB = """\
+rig: animtool/1
+name: limb
+joints:
+- {name: base, type: %s}
+- {name: upper, type: pin, parent: base, axis: [0, 0, 1]}
+- {name: lower, type: pin, parent: upper, translate: [1, 0, 0], axis: [0, 0, 1],
+   limits: [0, 150]}
+- {name: tip, type: fixed, parent: lower, translate: [0.7, 0, 0]}
+"""
+SLIDE = "prismatic, axis: [0, 1, 0], limits: [0, 0.01]"
+
+
+@pytest.mark.parametrize("slides", [True, False])
+def test_to_ease_a_limb_out_is_advised_where_it_may_be(
+    tmp_path: Path, slides: bool
+) -> None:
+    rig, targets = tmp_path / "limb.rig.yaml", tmp_path / "snaps.targets.yaml"
+    text = LIMB % (SLIDE if slides else "fixed")
+    rig.write_text(text, "utf-8")
+    targets.write_text(SNAPS, "utf-8")
+    found = json.loads(animtool("ik", rig, "-t", targets, "--format", "json").stdout)
+    (said,) = [one for one in found["notices"] if one["code"] == "IK102"]
+    assert ("soft: 0.1" in said["hint"]) is not slides
+    targets.write_text(SNAPS.replace("tip\n", "tip\n  soft: 0.1\n"), "utf-8")
+    eased = animtool("ik", rig, "-t", targets, "--format", "json")
+    assert (eased.code == 0) is not slides

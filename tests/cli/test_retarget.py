@@ -190,6 +190,38 @@ def test_a_person_does_not_go_onto_a_lamp(root: Path, tmp_path: Path) -> None:
     assert output.exists()
 
 
+def test_what_is_driven_is_not_named_as_lacking(root: Path, tmp_path: Path) -> None:
+    patch = "- {name: patch, type: pin, parent: head, axis: [0, 1, 0]%s}\nmeshes:\n"
+    shutil.copytree(root / "rigs/biped", tmp_path / "biped")
+    rig = tmp_path / "biped/biped.rig.yaml"
+    text, missing = rig.read_text("utf-8"), []
+    for driven in ("", ", driven: {expr: elbow_l.angle / 10}"):
+        rig.write_text(text.replace("meshes:\n", patch % driven, 1), "utf-8")
+        done = animtool("retarget", root / WALK, "--to", rig, "--format", "json")
+        missing.append("patch" in json.loads(done.stdout)["unmapped_target"])
+    assert missing == [True, False]
+
+
+def test_a_scene_says_where_too_little_is_paired_and_what_helps(
+    root: Path, tmp_path: Path
+) -> None:
+    shutil.copy(root / WALK, tmp_path / "walk.bvh")
+    (tmp_path / "lamp.rig.yaml").write_text(LAMP, "utf-8")
+    scene = tmp_path / "s.scene.yaml"
+    text = (
+        "scene: animtool/1\nsource: {file: walk.bvh}\npasses:\n"
+        "- retarget: {rig: lamp.rig.yaml}\noutput: {file: s.usda}\n"
+    )
+    scene.write_text(text, "utf-8")
+    done = animtool("bake", scene, "--log-format", "json")
+    assert done.code == 3
+    (said,) = [json.loads(line) for line in done.stderr.splitlines()]
+    assert (said["code"], said["lines"]) == ("MAP010", [4])
+    assert "force_fit: true" in said["hint"]
+    scene.write_text(text.replace("yaml}", "yaml, force_fit: true}"), "utf-8")
+    assert animtool("bake", scene).code == 0
+
+
 def test_of_a_rig_that_shares_no_joint_a_person_is_refused_too(
     root: Path, tmp_path: Path
 ) -> None:

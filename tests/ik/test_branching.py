@@ -104,3 +104,48 @@ def test_a_clip_begins_on_the_branch_that_leads_on() -> None:
     result = follow(problem, clip, targets)
     assert result.converged.all()
     assert result.jumps == ()
+
+
+def pulled(weight: float, priority: int) -> tuple[FloatArray, FloatArray]:
+    """Return what two goals out of reach cost, and the least of a grid ``(F,)``."""
+    rig = arm(2)
+    hinge, limits = (0.0, 0.0, 1.0), RangeLimit(-2.6, 2.6)
+    joints = (
+        replace(rig.joints[0], axis=hinge, limits=limits),
+        replace(rig.joints[1], axis=hinge, limits=limits, translation=(1.0, 0.0, 0.0)),
+    )
+    goals = [
+        Goal("b1", (0.7, 0.0, 0.0)),
+        Goal("b1", position=weight, priority=priority),
+    ]
+    problem = build(replace(rig, joints=joints), goals)
+    rng = np.random.default_rng(5)
+    ends = rng.uniform(-1.6, 1.6, (2, 2, 2))
+    share = np.linspace(0, 1, 13)[:, None, None]
+    points = ends[0] * (1 - share) + ends[1] * share
+    spots = np.concatenate([points, np.zeros((13, 2, 1))], axis=2)
+    start = np.repeat(rest_pose(problem)[None], 13, axis=0)
+    result = follow(problem, start, Targets(spots))
+    claimed = np.array([status is IkStatus.NEAREST for status in result.statuses])
+    counts = np.array([1.0, weight if priority == 0 else 0.0])
+    found = np.hypot(*(result.positions * counts).T)
+    a, b = np.meshgrid(*[np.linspace(-2.6, 2.6, 601)] * 2, indexing="ij")
+    elbow = np.stack([np.cos(a), np.sin(a)], axis=-1)
+    tip = elbow + 0.7 * np.stack([np.cos(a + b), np.sin(a + b)], axis=-1)
+    least = [
+        np.hypot(
+            np.linalg.norm(tip - p[0], axis=-1),
+            np.linalg.norm(elbow - p[1], axis=-1) * counts[1],
+        ).min()
+        for p in points
+    ]
+    assert claimed.sum() >= 5
+    return found[claimed], np.array(least)[claimed]
+
+
+@pytest.mark.parametrize(
+    ("weight", "priority"), [(0.02, 0), (0.1, 0), (0.3, 0), (1.0, 1), (4.0, 0)]
+)
+def test_the_nearest_heeds_weights_and_priorities(weight: float, priority: int) -> None:
+    found, least = pulled(weight, priority)
+    assert (found - least).max() < 1.5e-3

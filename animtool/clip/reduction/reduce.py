@@ -65,7 +65,8 @@ def reduce_motion(
     largest part in it are tightened around that frame. Same take, same bytes.
 
     Pins and slides keep their limits between frames too, and balls theirs to within
-    some hundredths of a degree, where all that they do is keyed.
+    some hundredths of a degree, or tenths where they turn by over 10 degrees a frame,
+    as the shortest arc from frame to frame does; where all that they do is keyed.
 
     Limits: between frames no error is measured. A tolerance near rounding
     (1e-12 of the rig's size) may not be reached; ``held`` says so. Controls are left

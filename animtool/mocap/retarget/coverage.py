@@ -59,7 +59,8 @@ def lacking_pairs(
     )
     if limbs and not whole:
         message += f", and none of its limbs ({listed(sorted(limbs), MAX_NAMED)})"
-    hint = "write a map file, or bring what is paired all the same with --force-fit"
+    hint = "write a map file, or bring what is paired all the same with --force-fit, "
+    hint += "in a pass force_fit: true"
     return Fault("MAP010", message, hint=hint)
 
 
@@ -91,7 +92,8 @@ def collapsed(source: Rig, found: JointMap, longest: FloatArray) -> Fault | None
         f"frame, and up to {length_text(float(lengths[bones].max()))} at rest: {names} "
         "are at their parents"
     )
-    hint = "of a BVH, --positions offsets lets OFFSETs hold; --force-fit takes it so"
+    hint = "of a BVH, --positions offsets lets OFFSETs hold; --force-fit, in a pass "
+    hint += "force_fit: true, takes it as it is"
     return Fault("MAP011", message, hint=hint)
 
 

@@ -285,6 +285,8 @@ class FitMeter:
         total, count, most = self._angles
         own, other = self._fastest.tolist()
         names, ours = transfer.target.rig.names, transfer.source.rig.names
+        joints = transfer.target.rig.joints
+        driven = {j for j, joint in enumerate(joints) if joint.driven is not None}
         placed = standing.placed
         return RetargetReport(
             self._frames,
@@ -305,7 +307,7 @@ class FitMeter:
             {names[j]: share for j, share in clamped.items()},
             _mean_held(found, clamped),
             tuple(ours[j] for j in found.unmapped_source),
-            tuple(names[j] for j in found.unmapped_target),
+            tuple(names[j] for j in found.unmapped_target if j not in driven),
         )
 
 
