@@ -94,12 +94,14 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
             part.written.curves = author_controls(
                 animation, part.written.animation, part.curves
             )
-    author_extents(
-        job,
-        authored.visible,
-        authored.layers,
-        [(part.written.name, part.writer) for part in parts],
-    )
+    # Of a rig without rest transforms UsdSkel warns at each frame.
+    with without_usd_warnings():
+        author_extents(
+            job,
+            authored.visible,
+            authored.layers,
+            [(part.written.name, part.writer) for part in parts],
+        )
     for part in parts:
         part.written.sampled = part.writer.sampled
     return authored, result

@@ -45,6 +45,7 @@ from animtool.usd.skinned import (
     skinned_prims,
     unique_name,
 )
+from animtool.usd.stderr import without_usd_warnings
 from animtool.usd.target import RigTarget
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
@@ -341,7 +342,7 @@ class StageMeshes:
 
 def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
     """Return the meshes of the character that a USD file is read as."""
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
@@ -351,7 +352,7 @@ def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
 
 def target_meshes(target: RigTarget) -> StageMeshes:
     """Return the meshes of a rig layer."""
-    with usd_errors(target.path):
+    with usd_errors(target.path), without_usd_warnings():
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
 

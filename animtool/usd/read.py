@@ -59,6 +59,7 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.skinned import MAX_NAMED, character_paths
+from animtool.usd.stderr import without_usd_warnings
 
 
 def read_usd(
@@ -74,7 +75,7 @@ def read_usd(
     take: which take of a clip library; None is the one that it selects.
     """
     path = Path(path)
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         return _read_stage(open_stage(path), path, prim_path, take)
 
 
@@ -122,6 +123,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         stream = _resting(skeleton, stage, path, prim)
     else:
         stream = _read(stage, path, skeleton, animation, prim)
+    stream.notices += skeleton.notices
     if prim is None:
         stream.notices += _lost_motion(animation, Spot.of(path, animation))
     else:

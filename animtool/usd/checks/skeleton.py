@@ -19,9 +19,9 @@ from animtool.usd.faults import (
     joint_order,
     joint_parents,
     own_matrices,
-    rest_transforms,
     tokens,
 )
+from animtool.usd.rest_pose import rest_transforms
 
 
 def check_physics(subject: Subject) -> Iterator[Fault]:

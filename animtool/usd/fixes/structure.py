@@ -10,7 +10,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 from animtool.errors import Fault, counted
 from animtool.usd.checks.extents import extent_sources
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import joint_parents, own_matrices, tokens
+from animtool.usd.faults import tokens
 from animtool.usd.fixes.target import (
     AnyArray,
     Change,
@@ -19,6 +19,7 @@ from animtool.usd.fixes.target import (
     Target,
     rewrite,
 )
+from animtool.usd.rest_pose import relative_bind
 from animtool.usd.rig_prims import upwards
 
 # Of a sum: float32 weights cannot do better.
@@ -111,17 +112,12 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
     joints = tokens(skeleton.GetJointsAttr())
-    bind = own_matrices(skeleton.GetBindTransformsAttr())
-    if len(bind) != len(joints) or not np.isfinite(bind).all():
-        raise NotFixableError("there are no bind transforms to take them from")
     if skeleton.GetRestTransformsAttr().HasAuthoredValue():
         raise NotFixableError("there are rest transforms of another number")
+    rest = relative_bind(skeleton, joints)
+    if rest is None:
+        raise NotFixableError("there are no bind transforms to take them from")
     spec = target.prim_spec(prim)
-    parents = joint_parents(joints)
-    try:
-        rest = _relative(bind, parents)
-    except np.linalg.LinAlgError:
-        raise NotFixableError("a bind transform has no inverse") from None
 
     def edit() -> Change:
         made = spec.attributes.get("restTransforms") or Sdf.AttributeSpec(
@@ -134,15 +130,6 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
         return Change(f"writes restTransforms of {counted(len(joints), 'joint')}")
 
     return edit
-
-
-def _relative(bind: Any, parents: Any) -> Any:
-    """Return row-vector matrices relative to their parents ``(J, 4, 4)``."""
-    rest = np.array(bind, np.float64)
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
-    return np.ascontiguousarray(rest)
 
 
 def default_value(target: Target, fault: Fault) -> Edit:

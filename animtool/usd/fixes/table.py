@@ -18,6 +18,7 @@ EDITS = {
     "USD259": "animtool.usd.fixes.structure:default_prim",
     "USD201": "animtool.usd.fixes.structure:unit_scales",
     "USD229": "animtool.usd.fixes.structure:rest_from_bind",
+    "USD239": "animtool.usd.fixes.structure:rest_from_bind",
     "USD203": "animtool.usd.fixes.timing:unit",
     "USD204": "animtool.usd.fixes.timing:continuous",
     "USD232": "animtool.usd.fixes.structure:normalised",
