@@ -42,7 +42,7 @@ from animtool.usd.layers import (
 )
 from animtool.usd.names import RigPaths, joint_names, legal_name, plain_text
 from animtool.usd.skeleton import author_binding, author_rig
-from animtool.usd.stderr import without_version_warnings
+from animtool.usd.stderr import without_usd_warnings, without_version_warnings
 
 BLOCK_FRAMES = 512  # of a take that is written in one call
 

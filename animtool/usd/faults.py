@@ -18,6 +18,8 @@ from animtool.units import UpAxis
 
 # Transforms are float32 in most files that hold them.
 LARGEST = float(np.finfo(np.float32).max)
+# Of a quaternion's length. Text files with four digits are within.
+UNIT_TOLERANCE = 1e-3
 # Of what a transform with axes of its lengths could enclose.
 SMALLEST_VOLUME = 1e-12
 # Rates and units outside are no rates and units, and would overflow what they scale.

@@ -43,6 +43,7 @@ from animtool.usd.skinned import (
     joint_names,
     prim_name,
     skinned_prims,
+    unbound_notice,
     unique_name,
 )
 from animtool.usd.stderr import without_usd_warnings
@@ -63,7 +64,7 @@ def read_meshes(
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    notices: list[Fault] = []
+    notices = unbound_notice(skeleton, where)
     for name, query in bound_meshes(skeleton):
         at = Spot.of(where, query.GetPrim())
         bind = _bind(query, skeleton, at)

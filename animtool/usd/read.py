@@ -26,6 +26,8 @@ from animtool.usd.animation_values import (
     animated_shapes,
     carry_roots,
     moving_carriers,
+    nearest_samples,
+    normalised,
     sample_grid,
     sampled_values,
     scale_channel,
@@ -57,8 +59,9 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     stored_data,
     up_axis,
+    upwards,
 )
-from animtool.usd.skinned import MAX_NAMED, character_paths
+from animtool.usd.skinned import BINDING_HINT, MAX_NAMED, character_paths
 from animtool.usd.stderr import without_usd_warnings
 
 
@@ -257,10 +260,22 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
     if not stage.HasAuthoredMetadata("startTimeCode"):
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
-    stream.notices.append(
-        Fault("USD103", message, str(path), severity=Severity.WARNING)
-    )
+    hint = None
+    if ignored := _ignored_binding(prim):
+        message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
+        hint = BINDING_HINT
+    warning = Severity.WARNING
+    stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     return stream
+
+
+def _ignored_binding(skeleton: Any) -> str:
+    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
+    for prim in upwards(skeleton):
+        bound = prim.GetRelationship("skel:animationSource")
+        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
+            return str(prim.GetPath())
+    return ""
 
 
 def _read(
@@ -293,19 +308,27 @@ def _read(
         """Return an attribute for the Skeleton's joints, at rest if not animated."""
         attr, width, rows = attributes.get(name), rest.shape[1], None
         if attr is not None:
-            rows = sampled_values(attr, codes, len(places), width, where)
+            rows = sampled_values(
+                attr, codes, len(places), width, where, drift=grid.drift
+            )
         return among_rest(rest, rows, places, len(codes))
 
     translations, rotations, scales = (whole(*part) for part in rests.items())
     translations *= meters
-    rotations = so3.align_signs(so3.normalize(rotations))
+    rotations, off = normalised(rotations, rig.names, codes, where)
+    rotations = so3.align_signs(rotations)
+    notices += off
     if movers:
-        notices += carry_roots(rig, prim, codes, translations, rotations, scales, where)
+        carried = {time for mover in movers for time in mover.GetTimeSamples()}
+        moved = nearest_samples(sorted(carried), codes, grid.drift)
+        notices += carry_roots(rig, prim, moved, translations, rotations, scales, where)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
         scale_channel(scales),
-        shape_weights(animation, codes, len(shapes), where) if shapes else None,
+        shape_weights(animation, codes, len(shapes), where, grid.drift)
+        if shapes
+        else None,
     )
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))

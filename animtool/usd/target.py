@@ -34,7 +34,11 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.skinned import holds_character, is_shown_mesh
+from animtool.usd.skinned import (
+    holds_character,
+    is_shown_mesh,
+    unbound_notice,
+)
 from animtool.usd.stderr import without_usd_warnings
 
 
@@ -122,6 +126,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         notices += _bound_in_shot(stage, paths, str(path))
     skeleton = skeleton_rig(skeletons[0], path, animated=False)
     notices += skeleton.notices
+    notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
     if moving:
         message = f"the SkelRoot {root.GetPath()} moves by {', '.join(moving)}"

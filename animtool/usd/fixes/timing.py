@@ -11,6 +11,7 @@ from pxr import Sdf, Usd
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, counted
 from animtool.maths import so3
+from animtool.usd.animation_values import OFF_FRAME
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
@@ -76,8 +77,6 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
     return np.stack(arrays)
 
 
-# [frame] Further from a whole frame, a sample may be meant where it is.
-MAX_DRIFT = 0.05
 # [1/s] What USD assumes of a layer that states no rate.
 ASSUMED_RATE = 24.0
 
@@ -157,7 +156,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
     moved = {
         time: float(round(time))
         for time in layer.ListAllTimeSamples()
-        if 0 < abs(time - round(time)) <= MAX_DRIFT
+        if 0 < abs(time - round(time)) <= OFF_FRAME
     }
     if not moved:
         for attr in target.prim(fault).GetAttributes():
@@ -165,7 +164,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
                     target.require_own(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
-            off = f"samples more than {MAX_DRIFT} off a whole frame"
+            off = f"samples more than {OFF_FRAME} off a whole frame"
             raise NotFixableError(f"{off} may be intended")
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _moving(layer)
