@@ -8,7 +8,8 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.errors import Fault, counted
-from animtool.usd.checks.extents import extent_sources
+from animtool.usd.checks.extents import extent_sources, joined_bounds
+from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import tokens
 from animtool.usd.fixes.target import (
@@ -157,6 +158,8 @@ NAME = "extent"
 def computed(target: Target, fault: Fault) -> Edit:
     """Write `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
+    That of a SkelRoot is widened where skinned points leave it.
+
     A value of another file is overridden here: that file may be right without the
     motion that this one adds.
     """
@@ -187,7 +190,8 @@ def _author(target: Target, prim: Any) -> Change:
     times = sorted({time for one in sources for time in subject.times(one)})
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
     before = [attr.Get(code) for code in codes]
-    after = [_bounds(bounded, code) for code in codes]
+    skinned = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
+    after = [_bounds(bounded, code, skinned) for code in codes]
     if before == after and attr.HasAuthoredValue():
         return _change(before, after)
     spec = _own_spec(target, prim) or _over(target, prim)
@@ -213,14 +217,22 @@ def _over(target: Target, prim: Any) -> Any:
     return held or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
 
 
-def _bounds(bounded: Any, code: Any) -> Any:
+def _bounds(bounded: Any, code: Any, skinned: SkinnedBounds | None) -> Any:
+    """Return what USD computes, wider where skinned points leave it."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:
         extent = None
     if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
-    return Vt.Vec3fArray(extent)
+    posed = None if skinned is None else skinned.at(code)
+    if posed is None:
+        return Vt.Vec3fArray(extent)
+    # Outwards, so that rounding leaves no point outside.
+    ends = np.array([[-np.inf], [np.inf]], np.float32)
+    outside = np.nextafter(posed.astype(np.float32), ends, dtype=np.float32)
+    wide = joined_bounds(np.array(extent, np.float32), outside)
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(wide, np.float32))
 
 
 def _change(before: list[Any], after: list[Any]) -> Change:
