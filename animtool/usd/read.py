@@ -37,6 +37,7 @@ from animtool.usd.faults import (
     Spot,
     missing_parts,
     names_twice,
+    own_matrices,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -47,7 +48,6 @@ from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.rig_prims import (
     SkeletonRig,
     animation_source,
-    array_value,
     check_moves,
     composition_notices,
     find_skeletons,
@@ -151,8 +151,8 @@ def _join_stored(
         stream.rig,
         data,
         rig.tokens,
-        array_value(skeleton.GetRestTransformsAttr()),
-        array_value(skeleton.GetBindTransformsAttr()),
+        own_matrices(skeleton.GetRestTransformsAttr()),
+        own_matrices(skeleton.GetBindTransformsAttr()),
         path,
     )
     names = [shape.name for shape in joined.shapes]

@@ -18,13 +18,12 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.usd.faults import Spot
+from animtool.usd.faults import Spot, own_matrices
 from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes, read_strands
 from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
-    array_value,
     check_moves,
     composition_notices,
     decompose,
@@ -304,8 +303,8 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             rig,
             data,
             of_skeleton.tokens,
-            array_value(skeleton.GetRestTransformsAttr()),
-            array_value(skeleton.GetBindTransformsAttr()),
+            own_matrices(skeleton.GetRestTransformsAttr()),
+            own_matrices(skeleton.GetBindTransformsAttr()),
             path,
         )
         whole, losses = with_attachments(joined, rig, data, path)

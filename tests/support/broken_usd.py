@@ -588,6 +588,18 @@ BROKEN = [
     Case("USD228", "inverse bind matrices at bind time", _invert_bind, BIND),
     Case("USD228", "inverse bind matrices at rest", _invert_rest, REST),
     Case("USD229", "no rest transforms", drop(REST), REST),
+    Case("USD229", "no rest or bind transforms", both(drop(REST), drop(BIND)), REST),
+    Case(
+        "USD239",
+        "no rest transforms, and an animation of some joints",
+        both(
+            drop(REST),
+            tokens(f"{ANIM}.joints", *NAMES[:-1]),
+            *(in_all_samples(path, shorter) for path in (MOVE, ROT)),
+            rows(SIZE, shorter),
+        ),
+        REST,
+    ),
     Case("USD230", "an index beyond the joints", rows(INDICES, cell(5, 3)), INDICES),
     Case("USD230", "a negative index", rows(INDICES, cell(5, -1)), INDICES),
     Case("USD231", "an index too few", rows(INDICES, shorter), INDICES),
@@ -969,6 +981,7 @@ NEAR = [
         )[0],
     ),
     Case("USD228", "bind as at rest", rows(BIND, cell((slice(0, 3), 3, 0), 0.0))),
+    Case("USD239", "no rest transforms, and an animation of all joints", drop(REST)),
     Case(
         "USD229",
         "identity at rest",

@@ -51,7 +51,7 @@ class SkinnedBounds:
     def at(self, code: Any) -> FloatArray | None:
         """Return the bounds ``(2, 3)`` at a time code; None where nothing is skinned.
 
-        None too where UsdSkel cannot, as of broken influences, which other checks report.
+        None too where UsdSkel cannot: other checks report broken influences.
         """
         try:
             return self._at(code)

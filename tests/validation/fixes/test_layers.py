@@ -68,6 +68,22 @@ def drop(path: str) -> Plant:
     return plant
 
 
+def posed_by_nothing(layer: Any) -> None:
+    """Leave the layer without rest transforms, and its animation without a joint."""
+    drop(f"{SKELETON}.restTransforms")(layer)
+    # What it spans follows from the rest pose.
+    drop(f"{ROOT}.extent")(layer)
+    path = f"{ANIMATION}.joints"
+    attribute(layer, path).default = list(attribute(layer, path).default)[:-1]
+    for name in ("translations", "rotations", "scales"):
+        spec = attribute(layer, f"{ANIMATION}.{name}")
+        for code in layer.ListTimeSamplesForPath(spec.path):
+            rows = layer.QueryTimeSample(spec.path, code)
+            layer.SetTimeSample(spec.path, code, rows[:-1])
+        if spec.HasDefaultValue():
+            spec.default = spec.default[:-1]
+
+
 def hold(layer: Any) -> None:
     spec = attribute(layer, f"{ANIMATION}.joints")
     value = spec.default
@@ -117,6 +133,7 @@ PLANTS: dict[str, Plant] = {
     "USD229": drop(f"{SKELETON}.restTransforms"),
     "USD232": loosen,
     "USD236": unbind,
+    "USD239": posed_by_nothing,
     "USD250": drop(f"{ROOT}.extent"),
     "USD251": shrink,
     "USD252": clear("framesPerSecond"),
@@ -150,6 +167,13 @@ LOST = {
     "USD203": {"3"},
     "USD229": {"restTransforms"},
     "USD232": {"primvars:skel:jointWeights"},
+    "USD239": {
+        "joints",
+        "restTransforms",
+        "scales",
+        "translations",
+        *map(str, range(1, FRAMES + 1)),
+    },
 }
 
 
