@@ -722,6 +722,8 @@ BROKEN = [
     ),
     Case("USD255", "no end", info("/", "endTimeCode", None), "/"),
     Case("USD256", "samples behind the end", info("/", "endTimeCode", 5.0), ""),
+    Case("USD289", "an end after the last frame", info("/", "endTimeCode", 9.5), "/"),
+    Case("USD289", "a start before the first", info("/", "startTimeCode", 0.25), "/"),
     Case(
         "USD257",
         "a sublayer of another rate",
@@ -1088,6 +1090,18 @@ NEAR = [
         "samples within a frame of the end",
         sample(
             f"{CACHE}.points", 9.25, Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        ),
+    ),
+    Case(
+        "USD289",
+        "an end at a sample between frames",
+        both(
+            sample(
+                f"{CACHE}.points",
+                9.25,
+                Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (0, 1, 0)]),
+            ),
+            info("/", "endTimeCode", 9.25),
         ),
     ),
     Case(

@@ -12,6 +12,7 @@ EDITS = {
     "USD254": "animtool.usd.fixes.timing:sample_range",
     "USD255": "animtool.usd.fixes.timing:sample_range",
     "USD256": "animtool.usd.fixes.timing:wider_range",
+    "USD289": "animtool.usd.fixes.timing:whole_range",
     "MOT217": "animtool.usd.fixes.timing:sample_range",
     "USD211": "animtool.usd.fixes.structure:default_value",
     "USD236": "animtool.usd.fixes.structure:binding_api",

@@ -141,6 +141,7 @@ PLANTS: dict[str, Plant] = {
     "USD255": clear("startTimeCode", "endTimeCode"),
     "USD256": stated(3, 5),
     "USD259": clear("defaultPrim"),
+    "USD289": stated(0.5, FRAMES + 0.5),
 }
 
 
