@@ -40,7 +40,8 @@ class InbetweenDeltas:
     """The offsets of a shape at a weight of its own."""
 
     at: float  # weight [1], any but 0 and 1
-    offsets: ArrayLike  # ``(D, 3)`` at the vertices of the shape
+    # ``(D, 3)`` at the vertices of the shape; None moves none of them.
+    offsets: ArrayLike | None
     normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None leaves normals
 
 
@@ -49,8 +50,9 @@ class ShapeDeltas:
     """A blend shape as files have it."""
 
     name: str  # for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points.
-    offsets: ArrayLike
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None moves no
+    # point, as where a shape turns normals alone.
+    offsets: ArrayLike | None
     # ``(D,)`` vertices they are added to; None is every vertex.
     indices: ArrayLike | None = None
     # ``(D, 3)`` added to normals; None leaves them.

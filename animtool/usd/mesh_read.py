@@ -233,7 +233,10 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
-    if not len(deltas) and len(array_value(shape.GetNormalOffsetsAttr())):
+    steps = shape.GetInbetweens()
+    turning = [shape.GetNormalOffsetsAttr()]
+    turning += [step.GetNormalOffsetsAttr() for step in steps]
+    if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
         # It turns normals alone.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
@@ -253,12 +256,15 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         return HeldArray(values)
 
     between = []
-    for step in shape.GetInbetweens():
-        weight, offsets = step.GetWeight(), rows_of(step.GetAttr())
+    for step in steps:
+        weight, normals = step.GetWeight(), rows_of(step.GetNormalOffsetsAttr())
+        if normals is not None and not len(array_value(step.GetAttr())):
+            offsets: HeldArray | None = HeldArray(np.zeros((rows, 3)))
+        else:
+            offsets = rows_of(step.GetAttr())
         if weight is None or offsets is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
             at.fail("USD240" if offsets is None else "USD244", message)
-        normals = rows_of(step.GetNormalOffsetsAttr())
         between.append(Inbetween(float(weight), offsets, normals))
     return Shape(
         name,
