@@ -9,7 +9,8 @@ move a part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -217,9 +218,18 @@ def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape, its full ones included, by weight."""
+    """Return the offsets of a shape, its full ones included, by weight.
+
+    Empty ones beside normal offsets are none: the shape turns normals alone.
+    """
     full = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
-    return sorted([*shape.inbetweens, full], key=lambda part: part.at)
+    parts = [
+        replace(part, offsets=None)
+        if part.normal_offsets is not None and np.size(cast("Any", part.offsets)) == 0
+        else part
+        for part in (*shape.inbetweens, full)
+    ]
+    return sorted(parts, key=lambda part: part.at)
 
 
 def _columns(

@@ -89,7 +89,7 @@ def _read_stage(
     takes = _takes(stage, below)
     if take is not None:
         takes = select_take(takes, take, str(path))
-    stream = _read_selected(stage, path, below)
+    stream = read_character(stage, path, below)
     if takes is not None:
         stream.details["takes"] = list(takes.names)
         stream.details["take"] = takes.selected
@@ -107,7 +107,8 @@ def _takes(stage: Any, below: str) -> TakeSet | None:
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
 
 
-def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
+def read_character(stage: Any, path: Path, below: str) -> TakeStream:
+    """Read the first character below a prim, or the animation of a layer alone."""
     skeletons = find_skeletons(stage, below)
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
