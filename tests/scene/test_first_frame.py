@@ -30,7 +30,7 @@ def shot(folder: Path, own: float, stage_rate: float, arc: str) -> Path:
         layer.subLayerPaths = [take.name]
     else:
         world = Sdf.CreatePrimInLayer(layer, "/World/hero")
-        world.specifier = Sdf.SpecifierDef
+        world.specifier = world.nameParent.specifier = Sdf.SpecifierDef
         if arc == "payload":
             world.payloadList.prependedItems = [Sdf.Payload(take.name, "/hero")]
         else:
