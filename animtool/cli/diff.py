@@ -85,10 +85,11 @@ Examples:
 def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
-    Weights of blend shapes are compared too. Of USD files without a character the
-    points, curves, meshes and copies are compared, by their ids. Exit code 1 where they
-    differ by more than the tolerances, or one has joints, moving shapes, prims, frames
-    or a rate that the other has not.
+    Weights of blend shapes are compared too, and every skeleton of USD files unless
+    --prim-path names one. Of USD files without a character the points, curves, meshes
+    and copies are compared, by their ids. Exit code 1 where they differ by more than
+    the tolerances, or one has joints, moving shapes, prims, frames or a rate that the
+    other has not.
     """
     from animtool.report.compare import compare
     from animtool.scene.sources import is_usd
@@ -143,18 +144,22 @@ def _text(difference: TakeDifference) -> list[str]:
     ]
     if difference.shapes:
         compared.insert(1, counted(difference.shapes, "shape"))
+    if difference.skeletons > 1:
+        compared.insert(0, counted(difference.skeletons, "skeleton"))
     lines = [f"{', '.join(compared)} compared"]
     for kind in _KINDS:
         largest = getattr(difference, kind)
         line = f"  {kind:<12}{_size(kind, largest.value)}"
         if largest.value:
             line += f"  joint {largest.joint!r}, time code {frame_label(largest.code)}"
+            line += f", {largest.skeleton}" * bool(largest.skeleton)
         lines.append(line)
     if difference.shapes:
         weight = difference.weight
         line = f"  {'weight':<12}{plain(weight.value)}"
         if weight.value:
             line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
+            line += f", {weight.skeleton}" * bool(weight.skeleton)
         lines.append(line)
     return lines
 

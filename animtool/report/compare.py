@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -17,8 +18,14 @@ from animtool.reorient import reorient
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import SourceOptions, fitting_options, open_source
-from animtool.take import Take
+from animtool.scene.sources import (
+    SourceOptions,
+    fitting_options,
+    is_usd,
+    open_characters,
+    open_source,
+)
+from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 
 
@@ -29,6 +36,7 @@ class ShapeDifference:
     value: float = 0.0  # how large [1]
     shape: str = ""  # of which shape, as the first take has it
     code: float = 0.0  # time code in the first take
+    skeleton: str = ""  # of which skeleton of the first file, where it has several
 
 
 def compare_weights(
@@ -106,6 +114,7 @@ class Difference:
     value: float  # how large [m] or [deg]
     joint: str  # where
     code: float  # time code in the first take
+    skeleton: str = ""  # of which skeleton of the first file, where it has several
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +133,9 @@ class TakeDifference:
     # What differs and is no difference of the takes, in words.
     notes: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)  # what is odd about the files
+    skeletons: int = (
+        1  # skeletons compared, whose joints and shapes are counted together
+    )
 
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
@@ -147,8 +159,9 @@ def compare(
 ) -> TakeDifference:
     """Compare the takes of two files by time from the first frame, joints by name.
 
-    The second is turned to the up axis of the first, and lengths are compared in
-    metres. Other units, up axes and first time codes are noted.
+    Of USD files with several skeletons each is compared with that of its path, unless
+    options name one. The second is turned to the up axis of the first, and lengths are
+    compared in metres. Other units, up axes and first time codes are noted.
 
     Args:
         first: A file.
@@ -166,7 +179,17 @@ def compare(
     given = [mine, second_options]
     if second_options is None:
         given = [fitting_options(mine, path, paths) for path in paths]
-    one, two = (open_source(path, own) for path, own in zip(paths, given, strict=True))
+    if all(is_usd(path) for path in paths) and given == 2 * [SourceOptions()]:
+        characters = [open_characters(path) for path in paths]
+        if max(map(len, characters)) > 1:
+            return _characters_apart(*characters)
+    return _streams_apart(
+        *(open_source(path, own) for path, own in zip(paths, given, strict=True))
+    )
+
+
+def _streams_apart(one: TakeStream, two: TakeStream) -> TakeDifference:
+    """Compare two takes that are open, the second turned as the first."""
     difference = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     difference.notices.extend([*one.notices, *two.notices])
     difference.notes.extend(_space_notes(one.rig, two.rig))
@@ -174,6 +197,82 @@ def compare(
         codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
         difference.notes.append(f"first time code {codes}; compared from there")
     return difference
+
+
+_Openers: TypeAlias = Mapping[str, Callable[[], TakeStream]]
+
+
+def _characters_apart(first: _Openers, second: _Openers) -> TakeDifference:
+    """Compare the skeletons of two stages, by their paths."""
+    pairs = _skeleton_pairs(list(first), list(second))
+    mismatches = [
+        lost_text("skeleton", lost, other)
+        for names, column, other in ((first, 0, "second"), (second, 1, "first"))
+        if (lost := [name for name in names if name not in {p[column] for p in pairs}])
+    ]
+    none = Difference(0.0, "", 0.0)
+    merged = TakeDifference(
+        *(none, none, none, none, ShapeDifference()),
+        frames=0,
+        joints=0,
+        shapes=0,
+        mismatches=mismatches,
+        skeletons=len(pairs),
+    )
+    for mine, theirs in pairs:
+        apart = _streams_apart(first[mine](), second[theirs]())
+        merged = _merged(merged, apart, mine)
+    return merged
+
+
+def _skeleton_pairs(
+    first: Sequence[str], second: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Match skeletons by path, then by path below the first prim; else in order.
+
+    >>> _skeleton_pairs(["/a/x/s", "/a/y/s"], ["/b/y/s", "/b/z/s"])
+    [('/a/y/s', '/b/y/s')]
+    >>> _skeleton_pairs(["/hero/s"], ["/b/y/s", "/b/z/s"])
+    [('/hero/s', '/b/y/s')]
+    """
+    pairs: list[tuple[str, str]] = []
+    mine, theirs = list(first), list(second)
+    keys: tuple[Callable[[str], str], ...] = (str, lambda p: p.split("/", 2)[-1])
+    for key in keys:
+        index = {key(path): path for path in reversed(theirs)}
+        for path in list(mine):
+            match = index.pop(key(path), None)
+            if match is not None:
+                pairs.append((path, match))
+                mine.remove(path)
+                theirs.remove(match)
+    return pairs or list(zip(mine, theirs, strict=False))
+
+
+def _merged(
+    whole: TakeDifference, part: TakeDifference, skeleton: str
+) -> TakeDifference:
+    """Return differences of several skeletons with those of one more."""
+    kinds = ("world", "translation", "rotation", "scale", "weight")
+    larger = {
+        kind: replace(apart, skeleton=skeleton)
+        for kind in kinds
+        if (apart := getattr(part, kind)).value > getattr(whole, kind).value
+    }
+    named = {
+        name: [f"{skeleton}: {line}" for line in getattr(part, name)]
+        for name in ("mismatches", "notes")
+    }
+    return replace(
+        whole,
+        **larger,
+        frames=max(whole.frames, part.frames),
+        joints=whole.joints + part.joints,
+        shapes=whole.shapes + part.shapes,
+        mismatches=whole.mismatches + named["mismatches"],
+        notes=whole.notes + named["notes"],
+        notices=whole.notices + [n for n in part.notices if n not in whole.notices],
+    )
 
 
 def _space_notes(first: Rig, second: Rig) -> list[str]:

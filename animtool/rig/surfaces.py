@@ -92,18 +92,19 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
     if mesh.geom_bind is not None:
         bind = np.array(mesh.geom_bind).reshape(4, 4)
         bind[:3, 3] *= unit
+    points = mesh.points.load(archives) * unit
     return Surface(
         mesh.name,
-        mesh.points.load(archives) * unit,
+        points,
         within.sum(axis=1),
         faces[within],
         None if mesh.normals is None else mesh.normals.load(archives),
         bind,
         None if mesh.skin is None else _skin(mesh.skin, archives),
         tuple(
-            _shape(shape, unit, archives)
+            _shape(shape, len(points), unit, archives)
             for shape in rig.shapes
-            if shape.mesh == mesh.name and shape.deltas is not None
+            if shape.mesh == mesh.name and _deforms(shape)
         ),
         _subdivision(mesh),
     )
@@ -121,13 +122,20 @@ def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
     return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load(archives))
 
 
-def _shape(shape: Shape, unit: float, archives: Archives) -> SurfaceShape:
-    if shape.deltas is None:
-        raise ValueError(f"shape {shape.name!r} has no deltas")
+def _deforms(shape: Shape) -> bool:
+    """Return whether a shape moves points or turns normals, or its inbetweens do."""
+    parts = (shape.deltas, shape.normals, *shape.inbetweens)
+    return any(part is not None for part in parts)
+
+
+def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> SurfaceShape:
+    """Return a shape of a mesh; one that turns normals alone moves points by 0."""
     vertices = None if shape.vertices is None else shape.vertices.load(archives)
+    still = np.zeros((points if vertices is None else len(vertices), 3))
+    deltas = still if shape.deltas is None else shape.deltas.load(archives)
     return SurfaceShape(
         shape.name,
-        shape.deltas.load(archives) * unit,
+        deltas * unit,
         None if vertices is None else vertices.astype(np.int64),
         None if shape.normals is None else shape.normals.load(archives),
         tuple(

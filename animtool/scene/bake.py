@@ -15,6 +15,7 @@ from animtool.errors import Fault, OptionError, Severity, listed, refuse_warning
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
 from animtool.reorient import reorient
+from animtool.scene.first_frame import frame_start
 from animtool.scene.frames import TakePlan, TakeRun
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import (
@@ -297,7 +298,11 @@ def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
 def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
-    """Return the first frame: asked for, the shot's, the source's, the project's, 1."""
+    """Return the first frame: asked for, the shot's, the source's, the project's, 1.
+
+    At another rate, a source that starts between the frames of its stage starts at the
+    frame of the same time: 960.96 of 24 a second is 1001 of 25.
+    """
     if options.start is not None:
         return options.start
     if options.shot is not None and options.shot.places_media:
@@ -305,7 +310,9 @@ def start_of(
     if target is not None and target.start is not None:
         return target.start
     if stream.start is not None:
-        return stream.start
+        fps = options.fps or (target.fps if target else stream.fps)
+        whole = not options.keep_samples
+        return frame_start(stream.start, stream.fps, fps, whole=whole)
     configured = find_config(source).start
     return Fraction(1) if configured is None else configured
 

@@ -24,6 +24,7 @@ from animtool.edit.travel import Places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
+from animtool.scene.first_frame import start_notice, whole_frames
 from animtool.scene.options import BakeOptions
 from animtool.shot import FrameRange, Shot, frame_spans
 from animtool.take import TakeStream
@@ -111,11 +112,14 @@ def _straight_notices(
 def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     """Return when to sample a take, and notice where it lacks frames."""
     options = plan.options
+    own_frames = None
+    if options.fps is not None and not options.keep_samples:
+        own_frames = whole_frames(clock, plan.fps, plan.start)
     times = plan_samples(
         clock,
         plan.fps,
         plan.start,
-        frame_range=options.frame_range,
+        frame_range=options.frame_range or own_frames,
         offsets=options.samples,
         keep_samples=options.keep_samples,
         hold=options.shot is not None,
@@ -129,6 +133,10 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         first, last = Fraction(frame_range.first), Fraction(frame_range.last)
         if options.keep_samples:
             times = replace(times, first=first, last=last)
+    if options.start is None and options.shot is None:
+        own = plan.stream.start, plan.stream.fps
+        moved = start_notice(*own, plan.start, plan.fps, times.first)
+        notices += [replace(notice, path=str(plan.source)) for notice in moved]
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 

@@ -358,6 +358,18 @@ def open_source(
     return stream if reader is DOCUMENT else _driven(stream)
 
 
+def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
+    """Return what opens the take of each Skeleton of a USD file, by its path."""
+    from animtool.usd.stage_takes import read_characters
+
+    note_input(path)
+
+    def opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
+        return lambda: _driven(read())
+
+    return {name: opener(read) for name, read in read_characters(path).items()}
+
+
 def _driven(stream: TakeStream) -> TakeStream:
     """Return a source with what its rig drives in place of what it says of that."""
     if not stream.rig.is_driven:

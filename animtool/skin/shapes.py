@@ -9,7 +9,8 @@ move a part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +41,8 @@ class InbetweenDeltas:
     """The offsets of a shape at a weight of its own."""
 
     at: float  # weight [1], any but 0 and 1
-    offsets: ArrayLike  # ``(D, 3)`` at the vertices of the shape
+    # ``(D, 3)`` at the vertices of the shape; None moves none of them.
+    offsets: ArrayLike | None
     normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None leaves normals
 
 
@@ -49,8 +51,9 @@ class ShapeDeltas:
     """A blend shape as files have it."""
 
     name: str  # for messages
-    # ``(D, 3)`` added at weight 1, in the space and unit of the points.
-    offsets: ArrayLike
+    # ``(D, 3)`` added at weight 1, in the space and unit of the points; None moves no
+    # point, as where a shape turns normals alone.
+    offsets: ArrayLike | None
     # ``(D,)`` vertices they are added to; None is every vertex.
     indices: ArrayLike | None = None
     # ``(D, 3)`` added to normals; None leaves them.
@@ -215,9 +218,18 @@ def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape, its full ones included, by weight."""
+    """Return the offsets of a shape, its full ones included, by weight.
+
+    Empty ones beside normal offsets are none: the shape turns normals alone.
+    """
     full = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
-    return sorted([*shape.inbetweens, full], key=lambda part: part.at)
+    parts = [
+        replace(part, offsets=None)
+        if part.normal_offsets is not None and np.size(cast("Any", part.offsets)) == 0
+        else part
+        for part in (*shape.inbetweens, full)
+    ]
+    return sorted(parts, key=lambda part: part.at)
 
 
 def _columns(

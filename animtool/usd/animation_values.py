@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -12,12 +13,13 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.clock import time_fraction
-from animtool.errors import Fault, Severity, counted
+from animtool.clock import frame_label, time_fraction
+from animtool.errors import Fault, Severity, counted, excerpt
 from animtool.maths import so3
 from animtool.motion import Channel
+from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
-from animtool.usd.faults import Spot
+from animtool.usd.faults import UNIT_TOLERANCE, Spot
 from animtool.usd.library import take_range
 from animtool.usd.rig_prims import array_value, decompose, numbers
 
@@ -35,11 +37,11 @@ def animated_shapes(animation: Any) -> list[str]:
 
 
 def shape_weights(
-    animation: Any, codes: list[float], shapes: int, where: Spot
+    animation: Any, codes: list[float], shapes: int, where: Spot, drift: float = 0.0
 ) -> Channel:
     """Return weights of an animation's shapes at time codes; see `sampled_values`."""
     attr = animation.GetBlendShapeWeightsAttr()
-    rows = sampled_values(attr, codes, shapes, 1, where, of="shape")
+    rows = sampled_values(attr, codes, shapes, 1, where, of="shape", drift=drift)
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
 
@@ -51,12 +53,16 @@ def sampled_values(
     where: Spot,
     *,
     of: str = "joint",
+    drift: float = 0.0,
 ) -> FloatArray:
-    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change."""
-    changes = attr.GetNumTimeSamples() > 1
-    when = (
-        [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
-    )
+    """Return an attribute's samples ``(F, J, K)``; F is 1 where it does not change.
+
+    drift: how far from a frame a sample is that frame's [time codes].
+    """
+    when = [Usd.TimeCode.EarliestTime()]
+    if attr.GetNumTimeSamples() > 1:
+        times = attr.GetTimeSamples() if drift else []
+        when = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
     rows = np.empty((len(when), count, width))
     for i, time in enumerate(when):
         value = numbers(attr, width, time)
@@ -74,11 +80,51 @@ def sampled_values(
     return rows
 
 
+def nearest_samples(
+    times: list[float], codes: list[float], drift: float
+) -> list[float]:
+    """Return the sample of each frame that has one so near, else the frame's time.
+
+    >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
+    [1.0, 2.02, 3.0]
+    """
+    if not times or not drift:
+        return codes
+    samples, frames = np.array(times), np.array(codes)
+    after = np.searchsorted(samples, frames).clip(1, max(len(samples) - 1, 1))
+    pair = np.stack([samples[after - 1], samples[np.minimum(after, len(samples) - 1)]])
+    gaps = np.abs(pair - frames)
+    nearest = np.where(gaps[0] <= gaps[1], pair[0], pair[1])
+    # Rounding of the distance itself is within.
+    near = gaps.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(near, nearest, frames)))
+
+
 def _time_text(time: Any) -> str:
     """Return a time in words; the earliest is that of a value that does not change."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
+
+
+def normalised(
+    rotations: FloatArray, names: Sequence[str], codes: list[float], where: Spot
+) -> tuple[FloatArray, list[Fault]]:
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
+    lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
+    apart = np.abs(lengths - 1.0)
+    notices = []
+    if apart.size and apart.max() > UNIT_TOLERANCE:
+        frame, joint = (int(i) for i in np.unravel_index(apart.argmax(), apart.shape))
+        count = int((apart > UNIT_TOLERANCE).sum())
+        message = (
+            f"{count} of {counted(apart.size, 'quaternion')} have another length than "
+            f"1, joint {excerpt(names[joint])} at frame {frame_label(codes[frame])} "
+            f"the most: |q| = {lengths[frame, joint]:.6g}; they are normalised"
+        )
+        hint = "UsdSkel does not normalise, and scales these joints"
+        notices.append(where.fault("USD123", message, hint, Severity.WARNING))
+    return so3.normalize(rotations), notices
 
 
 UNIT_SCALE_TOLERANCE = 1e-6
@@ -152,6 +198,9 @@ MAX_FRAMES = 100_000
 # Samples within this share of a step, or of a time code, from a frame are that frame's:
 # exporters add up float steps, which drift. Shutter offsets are many times larger.
 LARGEST_DRIFT = 0.02
+# Where samples fit no other grid, those so near to a whole time code are that frame's
+# [time codes]; further away, a sample may be meant where it is.
+OFF_FRAME = 0.05
 # Steps that people and exporters mean, and steps of rates that differ by a little.
 PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
 FINE_STEP_DENOMINATOR = 1_000_000
@@ -205,7 +254,25 @@ def sample_grid(
     stage: Any, animation: Any, times: list[float], where: Spot
 ) -> SampleGrid:
     """Return the frames of an animation."""
-    return _grid(times, _span(stage, animation), where)
+    grid = _grid(times, _span(stage, animation), where)
+    return _plain_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
+
+
+def _plain_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
+    """Return a grid with the step of the usual rate that its own is written for.
+
+    A layer that says 23.976 for 24000/1001 has its frames 1.001001 time codes apart in
+    a stage of 24.
+    """
+    rate = fps / grid.step
+    usual = rate_from_float(float(rate))
+    drift = float(abs(fps / usual - grid.step) * (grid.count - 1))
+    if usual == rate or drift > LARGEST_DRIFT * min(float(grid.step), 1.0):
+        return grid
+    last = float(grid.start + grid.step * (grid.count - 1))
+    # The last sample drifts most, on top of what it has already.
+    code = grid.drift_code if grid.drift > drift else last
+    return replace(grid, step=fps / usual, drift=grid.drift + drift, drift_code=code)
 
 
 def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
@@ -216,7 +283,7 @@ def _grid(times: list[float], span: _Span, where: Spot) -> SampleGrid:
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
-    grid = _exact_grid(times) or _drifting_grid(times)
+    grid = _exact_grid(times) or _drifting_grid(times) or _astray_grid(times)
     return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
 
 
@@ -264,6 +331,25 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
         return None
     drift, code = float(away[worst]), float(codes[worst])
     return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
+
+
+def _astray_grid(times: list[float]) -> SampleGrid | None:
+    """Return the grid of samples of which some are astray from whole time codes.
+
+    None where two would be one, or where the others fit none either.
+    """
+    codes = np.array(times)
+    whole = np.round(codes)
+    off = np.abs(codes - whole)
+    moved = np.where(off <= OFF_FRAME, whole, codes)
+    if (np.diff(moved) <= 0).any():
+        return None
+    grid = _exact_grid(moved.tolist())
+    if grid is None:
+        return None
+    off[off > OFF_FRAME] = 0.0
+    worst = int(off.argmax())
+    return replace(grid, drift=float(off[worst]), drift_code=float(codes[worst]))
 
 
 def _whole_codes(times: list[float], where: Spot) -> SampleGrid:

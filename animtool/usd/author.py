@@ -42,7 +42,7 @@ from animtool.usd.layers import (
 )
 from animtool.usd.names import RigPaths, joint_names, legal_name, plain_text
 from animtool.usd.skeleton import author_binding, author_rig
-from animtool.usd.stderr import without_version_warnings
+from animtool.usd.stderr import without_usd_warnings, without_version_warnings
 
 BLOCK_FRAMES = 512  # of a take that is written in one call
 
@@ -94,12 +94,14 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
             part.written.curves = author_controls(
                 animation, part.written.animation, part.curves
             )
-    author_extents(
-        job,
-        authored.visible,
-        authored.layers,
-        [(part.written.name, part.writer) for part in parts],
-    )
+    # Of a rig without rest transforms UsdSkel warns at each frame.
+    with without_usd_warnings():
+        author_extents(
+            job,
+            authored.visible,
+            authored.layers,
+            [(part.written.name, part.writer) for part in parts],
+        )
     for part in parts:
         part.written.sampled = part.writer.sampled
     return authored, result

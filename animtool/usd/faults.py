@@ -18,6 +18,8 @@ from animtool.units import UpAxis
 
 # Transforms are float32 in most files that hold them.
 LARGEST = float(np.finfo(np.float32).max)
+# Of a quaternion's length. Text files with four digits are within.
+UNIT_TOLERANCE = 1e-3
 # Of what a transform with axes of its lengths could enclose.
 SMALLEST_VOLUME = 1e-12
 # Rates and units outside are no rates and units, and would overflow what they scale.
@@ -127,21 +129,6 @@ def joint_order(where: object, joints: Sequence[str]) -> Iterator[Fault]:
         yield finding("USD221", where, message)
 
 
-def rest_transforms(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
-    """Yield what is wrong with the rest transforms of a Skeleton that has joints."""
-    attr = skeleton.GetRestTransformsAttr()
-    rest = own_matrices(attr)
-    if not len(rest):
-        message = f"no restTransforms for {counted(len(joints), 'joint')}"
-        yield finding("USD229", attr.GetPath(), message)
-    elif len(rest) != len(joints):
-        message = f"{counted(len(rest), 'restTransform')}"
-        message += f" for {counted(len(joints), 'joint')}"
-        yield finding("USD223", attr.GetPath(), message)
-    else:
-        yield from _finite(attr, rest, joints)
-
-
 def bind_transforms(
     skeleton: Any, joints: Sequence[str], *, skins: bool
 ) -> Iterator[Fault]:
@@ -154,7 +141,7 @@ def bind_transforms(
             message += f" for {counted(len(joints), 'joint')}"
             yield finding("USD224", attr.GetPath(), message)
         return
-    faults = list(_finite(attr, bind, joints))
+    faults = list(finite_transforms(attr, bind, joints))
     yield from faults
     if faults:
         return
@@ -215,7 +202,10 @@ def missing_parts(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
         yield finding("USD201", animation.GetPath(), message)
 
 
-def _finite(attr: Any, matrices: FloatArray, joints: Sequence[str]) -> Iterator[Fault]:
+def finite_transforms(
+    attr: Any, matrices: FloatArray, joints: Sequence[str]
+) -> Iterator[Fault]:
+    """Yield that transforms of joints are not finite."""
     bad = np.flatnonzero(~(np.abs(matrices) <= LARGEST).all(axis=(1, 2)))
     if len(bad):
         names = [joints[i] for i in bad.tolist()]

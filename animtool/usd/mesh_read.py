@@ -43,8 +43,10 @@ from animtool.usd.skinned import (
     joint_names,
     prim_name,
     skinned_prims,
+    unbound_notice,
     unique_name,
 )
+from animtool.usd.stderr import without_usd_warnings
 from animtool.usd.target import RigTarget
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
@@ -62,7 +64,7 @@ def read_meshes(
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    notices: list[Fault] = []
+    notices = unbound_notice(skeleton, where)
     for name, query in bound_meshes(skeleton):
         at = Spot.of(where, query.GetPrim())
         bind = _bind(query, skeleton, at)
@@ -231,7 +233,10 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     deltas = floats(shape.GetOffsetsAttr(), 3, at, "USD243")
     vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
-    if not len(deltas) and len(array_value(shape.GetNormalOffsetsAttr())):
+    steps = shape.GetInbetweens()
+    turning = [shape.GetNormalOffsetsAttr()]
+    turning += [step.GetNormalOffsetsAttr() for step in steps]
+    if not len(deltas) and any(attr and len(array_value(attr)) for attr in turning):
         # It turns normals alone.
         deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
@@ -251,12 +256,15 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
         return HeldArray(values)
 
     between = []
-    for step in shape.GetInbetweens():
-        weight, offsets = step.GetWeight(), rows_of(step.GetAttr())
+    for step in steps:
+        weight, normals = step.GetWeight(), rows_of(step.GetNormalOffsetsAttr())
+        if normals is not None and not len(array_value(step.GetAttr())):
+            offsets: HeldArray | None = HeldArray(np.zeros((rows, 3)))
+        else:
+            offsets = rows_of(step.GetAttr())
         if weight is None or offsets is None or not np.isfinite(weight):
             message = f"{step.GetAttr().GetName()} has no weight or no offsets"
             at.fail("USD240" if offsets is None else "USD244", message)
-        normals = rows_of(step.GetNormalOffsetsAttr())
         between.append(Inbetween(float(weight), offsets, normals))
     return Shape(
         name,
@@ -341,7 +349,7 @@ class StageMeshes:
 
 def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
     """Return the meshes of the character that a USD file is read as."""
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
@@ -351,7 +359,7 @@ def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
 
 def target_meshes(target: RigTarget) -> StageMeshes:
     """Return the meshes of a rig layer."""
-    with usd_errors(target.path):
+    with usd_errors(target.path), without_usd_warnings():
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
 

@@ -26,6 +26,8 @@ from animtool.usd.animation_values import (
     animated_shapes,
     carry_roots,
     moving_carriers,
+    nearest_samples,
+    normalised,
     sample_grid,
     sampled_values,
     scale_channel,
@@ -35,6 +37,7 @@ from animtool.usd.faults import (
     Spot,
     missing_parts,
     names_twice,
+    own_matrices,
     tokens,
     transform_attributes,
     unknown_joints,
@@ -45,7 +48,6 @@ from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.rig_prims import (
     SkeletonRig,
     animation_source,
-    array_value,
     check_moves,
     composition_notices,
     find_skeletons,
@@ -57,8 +59,10 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     stored_data,
     up_axis,
+    upwards,
 )
-from animtool.usd.skinned import MAX_NAMED, character_paths
+from animtool.usd.skinned import BINDING_HINT, MAX_NAMED, character_paths
+from animtool.usd.stderr import without_usd_warnings
 
 
 def read_usd(
@@ -74,7 +78,7 @@ def read_usd(
     take: which take of a clip library; None is the one that it selects.
     """
     path = Path(path)
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         return _read_stage(open_stage(path), path, prim_path, take)
 
 
@@ -85,7 +89,7 @@ def _read_stage(
     takes = _takes(stage, below)
     if take is not None:
         takes = select_take(takes, take, str(path))
-    stream = _read_selected(stage, path, below)
+    stream = read_character(stage, path, below)
     if takes is not None:
         stream.details["takes"] = list(takes.names)
         stream.details["take"] = takes.selected
@@ -103,7 +107,8 @@ def _takes(stage: Any, below: str) -> TakeSet | None:
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
 
 
-def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
+def read_character(stage: Any, path: Path, below: str) -> TakeStream:
+    """Read the first character below a prim, or the animation of a layer alone."""
     skeletons = find_skeletons(stage, below)
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
@@ -122,6 +127,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         stream = _resting(skeleton, stage, path, prim)
     else:
         stream = _read(stage, path, skeleton, animation, prim)
+    stream.notices += skeleton.notices
     if prim is None:
         stream.notices += _lost_motion(animation, Spot.of(path, animation))
     else:
@@ -146,8 +152,8 @@ def _join_stored(
         stream.rig,
         data,
         rig.tokens,
-        array_value(skeleton.GetRestTransformsAttr()),
-        array_value(skeleton.GetBindTransformsAttr()),
+        own_matrices(skeleton.GetRestTransformsAttr()),
+        own_matrices(skeleton.GetBindTransformsAttr()),
         path,
     )
     names = [shape.name for shape in joined.shapes]
@@ -255,10 +261,22 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
     if not stage.HasAuthoredMetadata("startTimeCode"):
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
-    stream.notices.append(
-        Fault("USD103", message, str(path), severity=Severity.WARNING)
-    )
+    hint = None
+    if ignored := _ignored_binding(prim):
+        message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
+        hint = BINDING_HINT
+    warning = Severity.WARNING
+    stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     return stream
+
+
+def _ignored_binding(skeleton: Any) -> str:
+    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
+    for prim in upwards(skeleton):
+        bound = prim.GetRelationship("skel:animationSource")
+        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
+            return str(prim.GetPath())
+    return ""
 
 
 def _read(
@@ -291,19 +309,27 @@ def _read(
         """Return an attribute for the Skeleton's joints, at rest if not animated."""
         attr, width, rows = attributes.get(name), rest.shape[1], None
         if attr is not None:
-            rows = sampled_values(attr, codes, len(places), width, where)
+            rows = sampled_values(
+                attr, codes, len(places), width, where, drift=grid.drift
+            )
         return among_rest(rest, rows, places, len(codes))
 
     translations, rotations, scales = (whole(*part) for part in rests.items())
     translations *= meters
-    rotations = so3.align_signs(so3.normalize(rotations))
+    rotations, off = normalised(rotations, rig.names, codes, where)
+    rotations = so3.align_signs(rotations)
+    notices += off
     if movers:
-        notices += carry_roots(rig, prim, codes, translations, rotations, scales, where)
+        carried = {time for mover in movers for time in mover.GetTimeSamples()}
+        moved = nearest_samples(sorted(carried), codes, grid.drift)
+        notices += carry_roots(rig, prim, moved, translations, rotations, scales, where)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
         scale_channel(scales),
-        shape_weights(animation, codes, len(shapes), where) if shapes else None,
+        shape_weights(animation, codes, len(shapes), where, grid.drift)
+        if shapes
+        else None,
     )
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,10 @@ from animtool.usd.faults import (
     SMALLEST_METADATA,
     Spot,
     joint_order,
-    rest_transforms,
     units_and_axis,
 )
 from animtool.usd.layers import check_prim_path, find_layer
+from animtool.usd.rest_pose import readable_rest
 
 # Whose names are compared with one that there is not.
 MAX_COMPARED = 20_000
@@ -92,6 +92,7 @@ class SkeletonRig:
     rig: Rig  # its joints, named by the last part of their path
     tokens: list[str]  # their paths as the prim has them
     rest_scales: FloatArray  # scale of the rest transforms ``(J, 3)``
+    notices: tuple[Fault, ...] = ()  # what is odd about the prim
 
 
 def open_stage(path: Path) -> Any:
@@ -172,27 +173,31 @@ def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     return matrices[..., 3, :3], rotations, scales
 
 
-def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
+def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> SkeletonRig:
     """Return the rig of a Skeleton prim, in metres.
 
     A character of blend shapes alone has no joints.
+
+    animated: whether it is posed by what is bound to it, as it is not under a layer.
     """
     stage = skeleton.GetPrim().GetStage()
     where = Spot.of(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
+    rest, notices = np.zeros((0, 4, 4)), list[Fault]()
     if tokens:
-        where.refuse(rest_transforms(skeleton, tokens))
-    rows = numbers(skeleton.GetRestTransformsAttr(), 16)
-    rest = rows[: len(tokens)].reshape(-1, 4, 4)
+        rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
     data = stored_data(skeleton.GetPrim())
     # What animtool wrote has names of its own.
     named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
-    meters, up = _own_units(skeleton.GetRestTransformsAttr(), stage)
-    return rig_from_tokens(
+    places = (skeleton.GetRestTransformsAttr(), skeleton.GetBindTransformsAttr())
+    authored = [attr for attr in places if attr.HasAuthoredValue()]
+    meters, up = _own_units((authored or places)[0], stage)
+    rig = rig_from_tokens(
         tokens, rest, name, where, meters, up, data, [str(name) for name in named]
     )
+    return replace(rig, notices=tuple(notices))
 
 
 def check_moves(joints: int, shapes: int, where: Spot) -> None:

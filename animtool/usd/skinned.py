@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, listed
+from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.rig.kinematics import WorldTransforms
 from animtool.usd.faults import Spot
 from animtool.usd.rig_prims import (
@@ -45,6 +45,33 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
         for query in binding.GetSkinningTargets()
         if query.GetPrim().IsA(schema)
     ]
+
+
+# What binds a prim to a Skeleton, and its values to joints and shapes.
+_BINDING = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
+
+
+def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
+    """Name what stays at rest because SkelBindingAPI is not applied to it."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return []
+    below = Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
+    unbound = [
+        str(prim.GetPath())
+        for prim in below
+        if prim.IsA(UsdGeom.Gprim)
+        and not prim.HasAPI(UsdSkel.BindingAPI)
+        and any(prim.HasProperty(name) for name in _BINDING)
+    ]
+    if not unbound:
+        return []
+    message = f"SkelBindingAPI is not applied to {listed(unbound, MAX_NAMED)}"
+    message += ", which no joint or shape moves"
+    return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
+
+
+BINDING_HINT = "UsdSkel ignores the binding; apply it, as animtool validate --fix does"
 
 
 def prim_name(prim: Any) -> str:

@@ -18,13 +18,12 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.file import rig_of_document
 from animtool.rig.parts import AttachKind, Attachment, HeldArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.usd.faults import Spot
+from animtool.usd.faults import Spot, own_matrices
 from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes, read_strands
 from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
-    array_value,
     check_moves,
     composition_notices,
     decompose,
@@ -38,6 +37,7 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.skeleton import skeleton_hash
 from animtool.usd.skinned import unique_name
+from animtool.usd.stderr import without_usd_warnings
 
 
 def joined_attachments(
@@ -274,18 +274,19 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
     With bind pose, meshes, shapes and strands, and what its customData holds beyond
     USD.
     """
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
             below = "" if prim_path is None else f" at {prim_path}"
             message = f"holds no Skeleton{below}"
             raise FormatError(Fault("USD008", message, str(path)))
-        of_skeleton = skeleton_rig(skeletons[0], path)
+        of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
         where = Spot.of(path, skeleton)
         check_moves(len(of_skeleton.rig.joints), len(shapes), where)
+        notices += of_skeleton.notices
         notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))
         bind, bind_scales = _bind_poses(skeleton, of_skeleton)
@@ -302,8 +303,8 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             rig,
             data,
             of_skeleton.tokens,
-            array_value(skeleton.GetRestTransformsAttr()),
-            array_value(skeleton.GetBindTransformsAttr()),
+            own_matrices(skeleton.GetRestTransformsAttr()),
+            own_matrices(skeleton.GetBindTransformsAttr()),
             path,
         )
         whole, losses = with_attachments(joined, rig, data, path)

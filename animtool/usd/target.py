@@ -34,7 +34,12 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.skinned import holds_character, is_shown_mesh
+from animtool.usd.skinned import (
+    holds_character,
+    is_shown_mesh,
+    unbound_notice,
+)
+from animtool.usd.stderr import without_usd_warnings
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +85,7 @@ class RigTarget:
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
     """Open the stage that holds a rig: a rig layer, or a shot that refers to one."""
-    with usd_errors(path):
+    with usd_errors(path), without_usd_warnings():
         return _target(open_stage(path), path, prim_path)
 
 
@@ -119,7 +124,9 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     notices += others_notice(skeletons, str(path), "--prim-path names one")
     if moved_to is None:
         notices += _bound_in_shot(stage, paths, str(path))
-    skeleton = skeleton_rig(skeletons[0], path)
+    skeleton = skeleton_rig(skeletons[0], path, animated=False)
+    notices += skeleton.notices
+    notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
     if moving:
         message = f"the SkelRoot {root.GetPath()} moves by {', '.join(moving)}"

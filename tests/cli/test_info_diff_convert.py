@@ -229,6 +229,9 @@ def test_diff_chooses_takes_and_characters(
     assert animtool("diff", library, library, *both, *tolerances).code == 1
     assert animtool("diff", library, library, "--take", "two", "--tol", "0").code == 0
     done = animtool("diff", library, shot)
+    assert (done.code, done.stderr) == (1, "")
+    assert "1 skeleton is not in the first: /World/b" in done.stdout
+    done = animtool("diff", takes[1], shot)
     assert "USD107" in done.stderr
     assert "--prim-path" in done.stderr
     done = animtool("diff", library, shot, "--prim-path-b", "/World/b")

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from pxr import Sdf, Vt
 from support.bvh import SPINE, random_rows, small_bvh
+from support.drifting import author_samples
 
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
@@ -165,3 +167,42 @@ def test_what_is_as_far_as_a_tolerance_is_within_it(take: Take) -> None:
         beyond = apart(**{name: float(np.nextafter(limit, 1e3))})
         assert not beyond.within(0.5, 2.0, 0.25)
     assert not replace(same, mismatches=["a joint"]).within(1.0, 1.0)
+
+
+def write_shot(folder: Path, name: str, characters: dict[str, float]) -> Path:
+    """Write a stage of characters that refer to one take, each raised [m] at once."""
+    take = author_samples(folder / "take.usda", [1.0, 2.0, 3.0, 4.0])
+    layer = Sdf.Layer.CreateNew(str(folder / name))
+    layer.timeCodesPerSecond = 24
+    layer.pseudoRoot.SetInfo("metersPerUnit", 1.0)
+    Sdf.CreatePrimInLayer(layer, "/World").specifier = Sdf.SpecifierDef
+    for character, raised in characters.items():
+        prim = Sdf.CreatePrimInLayer(layer, f"/World/{character}")
+        prim.specifier = Sdf.SpecifierDef
+        prim.referenceList.prependedItems = [Sdf.Reference(take.name, "/hero")]
+        moved = Sdf.CreatePrimInLayer(layer, f"{prim.path}/Rig/Anim")
+        attr = Sdf.AttributeSpec(moved, "translations", Sdf.ValueTypeNames.Float3Array)
+        for time in (1.0, 4.0):
+            rows = Vt.Vec3fArray([(0, raised, time), (0, 1, 0)])
+            layer.SetTimeSample(attr.path, time, rows)
+    layer.Save()
+    return folder / name
+
+
+def test_every_skeleton_is_compared(tmp_path: Path) -> None:
+    one = write_shot(tmp_path, "one.usda", {"a": 0, "b": 0, "c": 0})
+    two = write_shot(tmp_path, "two.usda", {"a": 0, "b": 0.25, "d": 0})
+    found = compare(one, two)
+    assert (found.skeletons, found.joints) == (2, 4)
+    assert found.world.value == pytest.approx(0.25, rel=1e-6)
+    assert found.world.skeleton == "/World/b/Rig/Skel"
+    assert found.mismatches == [
+        "1 skeleton is not in the second: /World/c/Rig/Skel",
+        "1 skeleton is not in the first: /World/d/Rig/Skel",
+    ]
+    assert compare(one, one).within(0.0, 0.0)
+    assert compare(one, one).skeletons == 3
+    # One that is named is compared alone.
+    named = compare(one, two, SourceOptions(prim_path="/World/a"))
+    assert (named.skeletons, named.world.value) == (1, 0.0)
+    assert named.notices == []

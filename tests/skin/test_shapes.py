@@ -219,3 +219,17 @@ def test_the_faults_of_all_shapes_are_told_at_once() -> None:
     with pytest.raises(FormatError) as caught:
         prepare_shapes(shapes, np.zeros((2, 3)))
     assert [fault.code for fault in caught.value.faults] == ["SKIN002", "SKIN003"]
+
+
+@pytest.mark.parametrize("offsets", [None, [], np.zeros((0, 3))])
+def test_a_shape_may_turn_normals_alone(offsets: object) -> None:
+    turned = [[0.0, 0.5, 0.0]]
+    half = (InbetweenDeltas(0.5, offsets, [[0.0, 0.1, 0.0]]),)
+    shape = ShapeDeltas("crease", offsets, [1], turned, half)
+    made = prepare_shapes([shape], np.zeros((2, 3)), [[0.0, 0.0, 1.0]] * 2)
+    weights = [[0.5], [1.0]]
+    np.testing.assert_array_equal(blend_points(made, weights), np.zeros((2, 2, 3)))
+    normals = blend_normals(made, weights)
+    np.testing.assert_allclose(normals[:, 0], [[0, 0, 1]] * 2)
+    tilts = normals[:, 1, 1] / normals[:, 1, 2]
+    np.testing.assert_allclose(tilts, [0.1, 0.5])

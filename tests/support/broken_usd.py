@@ -588,6 +588,18 @@ BROKEN = [
     Case("USD228", "inverse bind matrices at bind time", _invert_bind, BIND),
     Case("USD228", "inverse bind matrices at rest", _invert_rest, REST),
     Case("USD229", "no rest transforms", drop(REST), REST),
+    Case("USD229", "no rest or bind transforms", both(drop(REST), drop(BIND)), REST),
+    Case(
+        "USD239",
+        "no rest transforms, and an animation of some joints",
+        both(
+            drop(REST),
+            tokens(f"{ANIM}.joints", *NAMES[:-1]),
+            *(in_all_samples(path, shorter) for path in (MOVE, ROT)),
+            rows(SIZE, shorter),
+        ),
+        REST,
+    ),
     Case("USD230", "an index beyond the joints", rows(INDICES, cell(5, 3)), INDICES),
     Case("USD230", "a negative index", rows(INDICES, cell(5, -1)), INDICES),
     Case("USD231", "an index too few", rows(INDICES, shorter), INDICES),
@@ -710,6 +722,8 @@ BROKEN = [
     ),
     Case("USD255", "no end", info("/", "endTimeCode", None), "/"),
     Case("USD256", "samples behind the end", info("/", "endTimeCode", 5.0), ""),
+    Case("USD289", "an end after the last frame", info("/", "endTimeCode", 9.5), "/"),
+    Case("USD289", "a start before the first", info("/", "startTimeCode", 0.25), "/"),
     Case(
         "USD257",
         "a sublayer of another rate",
@@ -969,6 +983,7 @@ NEAR = [
         )[0],
     ),
     Case("USD228", "bind as at rest", rows(BIND, cell((slice(0, 3), 3, 0), 0.0))),
+    Case("USD239", "no rest transforms, and an animation of all joints", drop(REST)),
     Case(
         "USD229",
         "identity at rest",
@@ -1075,6 +1090,18 @@ NEAR = [
         "samples within a frame of the end",
         sample(
             f"{CACHE}.points", 9.25, Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        ),
+    ),
+    Case(
+        "USD289",
+        "an end at a sample between frames",
+        both(
+            sample(
+                f"{CACHE}.points",
+                9.25,
+                Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (0, 1, 0)]),
+            ),
+            info("/", "endTimeCode", 9.25),
         ),
     ),
     Case(

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pxr import Sdf, Vt
 from support.drifting import author_samples
 from support.suite import examples
 
 from animtool.clock import time_codes
+from animtool.rates import rate_from_float
 from animtool.usd.animation_values import SampleGrid, _grid, _Span
 from animtool.usd.read import read_usd
 
@@ -94,3 +96,67 @@ def test_sub_frame_steps_of_broadcast_rates_are_exact(step: str, start: int) -> 
 def test_samples_on_even_parts_of_frames_are_no_drift() -> None:
     found = grid([1 + i / 5 for i in range(41)])
     assert (found.step, found.count, found.drift) == (Fraction(1, 5), 41, 0.0)
+
+
+def test_a_few_samples_astray_are_those_of_their_frames() -> None:
+    found = grid([1.0, 2.04, 3.0, 3.96, 5.0, 6.0])
+    assert (found.start, found.step, found.count) == (1, 1, 6)
+    assert found.drift == pytest.approx(0.04)
+    # Two of one frame, and one that is meant where it is.
+    assert grid([1.0, 1.97, 2.04, 3.0, 4.0]).between == 2
+    assert grid([1.0, 2.06, 3.0, 4.0, 5.0]).between == 1
+
+
+@pytest.mark.parametrize("times", [[1.01, 2.0, 3.02, 4.0], [1.0, 2.04, 3.0, 4.0]])
+def test_the_samples_themselves_are_read(times: list[float], tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "off.usda", times)
+    stream = read_usd(path)
+    assert [notice.code for notice in stream.notices] == ["USD121"]
+    translations, _, _ = stream.collect().motion.dense()
+    # Not what USD interpolates on the frames.
+    exact = np.float32(np.sin(np.array(times) / 10))
+    np.testing.assert_array_equal(translations[:, 0, 0], exact)
+
+
+def lengthened(path: Path, factors: dict[float, float]) -> Path:
+    """Multiply the first joint's quaternions at some time codes."""
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    for time, factor in factors.items():
+        rows = np.array(layer.QueryTimeSample("/hero/Rig/Anim.rotations", time))
+        rows[0] *= factor
+        value = Vt.QuatfArray.FromNumpy(rows)
+        layer.SetTimeSample("/hero/Rig/Anim.rotations", time, value)
+    layer.Save()
+    return path
+
+
+def test_rotations_that_are_normalised_are_reported_once(tmp_path: Path) -> None:
+    times = [1.0, 2.0, 3.0, 4.0]
+    plain = read_usd(author_samples(tmp_path / "plain.usda", times)).collect()
+    path = author_samples(tmp_path / "long.usda", times)
+    stream = read_usd(lengthened(path, {2.0: 1.01, 3.0: 0.7, 4.0: 1.2}))
+    (notice,) = stream.notices
+    assert (notice.code, notice.severity) == ("USD123", "warning")
+    assert notice.where == "/hero/Rig/Anim"
+    for text in ("3 of 8", "hips", "frame 3", "0.7"):
+        assert text in notice.message
+    _, rotations, _ = stream.collect().motion.dense()
+    np.testing.assert_allclose(rotations, plain.motion.dense()[1], atol=1e-7)
+
+
+def test_rounding_of_text_is_no_other_length(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "text.usda", [1.0, 2.0, 3.0])
+    assert read_usd(lengthened(path, {2.0: 1.0004})).notices == []
+
+
+@pytest.mark.parametrize("own", [23.976, 29.97, 59.94])
+@pytest.mark.parametrize("rate", [24.0, 25.0])
+def test_rates_of_few_digits_are_the_usual_ones(
+    own: float, rate: float, tmp_path: Path
+) -> None:
+    times = [(1001 + i) * rate / own for i in range(48)]
+    clock = (
+        read_usd(author_samples(tmp_path / "take.usda", times, rate)).collect().clock
+    )
+    assert clock.rate == rate_from_float(own)
+    assert (clock.fps, clock.count) == (rate, 48)

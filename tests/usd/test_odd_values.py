@@ -48,7 +48,7 @@ def with_data_of_text(layer: Any) -> None:
     ("change", "code"),
     [
         (with_vectors, "USD200"),
-        (with_words, "USD229"),
+        (with_words, ""),
         (with_a_lost_shape, "USD208"),
         (with_data_of_text, ""),
     ],

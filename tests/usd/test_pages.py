@@ -107,6 +107,7 @@ COMMANDS = {
     "USD120": CONVERT,
     "USD132": IN_SHOT,
     "USD143": LAYER_OVER + "hero.usda --deform",
+    "USD144": CONVERT,
 }
 
 

@@ -8,6 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.bvh import TIP, random_rows, small_bvh
+from support.cli import animtool
+from support.drifting import author_samples
+from support.skinned_rig import write_pair
 from support.usd import joint_positions
 
 from animtool.errors import FormatError
@@ -407,3 +410,37 @@ def test_what_does_not_change_has_no_time_code(
         read_usd(tmp_path / "o.usda")
     assert caught.value.code in {"USD200", "USD202"}
     assert "time code" not in str(caught.value)
+
+
+def test_a_binding_without_its_schema_is_named(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "take.usda", [1.0, 2.0, 3.0])
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.GetPrimAtPath("/hero/Rig/Skel").ClearInfo("apiSchemas")
+    layer.Save()
+    stream = read_usd(path)
+    (notice,) = stream.notices
+    assert notice.code == "USD103"
+    for text in ("/hero/Rig/Skel", "SkelBindingAPI"):
+        assert text in notice.message
+    assert stream.collect().clock.count == 1
+
+
+def test_meshes_without_the_binding_schema_are_named(tmp_path: Path) -> None:
+    clip = write_pair(tmp_path)
+    rig = tmp_path / "pair.usda"
+    assert animtool("bake", clip, "-o", rig).code == 0
+    layer = Sdf.Layer.FindOrOpen(str(rig))
+    stage = Usd.Stage.Open(layer)
+    mesh = next(prim for prim in stage.Traverse() if prim.GetName() == "sleeve")
+    layer.GetPrimAtPath(mesh.GetPath()).ClearInfo("apiSchemas")
+    layer.Save()
+    for options in (
+        ("--rig-layer", rig, "-o", tmp_path / "layer.usda"),
+        ("--rig-layer", rig, "--deform", "-o", tmp_path / "cache.usda"),
+    ):
+        done = animtool("bake", clip, *options)
+        assert done.code == 0, done.stderr
+        assert done.stderr.count("USD144") == 1
+        assert str(mesh.GetPath()) in done.stderr
+    # Its motion alone says nothing of meshes.
+    assert [notice.code for notice in read_usd(rig).notices] == []

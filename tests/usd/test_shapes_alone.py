@@ -117,6 +117,75 @@ def test_shapes_may_turn_normals_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shape.normals.load(), [[0.5, 0, 0], [-0.5, 0, 0]])
 
 
+HALF = """uniform vector3f[] inbetweens:half{values} ( weight = 0.5 )
+    uniform vector3f[] inbetweens:half:normalOffsets = [(0.2, 0, 0), (0, 0.1, 0)]
+"""
+
+
+@pytest.mark.parametrize("values", ["", " = []"], ids=["none", "empty"])
+@pytest.mark.parametrize("full", [True, False], ids=["full", "inbetween"])
+def test_inbetweens_may_turn_normals_alone(
+    values: str, full: bool, tmp_path: Path
+) -> None:
+    face = write_face(tmp_path)
+    text = face.read_text("utf-8")
+    turned = "uniform vector3f[] normalOffsets = [(0.5, 0, 0), (-0.5, 0, 0)]\n"
+    assert turned in text
+    half = HALF.format(values=values)
+    face.write_text(text.replace(turned, turned * full + half), "utf-8")
+    assert validate(face) == []
+    shape = Rig.load(face).shapes[1]
+    assert (shape.normals is not None) is full
+    (step,) = shape.inbetweens
+    np.testing.assert_array_equal(step.deltas.load(), np.zeros((2, 3)))
+    assert step.normals is not None
+    output = tmp_path / "out.usda"
+    assert animtool("bake", face, "--rig", face, "-o", output).code == 0
+    assert validate(output) == []
+    cache = tmp_path / "cache.usda"
+    assert animtool("bake", face, "--deform", "-o", cache).code == 0
+    stage = Usd.Stage.Open(str(cache))
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    normals = np.array(UsdGeom.Mesh(mesh).GetNormalsAttr().Get(2))
+    # Half way to the inbetween, at a quarter.
+    expected = np.array([0.1, 0, 1]) / np.linalg.norm([0.1, 0, 1])
+    np.testing.assert_allclose(normals[0], expected, atol=1e-6)
+
+
+def test_shapes_of_a_rig_file_may_turn_normals_alone(tmp_path: Path) -> None:
+    points = [[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]]
+    np.savez(
+        tmp_path / "h.npz",
+        points=points,
+        faces=[[0, 1, 2, 3]],
+        normals=np.tile([0.0, 0, 1], (4, 1)),
+        crease=[[0.5, 0, 0], [-0.5, 0, 0]],
+        at=[0, 1],
+    )
+    rig, clip = tmp_path / "h.rig.yaml", tmp_path / "h.clip.yaml"
+    rig.write_text(
+        "rig: animtool/1\nname: head\njoints: [{name: root, type: free}]\n"
+        "meshes: [{name: head, points: h.npz, faces: h.npz, normals: h.npz}]\n"
+        "shapes: [{name: crease, mesh: head, normals: h.npz#crease,"
+        " vertices: h.npz#at}]\n"
+    )
+    clip.write_text(
+        "clip: animtool/1\nrig: h.rig.yaml\nfps: 24\nrange: [1, 3]\nchannels:\n"
+        "- {target: shape/crease, keys: [{t: 1, v: 0}, {t: 3, v: 1}]}\n"
+    )
+    assert validate(rig) == []
+    output, cache = tmp_path / "out.usda", tmp_path / "cache.usda"
+    assert animtool("bake", clip, "-o", output).code == 0
+    assert validate(output) == []
+    assert animtool("bake", clip, "--deform", "-o", cache).code == 0
+    stage = Usd.Stage.Open(str(cache))
+    mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    normals = np.array(UsdGeom.Mesh(mesh).GetNormalsAttr().Get(3))
+    expected = np.array([0.5, 0, 1]) / np.linalg.norm([0.5, 0, 1])
+    np.testing.assert_allclose(normals[0], expected, atol=1e-6)
+    np.testing.assert_allclose(normals[2], [0, 0, 1], atol=1e-6)
+
+
 def test_a_shape_without_any_offsets_stays_an_error(tmp_path: Path) -> None:
     face = write_face(tmp_path)
     layer = Sdf.Layer.FindOrOpen(str(face))

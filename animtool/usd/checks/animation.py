@@ -13,6 +13,7 @@ from animtool.errors import Fault, counted, excerpt, listed
 from animtool.rules import finding
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.faults import (
+    UNIT_TOLERANCE,
     missing_parts,
     names_twice,
     tokens,
@@ -64,8 +65,6 @@ def _target(
         yield finding("USD208", relationship.GetPath(), message)
 
 
-# Of a quaternion's length. Text files with four digits are within.
-UNIT_TOLERANCE = 1e-3
 # |cos| of half the angle: nearer than this, two quaternions are one rotation.
 SAME_SIDE = 0.7
 

@@ -8,6 +8,7 @@ about those that stand out. Of others, it is asked about `MAX_ASKED` samples.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
+from animtool.clock import frame_label
 from animtool.errors import Fault
 from animtool.rules import finding
+from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.faults import (
     joint_parents,
@@ -137,10 +140,13 @@ def _compare(
     own = extents if sampled.animated else None
     times = sampled.times if own is not None else np.array(moving or [np.nan])
     expected = _joint_bounds(subject, bounded, source, times)
-    suspects = _chosen(len(times))
+    exact = own is not None or not moving
+    suspects, flagged = _chosen(len(times)), None
     if expected is not None:
-        apart = bounds_apart(extents, expected, exact=own is not None or not moving)
-        suspects = np.flatnonzero(~(apart <= 0))[:MAX_ASKED]
+        beyond, _ = bounds_apart(extents, expected, exact=exact)
+        flagged = np.flatnonzero(~(beyond <= 0))
+        suspects = np.sort(flagged[np.argsort(-beyond[flagged])[:MAX_ASKED]])
+    skinned = _Skinned(bounded)
     bad = []
     for i in suspects.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
@@ -154,24 +160,74 @@ def _compare(
             # Of no points: USD computes the bounds of nothing, and none is wrong.
             continue
         mine = extents[i : i + 1] if own is not None else extents
-        gap = bounds_apart(mine, bounds, exact=own is not None or not moving)[0]
-        if gap > 0:
-            bad.append((i, gap))
-    if bad:
-        worst = max(gap for _, gap in bad)
-        frames = np.array([i for i, _ in bad])
-        places = Sampled(times, [], np.zeros(len(times), np.int64))
-        more = " or more" if len(suspects) == MAX_ASKED < len(times) else ""
-        message = (
-            f"off by {worst:.3g}{more} {at_samples(places, frames)}"
-            if own is not None or not moving
-            else f"what moves leaves it by {worst:.3g} {at_samples(places, frames)}"
-        )
-        yield finding("USD251", attr.GetPath(), message)
+        beyond, off = bounds_apart(mine, bounds, exact=exact)
+        if beyond[0] > 0 and not skinned.holds(code, mine, bounds):
+            bad.append((i, off[0]))
+    if not bad:
+        return
+    frames = np.array([i for i, _ in bad])
+    if flagged is not None and len(bad) == len(suspects):
+        # Those that USD was asked about are the farthest off of all.
+        frames = flagged
+    worst, when = max((gap, -i) for i, gap in bad)
+    places = Sampled(times, [], np.zeros(len(times), np.int64))
+    more = " or more" if flagged is None and len(suspects) < len(times) else ""
+    lead = "off by" if exact else "what moves leaves it by"
+    message = f"{lead} {worst:.3g}{more} {at_samples(places, frames)}"
+    if len(frames) > 1:
+        message += f", most at {frame_label(times[-when])}"
+    if skinned.bounds is not None:
+        message += _overhang_text(bounded.GetPrim(), extents, times)
+    yield finding("USD251", attr.GetPath(), message)
 
 
-def bounds_apart(extents: FloatArray, bounds: FloatArray, *, exact: bool) -> FloatArray:
-    """Return how far extents are from bounds beyond the tolerance, at most 0 if not.
+class _Skinned:
+    """What a SkelRoot skins, looked at where its extent is not the one expected."""
+
+    def __init__(self, bounded: Any) -> None:
+        self._prim = bounded.GetPrim()
+
+    @cached_property
+    def bounds(self) -> SkinnedBounds | None:
+        """Bounds of its points; None of another prim."""
+        return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
+
+    def holds(self, code: Any, extent: FloatArray, computed: FloatArray) -> bool:
+        """Return whether an extent is that of USD, widened by points that leave it."""
+        posed = None if self.bounds is None else self.bounds.at(code)
+        if posed is None:
+            return False
+        widened = joined_bounds(computed[0], posed)[None]
+        return bool(bounds_apart(extent, widened, exact=True)[0][0] <= 0)
+
+
+def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the bounds ``(2, 3)`` of two.
+
+    >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
+    [[0.0], [3.0]]
+    """
+    low, high = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
+    return np.stack([low, high])
+
+
+def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
+    """Say how far skinned points leave the extents of a SkelRoot at most, and when."""
+    over = overhang(root, extents, times.tolist())
+    if over is None:
+        return "; no skinned point leaves it"
+    most, when, of_all = over
+    at = "" if np.isnan(when) else f" at time code {frame_label(when)}"
+    more = "" if of_all else " or more"
+    return f"; skinned points leave it by {most:.4g}{more}{at}"
+
+
+def bounds_apart(
+    extents: FloatArray, bounds: FloatArray, *, exact: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far extents are from bounds: beyond the tolerance, and in full.
+
+    The first is at most 0 where they are within it.
 
     ``extents`` ``(F, 2, 3)``, ``bounds`` ``(F, 2, 3)``.
     """
@@ -179,8 +235,7 @@ def bounds_apart(extents: FloatArray, bounds: FloatArray, *, exact: bool) -> Flo
     off = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
     sizes = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
     reach = np.abs(bounds).max(axis=(1, 2))
-    apart: FloatArray = off - TOLERANCE * sizes - 1e-6 * (1 + reach)
-    return apart
+    return off - TOLERANCE * sizes - 1e-6 * (1 + reach), off
 
 
 def _computed(bounded: Any, code: Any) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from animtool._types import FloatArray
+from animtool.clock import frame_label
 from animtool.errors import Fault
 from animtool.rules import finding
 from animtool.usd.checks.extents import bounds_apart
@@ -134,9 +135,12 @@ def _extent(
         # Between samples an extent is that of the sample before.
         held = np.searchsorted(sampled.times, points.times, side="right") - 1
         extents = extents[np.clip(held, 0, None)]
-    bad = bounds_apart(extents, bounds, exact=sampled.animated)
-    if (bad > 0).any():
-        message = f"off by {np.nanmax(bad):.3g} {at_samples(points, bad > 0)}"
+    beyond, off = bounds_apart(extents, bounds, exact=sampled.animated)
+    if (beyond > 0).any():
+        worst = int(np.nanargmax(np.where(beyond > 0, off, 0.0)))
+        message = f"off by {off[worst]:.3g} {at_samples(points, beyond > 0)}"
+        if np.count_nonzero(beyond > 0) > 1:
+            message += f", most at {frame_label(points.times[worst])}"
         yield finding("USD251", attr.GetPath(), message)
 
 

@@ -12,16 +12,16 @@ from pxr import UsdPhysics, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, counted, listed
 from animtool.rules import finding
-from animtool.usd.checks.animation import UNIT_TOLERANCE
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import (
+    UNIT_TOLERANCE,
     bind_transforms,
     joint_order,
     joint_parents,
     own_matrices,
-    rest_transforms,
     tokens,
 )
+from animtool.usd.rest_pose import rest_transforms
 
 
 def check_physics(subject: Subject) -> Iterator[Fault]:

@@ -193,10 +193,13 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
     expected = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
-    normals = _rows(shape.GetNormalOffsetsAttr())
-    if not len(offsets) and len(normals):
+    inbetweens = list(shape.GetInbetweens())
+    turned = [_rows(shape.GetNormalOffsetsAttr())]
+    turned += [_rows(step.GetNormalOffsetsAttr()) for step in inbetweens]
+    turning = max(map(len, turned))
+    if not len(offsets) and turning:
         # A shape may turn normals alone.
-        offsets = np.zeros((len(normals) if expected is None else expected, 3))
+        offsets = np.zeros((turning if expected is None else expected, 3))
     if expected is not None and len(offsets) != expected:
         counted_as = "pointIndices" if len(indices) else "points"
         yield finding(
@@ -204,8 +207,7 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
         )
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
-    inbetweens = list(shape.GetInbetweens())
-    moves = [offsets, normals, *(_rows(step.GetAttr()) for step in inbetweens)]
+    moves = [offsets, *turned, *(_rows(step.GetAttr()) for step in inbetweens)]
     if len(offsets) and not any(rows.any() for rows in moves):
         yield finding("RIG209", path, f"all {len(offsets)} offsets are 0")
     count = expected if expected is not None else len(offsets)
@@ -250,7 +252,8 @@ def _inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
     for step in steps:
         attr, weight = step.GetAttr(), step.GetWeight()
         rows = _rows(attr)
-        if len(rows) != expected:
+        alone = not len(rows) and len(_rows(step.GetNormalOffsetsAttr()))
+        if len(rows) != expected and not alone:
             message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _finite(attr, rows)

@@ -183,12 +183,35 @@ def check_range(subject: Subject) -> Iterator[Fault]:
         for path, span in spans.items()
         if span[0] <= start - 1 + SAME_TIME or span[1] >= end + 1 - SAME_TIME
     ]
-    if out:
+    if not out:
+        yield from _between_frames(subject, start, end, (first, last))
+    else:
         begin, finish = spans[out[0]]
         more = "" if len(out) == 1 else f", as are those of {len(out) - 1} more"
         message = f"samples are at {span_label(begin, finish)}, the stage's range is "
         message += f"{span_label(start, end)}{more}"
         yield finding("USD256", out[0], message)
+
+
+def _between_frames(
+    subject: Subject, start: float, end: float, samples: tuple[float, float]
+) -> Iterator[Fault]:
+    """Yield that the range begins or ends between frames, where no sample is."""
+    ends = {"starts": start, "ends": end}
+    off = {
+        verb: code for verb, code in ends.items() if abs(code - round(code)) > SAME_TIME
+    }
+    if not off:
+        return
+    held = {round(t, 6) for attr in subject.attributes for t in subject.times(attr)}
+    told = [
+        f"{verb} at {frame_label(code)}"
+        for verb, code in off.items()
+        if round(code, 6) not in held
+    ]
+    if told:
+        message = f"the range {' and '.join(told)}, and samples are at "
+        yield finding("USD289", ROOT, message + span_label(*samples))
 
 
 def _is_shared(prim: Any) -> bool:

@@ -8,9 +8,10 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.errors import Fault, counted
-from animtool.usd.checks.extents import extent_sources
+from animtool.usd.checks.extents import extent_sources, joined_bounds
+from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import Subject
-from animtool.usd.faults import joint_parents, own_matrices, tokens
+from animtool.usd.faults import tokens
 from animtool.usd.fixes.target import (
     AnyArray,
     Change,
@@ -19,6 +20,7 @@ from animtool.usd.fixes.target import (
     Target,
     rewrite,
 )
+from animtool.usd.rest_pose import relative_bind
 from animtool.usd.rig_prims import upwards
 
 # Of a sum: float32 weights cannot do better.
@@ -111,17 +113,12 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
     joints = tokens(skeleton.GetJointsAttr())
-    bind = own_matrices(skeleton.GetBindTransformsAttr())
-    if len(bind) != len(joints) or not np.isfinite(bind).all():
-        raise NotFixableError("there are no bind transforms to take them from")
     if skeleton.GetRestTransformsAttr().HasAuthoredValue():
         raise NotFixableError("there are rest transforms of another number")
+    rest = relative_bind(skeleton, joints)
+    if rest is None:
+        raise NotFixableError("there are no bind transforms to take them from")
     spec = target.prim_spec(prim)
-    parents = joint_parents(joints)
-    try:
-        rest = _relative(bind, parents)
-    except np.linalg.LinAlgError:
-        raise NotFixableError("a bind transform has no inverse") from None
 
     def edit() -> Change:
         made = spec.attributes.get("restTransforms") or Sdf.AttributeSpec(
@@ -134,15 +131,6 @@ def rest_from_bind(target: Target, fault: Fault) -> Edit:
         return Change(f"writes restTransforms of {counted(len(joints), 'joint')}")
 
     return edit
-
-
-def _relative(bind: Any, parents: Any) -> Any:
-    """Return row-vector matrices relative to their parents ``(J, 4, 4)``."""
-    rest = np.array(bind, np.float64)
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
-    return np.ascontiguousarray(rest)
 
 
 def default_value(target: Target, fault: Fault) -> Edit:
@@ -169,6 +157,8 @@ NAME = "extent"
 
 def computed(target: Target, fault: Fault) -> Edit:
     """Write `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
+
+    That of a SkelRoot is widened where skinned points leave it.
 
     A value of another file is overridden here: that file may be right without the
     motion that this one adds.
@@ -200,7 +190,8 @@ def _author(target: Target, prim: Any) -> Change:
     times = sorted({time for one in sources for time in subject.times(one)})
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
     before = [attr.Get(code) for code in codes]
-    after = [_bounds(bounded, code) for code in codes]
+    skinned = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
+    after = [_bounds(bounded, code, skinned) for code in codes]
     if before == after and attr.HasAuthoredValue():
         return _change(before, after)
     spec = _own_spec(target, prim) or _over(target, prim)
@@ -226,14 +217,22 @@ def _over(target: Target, prim: Any) -> Any:
     return held or Sdf.AttributeSpec(spec, NAME, Sdf.ValueTypeNames.Float3Array)
 
 
-def _bounds(bounded: Any, code: Any) -> Any:
+def _bounds(bounded: Any, code: Any, skinned: SkinnedBounds | None) -> Any:
+    """Return what USD computes, wider where skinned points leave it."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
     except Tf.ErrorException:
         extent = None
     if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
-    return Vt.Vec3fArray(extent)
+    posed = None if skinned is None else skinned.at(code)
+    if posed is None:
+        return Vt.Vec3fArray(extent)
+    # Outwards, so that rounding leaves no point outside.
+    ends = np.array([[-np.inf], [np.inf]], np.float32)
+    outside = np.nextafter(posed.astype(np.float32), ends, dtype=np.float32)
+    wide = joined_bounds(np.array(extent, np.float32), outside)
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(wide, np.float32))
 
 
 def _change(before: list[Any], after: list[Any]) -> Change:

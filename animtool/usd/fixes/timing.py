@@ -11,6 +11,7 @@ from pxr import Sdf, Usd
 from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, counted
 from animtool.maths import so3
+from animtool.usd.animation_values import OFF_FRAME
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
@@ -76,8 +77,6 @@ def _stacked(arrays: list[AnyArray]) -> AnyArray:
     return np.stack(arrays)
 
 
-# [frame] Further from a whole frame, a sample may be meant where it is.
-MAX_DRIFT = 0.05
 # [1/s] What USD assumes of a layer that states no rate.
 ASSUMED_RATE = 24.0
 
@@ -106,17 +105,38 @@ def sample_range(target: Target, _: Fault) -> Edit:
 
 
 def wider_range(target: Target, _: Fault) -> Edit:
-    """Widen the layer's range to hold all samples."""
+    """Widen the layer's range to hold all samples; one apart becomes theirs."""
     return lambda: _ranged(target, widen=True)
 
 
+def whole_range(target: Target, _: Fault) -> Edit:
+    """Bring the ends of the layer's range from between frames to frames outwards.
+
+    Where that is less than a frame before or after all samples, to the samples.
+    """
+    stage = target.stage
+
+    def edit() -> Change:
+        first, last = _span(stage)
+        start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+        start = first if 0 < first - start < 1 else float(math.floor(start))
+        end = last if 0 < end - last < 1 else float(math.ceil(end))
+        return _set_range(target.layer, start, end)
+
+    return edit
+
+
 def _ranged(target: Target, *, widen: bool) -> Change:
-    layer, stage = target.layer, target.stage
+    stage = target.stage
     first, last = _span(stage)
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    if widen and start <= last and end >= first:
+        first, last = min(first, start), max(last, end)
+    return _set_range(target.layer, first, last)
+
+
+def _set_range(layer: Any, first: float, last: float) -> Change:
     before = _stated(layer)
-    if widen:
-        first = min(first, stage.GetStartTimeCode())
-        last = max(last, stage.GetEndTimeCode())
     layer.startTimeCode, layer.endTimeCode = first, last
     return Change(f"sets the range to {span_label(first, last)}{before}")
 
@@ -149,7 +169,7 @@ def _span(stage: Any) -> tuple[float, float]:
 
 
 def whole_frames(target: Target, fault: Fault) -> Edit:
-    """Move samples that lie a little off a whole frame onto it.
+    """Move samples that lie a little off a whole frame onto it, and a range with them.
 
     Samples between frames, as those of motion blur, stay.
     """
@@ -157,7 +177,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
     moved = {
         time: float(round(time))
         for time in layer.ListAllTimeSamples()
-        if 0 < abs(time - round(time)) <= MAX_DRIFT
+        if 0 < abs(time - round(time)) <= OFF_FRAME
     }
     if not moved:
         for attr in target.prim(fault).GetAttributes():
@@ -165,7 +185,7 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
                     target.require_own(spec)
         if any(time != round(time) for time in layer.ListAllTimeSamples()):
-            off = f"samples more than {MAX_DRIFT} off a whole frame"
+            off = f"samples more than {OFF_FRAME} off a whole frame"
             raise NotFixableError(f"{off} may be intended")
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _moving(layer)
@@ -180,6 +200,14 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
             for path in paths:
                 count += _move(layer, path, moved)
         text = f"moves {counted(count, 'sample')} to whole frames"
+        ends = [layer.startTimeCode, layer.endTimeCode]
+        near = [
+            float(round(end)) if abs(end - round(end)) <= OFF_FRAME else end
+            for end in ends
+        ]
+        stated = layer.HasStartTimeCode() and layer.HasEndTimeCode()
+        if stated and near != ends:
+            text += f", and {_set_range(layer, *near).text}"
         largest = max(abs(new - old) for old, new in moved.items())
         return Change(text, largest, "frame")
 

@@ -23,7 +23,7 @@ from support.clean_layer import (
 )
 from support.cli import animtool
 
-from animtool.errors import OptionError
+from animtool.errors import FormatError, OptionError
 from animtool.report.compare import compare
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.plan import with_fixable
@@ -66,6 +66,22 @@ def drop(path: str) -> Plant:
         spec.owner.RemoveProperty(spec)
 
     return plant
+
+
+def posed_by_nothing(layer: Any) -> None:
+    """Leave the layer without rest transforms, and its animation without a joint."""
+    drop(f"{SKELETON}.restTransforms")(layer)
+    # What it spans follows from the rest pose.
+    drop(f"{ROOT}.extent")(layer)
+    path = f"{ANIMATION}.joints"
+    attribute(layer, path).default = list(attribute(layer, path).default)[:-1]
+    for name in ("translations", "rotations", "scales"):
+        spec = attribute(layer, f"{ANIMATION}.{name}")
+        for code in layer.ListTimeSamplesForPath(spec.path):
+            rows = layer.QueryTimeSample(spec.path, code)
+            layer.SetTimeSample(spec.path, code, rows[:-1])
+        if spec.HasDefaultValue():
+            spec.default = spec.default[:-1]
 
 
 def hold(layer: Any) -> None:
@@ -117,6 +133,7 @@ PLANTS: dict[str, Plant] = {
     "USD229": drop(f"{SKELETON}.restTransforms"),
     "USD232": loosen,
     "USD236": unbind,
+    "USD239": posed_by_nothing,
     "USD250": drop(f"{ROOT}.extent"),
     "USD251": shrink,
     "USD252": clear("framesPerSecond"),
@@ -124,6 +141,7 @@ PLANTS: dict[str, Plant] = {
     "USD255": clear("startTimeCode", "endTimeCode"),
     "USD256": stated(3, 5),
     "USD259": clear("defaultPrim"),
+    "USD289": stated(0.5, FRAMES + 0.5),
 }
 
 
@@ -150,6 +168,13 @@ LOST = {
     "USD203": {"3"},
     "USD229": {"restTransforms"},
     "USD232": {"primvars:skel:jointWeights"},
+    "USD239": {
+        "joints",
+        "restTransforms",
+        "scales",
+        "translations",
+        *map(str, range(1, FRAMES + 1)),
+    },
 }
 
 
@@ -441,3 +466,68 @@ def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:
     assert "unpack it" in fixes.notes[0]
     assert package.read_bytes() == before
     assert with_fixable(validate_files([package])).fixable == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "after"),
+    [
+        (100, 200, (1, FRAMES)),
+        (-9, -3, (1, FRAMES)),
+        (0.5, FRAMES + 0.25, (1, FRAMES)),
+        (1.5, FRAMES - 0.5, (1, FRAMES)),
+        (3.25, 6.75, (1, FRAMES)),
+        (-40, 5, (1, FRAMES)),
+    ],
+)
+def test_a_range_off_the_samples_is_brought_onto_them(
+    start: float, end: float, after: tuple[float, float], tmp_path: Path
+) -> None:
+    path = planted(tmp_path / "wrong.usda", stated(start, end))
+    fixes = fix_copy(path, tmp_path / "new.usda")
+    assert [str(fault) for fault in fixes.report.findings] == []
+    layer = Sdf.Layer.OpenAsAnonymous(str(tmp_path / "new.usda"))
+    assert (layer.startTimeCode, layer.endTimeCode) == after
+
+
+def test_a_range_moves_with_its_samples(tmp_path: Path) -> None:
+    path = planted(tmp_path / "wrong.usda", drift_times)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.startTimeCode, layer.endTimeCode = 1 + 1e-5, FRAMES * (1 + 1e-5)
+    layer.Save()
+    fixes = fix_copy(path, tmp_path / "new.usda")
+    assert [str(fault) for fault in fixes.report.findings] == []
+    layer = Sdf.Layer.OpenAsAnonymous(str(tmp_path / "new.usda"))
+    assert (layer.startTimeCode, layer.endTimeCode) == (1, FRAMES)
+
+
+# Samples of names are ignored, so that nothing moves before they are a default.
+@pytest.mark.parametrize("code", sorted(PLANTS.keys() - {"USD211", "USD239"}))
+def test_a_file_equals_its_own_fix(code: str, tmp_path: Path) -> None:
+    path = planted(tmp_path / "wrong.usda", PLANTS[code])
+    fix_copy(path, tmp_path / "new.usda")
+    try:
+        difference = compare(path, tmp_path / "new.usda")
+    except FormatError:
+        # Nothing to compare with: it is refused until it is fixed.
+        assert code in {"USD201", "USD254"}
+        return
+    assert difference.within(1e-7, 1e-5), difference
+    assert difference.mismatches == []
+
+
+def test_samples_astray_equal_their_own_fix(tmp_path: Path) -> None:
+    path = make_layer(tmp_path / "wrong.usda", FRAMES)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    for name in ("rotations", "translations"):
+        where = f"{ANIMATION}.{name}"
+        for time, moved in ((4.0, 4.04), (9.0, 8.97)):
+            value = layer.QueryTimeSample(where, time)
+            if value is not None:
+                layer.EraseTimeSample(where, time)
+                layer.SetTimeSample(where, moved, value)
+    layer.Save()
+    fixes = fix_copy(path, tmp_path / "new.usda")
+    assert "MOT216" in {fault.code for fault, _ in fixes.report.mended}
+    difference = compare(path, tmp_path / "new.usda")
+    assert difference.rotation.value == 0.0
+    assert difference.within(0.0, 0.0), difference
