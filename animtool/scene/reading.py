@@ -76,12 +76,19 @@ class Reading:
             try:
                 shown = share_of(progress, i, len(self.files))
                 if path in self.scenes:
-                    scene = self.scenes[path].forced(force_fit=options.force_fit)
+                    scene = self.scenes[path].forced(
+                        force_fit=options.force_fit, placement=options.placement
+                    )
                     streams.append(scene.open(progress=shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
                 shot = options.shot or own.shot
-                own = replace(own, force_fit=options.force_fit, shot=shot)
+                own = replace(
+                    own,
+                    force_fit=options.force_fit,
+                    shot=shot,
+                    placement=options.placement,
+                )
                 stream = opener(path, own, progress=shown)
                 if stream.details.get("format") == "BVH" and own.up is None:
                     from animtool.mocap.standing import with_lying_notice

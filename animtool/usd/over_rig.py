@@ -1,0 +1,116 @@
+"""What a layer holds of where a take is, over a rig that a stage has somewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, Severity
+from animtool.reorient import off_its_place
+from animtool.rig.placement import Placement
+from animtool.rig.skeleton import Rig
+from animtool.take import TakeStream
+from animtool.usd.faults import Spot
+from animtool.usd.placement import (
+    DROP,
+    KEEP,
+    SkeletonPlacement,
+    described,
+    refuse_uneven,
+    uneven_notice,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class OverRig:
+    """How a take comes to the numbers of a rig."""
+
+    stream: TakeStream  # without where it stands, where that is dropped
+    rest: Placement  # from the rig's numbers to where the take is, at rest
+    # From where the take is to the rig's numbers, at time codes ``(F,)``; None: the
+    # same.
+    to_rig: Callable[[FloatArray], Placement] | None
+    notices: list[Fault]  # what is kept or dropped
+
+
+def over_rig(
+    stream: TakeStream,
+    placement: Callable[[FloatArray | None], SkeletonPlacement],
+    choice: str | None,
+    where: str,
+) -> OverRig:
+    """Return how a take comes to the numbers of a rig that a stage has somewhere.
+
+    The layer makes the character as large and as upright as the take. Where that
+    stands is kept, or dropped: the rig's stage then has it where it has the rig.
+
+    Args:
+        stream: The take, with the up axis of the rig.
+        placement: Where the rig's stage has it, at time codes; None is the first.
+        choice: ``keep``, ``drop``, or None: drop where the rig stands somewhere, unless
+            the take rides on what the rig does not.
+        where: The rig layer, for notices.
+    """
+    own = placement(None)
+    spot = Spot(where, "")
+    if choice == KEEP:
+        refuse_uneven(own, spot)
+    notices = uneven_notice(own, spot)
+    stands, rig = own.stands, stream.rig
+    placed = own.fixed.moves or not own.fixed.is_none
+    alone = not stream.rig.has_rest and choice != KEEP
+    if own.uneven or alone or not placed:
+        # Without a rest pose it is in the space of its rig, which this is.
+        stream = off_its_place(stream) if choice == DROP else stream
+        kept = choice != DROP
+        notices += _report(rig, own.stands, kept=kept, where=where)
+        return OverRig(stream, _NONE, None, notices)
+    somewhere = own.fixed.moves or not stands.is_none
+    kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
+    notices += _report(rig, own.stands, kept=kept, where=where)
+    if not kept:
+        back = own.sized.inverse()
+        to_rig = None if back.is_none else lambda _: back
+        return OverRig(off_its_place(stream), own.sized, to_rig, notices)
+    if not own.fixed.moves:
+        back = own.fixed.inverse()
+        return OverRig(stream, own.rest, lambda _: back, notices)
+    return OverRig(
+        stream, own.rest, lambda codes: placement(codes).fixed.inverse(), notices
+    )
+
+
+_NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1))
+
+
+def _report(
+    rig: Rig, over: Placement | None, *, kept: bool, where: str
+) -> list[Fault]:
+    """Say once what becomes of where a take stands (USD123)."""
+    if rig.stands is None and not rig.rides:
+        return []
+    first = f"stands {described(rig.stands)}" if rig.stands else ""
+    rides = "rides on what moves above its SkelRoot" if rig.rides else ""
+    message = f"the take {' and '.join(filter(None, (first, rides)))}, "
+    message += "which is kept" if kept else "which is dropped"
+    if over is not None and not over.is_none:
+        message += f"; the rig stands {described(over)}"
+    hint = f"--placement {DROP if kept else KEEP} does the other"
+    return [Fault("USD123", message, where, (), hint, Severity.NOTE)]
+
+
+def placement_notice(
+    sources: Sequence[Path], streams: Sequence[TakeStream], choice: str | None
+) -> list[Fault]:
+    """Say once of each take what becomes of where it stands, in a stage (USD123)."""
+    return [
+        notice
+        for path, stream in zip(sources, streams, strict=True)
+        for notice in _report(
+            stream.rig, None, kept=choice != DROP, where=str(path)
+        )
+    ]
