@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ class OverRig:
     """How a take comes to the numbers of a rig."""
 
     stream: TakeStream  # without where it stands, where that is dropped
-    rest: Placement  # from the rig's numbers to where the take is, at rest
+    sized: Placement  # makes the rig, as its numbers are, as large and as upright
     # From where the take is to the rig's numbers, at time codes ``(F,)``; None: the
     # same.
     to_rig: Callable[[FloatArray], Placement] | None
@@ -60,8 +60,13 @@ def over_rig(
     if choice == KEEP:
         refuse_uneven(own, spot)
     notices = uneven_notice(own, spot)
+    left = [notice for notice in stream.notices if notice.code == "USD109"]
+    if own.uneven and left and all(own.uneven in notice.message for notice in left):
+        # The rig has the very transform that the take is read without.
+        others = [notice for notice in stream.notices if notice not in left]
+        stream, notices = replace(stream, notices=others), []
     stands, rig = own.stands, stream.rig
-    placed = own.fixed.moves or not own.fixed.is_none
+    placed = own.rides or not own.fixed.is_none
     alone = not stream.rig.has_rest and choice != KEEP
     if own.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
@@ -69,18 +74,18 @@ def over_rig(
         kept = choice != DROP
         notices += _report(rig, own.stands, kept=kept, where=where)
         return OverRig(stream, _NONE, None, notices)
-    somewhere = own.fixed.moves or not stands.is_none
+    somewhere = own.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
     notices += _report(rig, own.stands, kept=kept, where=where)
     if not kept:
         back = own.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
         return OverRig(off_its_place(stream), own.sized, to_rig, notices)
-    if not own.fixed.moves:
+    if not own.rides:
         back = own.fixed.inverse()
-        return OverRig(stream, own.rest, lambda _: back, notices)
+        return OverRig(stream, own.sized, lambda _: back, notices)
     return OverRig(
-        stream, own.rest, lambda codes: placement(codes).fixed.inverse(), notices
+        stream, own.sized, lambda codes: placement(codes).fixed.inverse(), notices
     )
 
 

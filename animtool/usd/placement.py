@@ -42,6 +42,7 @@ class SkeletonPlacement:
     uneven: str = ""
     # Where the rig's unit or up axis is not its stage's, and no transform says so.
     apart: str = ""
+    rides: bool = False  # whether the fixed part moves
     _up: UpAxis = UpAxis.Y
 
     @property
@@ -95,9 +96,21 @@ def skeleton_placement(
         where = Spot("", str(skeleton.GetPath()))
         where.fail("USD171", "the Skeleton's transform is not finite")
     units = _Units.of(skeleton, rig, whole[0])
-    uneven = _uneven(whole)
+    held = units.placement(fixed)
+    # One frame does not tell.
+    rides = held.moves if codes else moving and _may_ride(skeleton)
     return SkeletonPlacement(
-        units.placement(whole), units.placement(fixed), uneven, units.apart, rig.up
+        units.placement(whole), held, _uneven(whole), units.apart, rides, rig.up
+    )
+
+
+def _may_ride(skeleton: Any) -> bool:
+    """Return whether a prim that places a Skeleton moves, but for its SkelRoot."""
+    root = UsdSkel.Root.Find(skeleton)
+    own = root.GetPath() if root else None
+    return any(
+        mover.GetPath() != own and mover.TransformMightBeTimeVarying()
+        for mover in movers(skeleton)
     )
 
 
@@ -267,7 +280,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     return replace(
         placed,
         stands=None if stands.is_none else stands,
-        rides=placement.fixed.moves,
+        rides=placement.rides,
     )
 
 

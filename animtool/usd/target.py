@@ -18,7 +18,7 @@ from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
 from animtool.reorient import placed_motion
 from animtool.rig.fit import Fit, check_fit
-from animtool.rig.placement import Placement, placed_rig
+from animtool.rig.placement import Placement, at_origin, placed_rig
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name
@@ -338,9 +338,9 @@ def map_joints(
     fit: Fit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
-        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.rest)
+        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
         fit, differences = check_fit(
-            take, rig, found_at, where, forced=force_fit, unmatched=notices
+            at_origin(take), rig, found_at, where, forced=force_fit, unmatched=notices
         )
     return JointMap(
         skeleton.rig,
