@@ -140,8 +140,7 @@ def _markers(
     from animtool.cli.marker_files import run_on_markers
 
     refused = ("prim_path", "rig", "take", "reduce", "reduce_at", "base", "physics")
-    refused = (*refused, "placement")
-    for name in (name for name in refused if params[name]):
+    for name in (name for name in (*refused, "placement") if params[name]):
         option = f"--{name.replace('_', '-')}"
         raise click.UsageError(f"{option} is not for markers.")
 
@@ -164,6 +163,7 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
         "source_fps",
         "take",
         "rig",
+        "placement",
     ):
         if params[name]:
             option = f"--{name.replace('_', '-')}"

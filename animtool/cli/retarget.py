@@ -90,7 +90,7 @@ def retarget(
         written_options_record(
             params,
             *("fps", "frame_range", "start", "placement"),
-            strict=params["strict"]
+            strict=params["strict"],
         ),
     )
     if job.output is not None and skipped(

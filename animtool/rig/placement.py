@@ -140,7 +140,7 @@ class Placement:
 
 
 def _shortest(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the shortest turn from one axis to another, half about X where opposite."""
+    """Return the shortest turn from one axis to another, opposite ones about X."""
     if (one == -other).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
     return so3.between(one, other)

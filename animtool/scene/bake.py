@@ -176,7 +176,13 @@ def plan_output(
         up = target.skeleton.rig.up
         layer = str(target.path)
         ways = [
-            over_rig(reorient(one, up), target.placement, options.placement, layer)
+            over_rig(
+                reorient(one, up),
+                target.placement,
+                options.placement,
+                layer,
+                target.skeleton.rig,
+            )
             for one in streams
         ]
         streams = [way.stream for way in ways]

@@ -359,7 +359,7 @@ def _layer_job(
 
     target = open_target(layer, prim_path)
     stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
-    way = over_rig(stream, target.placement, None, str(layer))
+    way = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
     take = way.stream.collect()
     mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=way)
     clock = replace(

@@ -42,6 +42,7 @@ def over_rig(
     placement: Callable[[FloatArray | None], SkeletonPlacement],
     choice: str | None,
     where: str,
+    raw: Rig,
 ) -> OverRig:
     """Return how a take comes to the numbers of a rig that a stage has somewhere.
 
@@ -54,6 +55,7 @@ def over_rig(
         choice: ``keep``, ``drop``, or None: drop where the rig stands somewhere, unless
             the take rides on what the rig does not.
         where: The rig layer, for notices.
+        raw: The rig, as its numbers are.
     """
     own = placement(None)
     spot = Spot(where, "")
@@ -67,7 +69,9 @@ def over_rig(
         stream, notices = replace(stream, notices=others), []
     stands, rig = own.stands, stream.rig
     placed = own.rides or not own.fixed.is_none
-    alone = not stream.rig.has_rest and choice != KEEP
+    alone = not rig.has_rest and choice != KEEP
+    if alone and _is_sized(rig, raw, own.sized.size):
+        alone, choice = False, choice or KEEP
     if own.uneven or alone or not placed:
         # Without a rest pose it is in the space of its rig, which this is.
         stream = off_its_place(stream) if choice == DROP else stream
@@ -92,9 +96,25 @@ def over_rig(
 _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1))
 
 
-def _report(
-    rig: Rig, over: Placement | None, *, kept: bool, where: str
-) -> list[Fault]:
+def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
+    """Return whether bones are as long as a rig's in the world, and not in its space.
+
+    An animation without its Skeleton says no more of the space that it is in.
+    """
+    lengths = {j.name: float(np.linalg.norm(j.translation)) for j in raw.joints}
+    pairs = [
+        (float(np.linalg.norm(joint.translation)), lengths[joint.name])
+        for joint in take.joints
+        if joint.parent >= 0 and joint.name in lengths
+    ]
+    mine, theirs = (sum(row) for row in zip(*pairs, strict=True)) if pairs else (0, 0)
+    if not mine or not theirs:
+        return False
+    ratio = np.log(mine / theirs)
+    return bool(abs(ratio - np.log(size)) < abs(ratio))
+
+
+def _report(rig: Rig, over: Placement | None, *, kept: bool, where: str) -> list[Fault]:
     """Say once what becomes of where a take stands (USD123)."""
     if rig.stands is None and not rig.rides:
         return []
@@ -115,7 +135,5 @@ def placement_notice(
     return [
         notice
         for path, stream in zip(sources, streams, strict=True)
-        for notice in _report(
-            stream.rig, None, kept=choice != DROP, where=str(path)
-        )
+        for notice in _report(stream.rig, None, kept=choice != DROP, where=str(path))
     ]

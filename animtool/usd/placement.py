@@ -263,9 +263,7 @@ def apart_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
-NOWHERE = SkeletonPlacement(
-    Placement.turn(so3.IDENTITY), Placement.turn(so3.IDENTITY)
-)
+NOWHERE = SkeletonPlacement(Placement.turn(so3.IDENTITY), Placement.turn(so3.IDENTITY))
 
 
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
@@ -284,9 +282,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     )
 
 
-def own_placement(
-    skeleton: Any, rig: Rig, choice: str | None = None
-) -> SkeletonPlacement:
+def own_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
     """Return where a rig is at rest; an uneven placement is left out of that."""
     placement = skeleton_placement(skeleton, rig)
     if placement.uneven:

@@ -289,7 +289,7 @@ def test_a_placed_rig_takes_what_stands_elsewhere(tmp_path: Path) -> None:
     truth = composed(plain)
     bake(plain, tmp_path / "drop.usda", BakeOptions(rig_layer=rig))
     turn = so3.from_axis_angle([0.0, 1.0, 0.0], np.radians(20.0))
-    moved = so3.rotate(turn, truth) + [3.0, 1.0, 0.0]
+    moved = so3.rotate(turn, truth) + np.array([3.0, 1.0, 0.0])
     np.testing.assert_allclose(
         composed(over(tmp_path / "drop.usda", rig)), moved, atol=2e-6
     )
@@ -395,7 +395,9 @@ def test_a_rig_of_a_stage_is_as_large_as_there(tmp_path: Path) -> None:
     rig = Rig.load(path)
     take = open_source(path).collect()
     np.testing.assert_allclose(rig.rest_translations, take.rig.rest_translations)
-    np.testing.assert_allclose(np.linalg.norm(rig.rest_translations[2]), 0.5 * np.hypot(0.4, 0.01))
+    np.testing.assert_allclose(
+        np.linalg.norm(rig.rest_translations[2]), 0.5 * np.hypot(0.4, 0.01)
+    )
     assert rig.meshes[0].geom_bind is not None
 
 

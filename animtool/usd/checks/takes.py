@@ -336,9 +336,7 @@ def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
     yield from np.unique(which[(which >= 0) & (which < count)]).tolist()
 
 
-def _bind(
-    skeleton: Any, rig: Rig, placement: SkeletonPlacement
-) -> FloatArray | None:
+def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
     """Return where the joints are in the bind pose; None where it is not sound."""
     matrices = own_matrices(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
