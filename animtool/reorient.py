@@ -10,7 +10,8 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rig.placement import Placement, at_origin, placed_rig
+from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 from animtool.transforms import turned_track

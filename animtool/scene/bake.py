@@ -15,6 +15,7 @@ from animtool.errors import Fault, OptionError, Severity, listed, refuse_warning
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
 from animtool.reorient import off_its_place, reorient
+from animtool.rig.placed import standing_notice
 from animtool.scene.frames import TakePlan, TakeRun
 from animtool.scene.options import BakeOptions
 from animtool.scene.prims import (
@@ -188,10 +189,10 @@ def plan_output(
         streams = [way.stream for way in ways]
         mappings = [_mapped(way, target, options, notices) for way in ways]
     else:
-        from animtool.usd.over_rig import placement_notice
-
-        notices += placement_notice(sources, streams, options.placement)
-        if options.placement == "drop":
+        kept = options.placement != "drop"
+        for source, one in zip(sources, streams, strict=True):
+            notices += standing_notice(one.rig, str(source), kept=kept)
+        if not kept:
             streams = [off_its_place(stream) for stream in streams]
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]

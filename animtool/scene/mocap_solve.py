@@ -23,7 +23,7 @@ from animtool.mocap.solve.source import (
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig

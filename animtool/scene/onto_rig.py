@@ -14,7 +14,7 @@ from animtool.motion import Channel, Motion
 from animtool.readers import USD, find_reader
 from animtool.reorient import reorient
 from animtool.rig.fit import check_fit
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 

@@ -19,7 +19,7 @@ from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
 from animtool.scene.frames import in_frames

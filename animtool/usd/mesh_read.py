@@ -21,7 +21,8 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.placement import Placement, placed_rig, placement_matrix
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.faults import Spot, bind_transforms

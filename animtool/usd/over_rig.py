@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault
 from animtool.reorient import off_its_place
+from animtool.rig.placed import standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
@@ -19,7 +19,6 @@ from animtool.usd.placement import (
     DROP,
     KEEP,
     SkeletonPlacement,
-    described,
     refuse_uneven,
     uneven_notice,
 )
@@ -76,11 +75,11 @@ def over_rig(
         # Without a rest pose it is in the space of its rig, which this is.
         stream = off_its_place(stream) if choice == DROP else stream
         kept = choice != DROP
-        notices += _report(rig, own.stands, kept=kept, where=where)
+        notices += standing_notice(rig, where, kept=kept, over=own.stands)
         return OverRig(stream, _NONE, None, notices)
     somewhere = own.rides or not stands.is_none
     kept = choice == KEEP or (choice is None and (stream.rig.rides or not somewhere))
-    notices += _report(rig, own.stands, kept=kept, where=where)
+    notices += standing_notice(rig, where, kept=kept, over=own.stands)
     if not kept:
         back = own.sized.inverse()
         to_rig = None if back.is_none else lambda _: back
@@ -112,28 +111,3 @@ def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
         return False
     ratio = np.log(mine / theirs)
     return bool(abs(ratio - np.log(size)) < abs(ratio))
-
-
-def _report(rig: Rig, over: Placement | None, *, kept: bool, where: str) -> list[Fault]:
-    """Say once what becomes of where a take stands (USD123)."""
-    if rig.stands is None and not rig.rides:
-        return []
-    first = f"stands {described(rig.stands)}" if rig.stands else ""
-    rides = "rides on what moves above its SkelRoot" if rig.rides else ""
-    message = f"the take {' and '.join(filter(None, (first, rides)))}, "
-    message += "which is kept" if kept else "which is dropped"
-    if over is not None and not over.is_none:
-        message += f"; the rig stands {described(over)}"
-    hint = f"--placement {DROP if kept else KEEP} does the other"
-    return [Fault("USD123", message, where, (), hint, Severity.NOTE)]
-
-
-def placement_notice(
-    sources: Sequence[Path], streams: Sequence[TakeStream], choice: str | None
-) -> list[Fault]:
-    """Say once of each take what becomes of where it stands, in a stage (USD123)."""
-    return [
-        notice
-        for path, stream in zip(sources, streams, strict=True)
-        for notice in _report(stream.rig, None, kept=choice != DROP, where=str(path))
-    ]

@@ -18,7 +18,8 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
-from animtool.rig.placement import Placement, placed_rig
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name, up_from_up
 from animtool.usd.faults import Spot
@@ -288,10 +289,3 @@ def own_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
     if placement.uneven:
         return replace(NOWHERE, uneven=placement.uneven)
     return placement
-
-
-def described(placement: Placement) -> str:
-    """Return a placement in words, with numbers."""
-    x, y, z = (round(v, 4) + 0.0 for v in placement.translations[0].tolist())
-    angle = math.degrees(2 * math.acos(min(1.0, abs(float(placement.rotations[0, 3])))))
-    return f"at ({x:g}, {y:g}, {z:g}) m, turned {round(angle, 2):g}°"

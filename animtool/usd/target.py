@@ -18,7 +18,8 @@ from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
 from animtool.reorient import placed_motion
 from animtool.rig.fit import Fit, check_fit
-from animtool.rig.placement import Placement, at_origin, placed_rig
+from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name

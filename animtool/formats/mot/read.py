@@ -28,7 +28,7 @@ from animtool.rates import (
     rate_option,
 )
 from animtool.rig.joints import local_from_coordinates
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 from animtool.take import TakeStream

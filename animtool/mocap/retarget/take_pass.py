@@ -34,7 +34,7 @@ from animtool.passes import (
     TakePart,
 )
 from animtool.rig.kinematics import forward
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
 

@@ -18,7 +18,7 @@ from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.motion import Motion
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import TakeStream

@@ -12,7 +12,7 @@ from animtool.errors import OptionError
 from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.reorient import reorient, turned_rig
-from animtool.rig.placement import at_origin
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
