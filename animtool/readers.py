@@ -70,7 +70,7 @@ USD = Reader(
     "USD",
     "animtool.usd.stored_rig:read_rig",
     "animtool.usd.read:read_usd",
-    ("prim_path", "take"),
+    ("prim_path", "take", "placement"),
     "animtool.usd.prim_transforms:open_prim",
 )
 DOCUMENT = Reader(

@@ -1,18 +1,18 @@
-"""Standing a take on another up axis."""
+"""Standing a take on another up axis, or in another place."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Set
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
-from animtool.rig.parts import Attachment, HeldArray, IkChain, Mesh
-from animtool.rig.skeleton import Pose, Rig
+from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placement import Placement
+from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 from animtool.transforms import turned_track
 from animtool.units import UpAxis, up_from_up
@@ -28,103 +28,106 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     if turn is None:
         return stream
     rotation = np.array(turn)
-    rig = turned_rig(stream.rig, rotation, up)
-    source, curve = stream.rig, stream.curve
-    turned = replace(
+    turned = _placed_stream(stream, Placement.turn(rotation), up)
+    turned.tracks = tuple(turned_track(track, rotation) for track in stream.tracks)
+    return turned
+
+
+def off_its_place(stream: TakeStream) -> TakeStream:
+    """Return a take without where its stage has it stand and face.
+
+    Its size and its up axis stay, and what else moves beside it.
+    """
+    stands = stream.rig.stands
+    if stands is None:
+        return stream
+    moved = _placed_stream(stream, stands.inverse(), stream.rig.up)
+    moved.rig = at_origin(stream.rig)
+    return moved
+
+
+def _placed_stream(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
+    roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
+    placed = replace(
         stream,
-        rig=rig,
-        blocks=_turned(stream.blocks, source, rotation),
-        tracks=tuple(turned_track(track, rotation) for track in stream.tracks),
+        rig=placed_rig(stream.rig, placement, up),
+        blocks=_placed_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
-        turned.curve = lambda times: next(
-            _turned(iter([curve(times)]), source, rotation)
-        )
-    return turned
+        placed.curve = lambda times: placed_motion(curve(times), roots, placement)
+    return placed
+
+
+def _placed_blocks(
+    blocks: Iterator[Motion], roots: IntArray, placement: Placement
+) -> Iterator[Motion]:
+    for block in blocks:
+        yield placed_motion(block, roots, placement)
 
 
 def turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
     """Return a rig with its roots at rest turned by ``turn`` ``(4,)`` to an up axis."""
-    joints = []
-    for joint in rig.joints:
-        if joint.parent < 0:
-            x, y, z = so3.rotate(turn, joint.translation).tolist()
-            a, b, c, w = so3.multiply(turn, joint.rotation).tolist()
-            joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))  # noqa: PLW2901
-        joints.append(joint)
-    roots = {joint.name for joint in rig.joints if joint.parent < 0}
-    bind = {
-        name: _turned_pose(pose, turn) if name in roots else pose
-        for name, pose in rig.bind.items()
-    }
-    meshes = tuple(_turned_mesh(mesh, turn) for mesh in rig.meshes)
-    attach = tuple(_turned_strands(entry, turn) for entry in rig.attach)
+    return placed_rig(rig, Placement.turn(turn), up)
+
+
+def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
+    """Return the motion of a rig brought to a placement, of as many frames or of one.
+
+    roots: joints without a parent ``(R,)``; the others are in their frames.
+    """
+    rotations = _placed(motion.rotations, roots, placement, turns=True)
+    if placement.moves:
+        frames = so3.align_signs(rotations.gather(roots))
+        rotations = rotations.put(roots, frames)
     return replace(
-        rig,
-        joints=tuple(joints),
-        up=up,
-        bind=bind,
-        meshes=meshes,
-        ik=tuple(_turned_chain(chain, turn, roots) for chain in rig.ik),
-        attach=attach,
+        motion,
+        translations=_placed(motion.translations, roots, placement, turns=False),
+        rotations=rotations,
+        scales=_scaled(motion, roots, placement),
+        points={
+            name: _placed_points(channel, placement)
+            for name, channel in motion.points.items()
+        },
     )
 
 
-def _turned_pose(pose: Pose, turn: FloatArray) -> Pose:
-    x, y, z = so3.rotate(turn, pose.translation).tolist()
-    a, b, c, w = so3.multiply(turn, pose.rotation).tolist()
-    return Pose((x, y, z), (a, b, c, w))
+def _placed(
+    channel: Channel, roots: IntArray, placement: Placement, *, turns: bool
+) -> Channel:
+    """Return a channel whose roots are placed, and its lengths scaled."""
+    operation = placement.turns if turns else placement.points
+    rest, values = channel.rest.copy(), channel.values.copy()
+    moving = np.isin(channel.animated, roots)
+    if placement.size != 1.0 and not turns:
+        below = np.ones(len(rest), np.bool_)
+        below[roots] = False
+        rest[below] *= placement.size
+        values[:, ~moving] *= placement.size
+    if placement.moves:
+        whole = operation(channel.gather(roots))
+        return Channel(rest, channel.animated, values).put(roots, whole)
+    rest[roots] = operation(rest[roots])
+    values[:, moving] = operation(values[:, moving])
+    return Channel(rest, channel.animated, values)
 
 
-def _turned_chain(chain: IkChain, turn: FloatArray, roots: Set[str]) -> IkChain:
-    """Return a chain whose pole direction is turned where it is in the world."""
-    if chain.pole_dir is None or chain.root not in roots:
-        return chain
-    x, y, z = so3.rotate(turn, chain.pole_dir).tolist()
-    return replace(chain, pole_dir=(x, y, z))
+def _scaled(motion: Motion, roots: IntArray, placement: Placement) -> Channel | None:
+    """Return scales with what lengths do not hold of a size that changes."""
+    more = placement.sizes / placement.size
+    if (more == 1.0).all():
+        return motion.scales
+    scales = motion.scales
+    if scales is None:
+        scales = Channel.still(np.ones((len(motion.translations.rest), 3)), len(more))
+    return scales.put(roots, scales.gather(roots) * more[:, None, None])
 
 
-def _turned_mesh(mesh: Mesh, turn: FloatArray) -> Mesh:
-    """Return a mesh whose points are turned where they are bound."""
-    bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
-    whole = np.eye(4)
-    whole[:3, :3] = so3.to_matrix(turn)
-    return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
-
-
-def _turned_strands(entry: Attachment, turn: FloatArray) -> Attachment:
-    """Return an attachment whose strands are turned where they are in the world."""
-    if entry.points is None:
-        return entry
-    try:
-        points = so3.rotate(turn, entry.points.load())
-    except ValueError as error:
-        raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
-    return replace(entry, points=HeldArray(points))
-
-
-def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Motion]:
-    roots = np.array(rig.roots)
-
-    def apply(channel: Channel, multiply: bool) -> Channel:
-        operation = so3.multiply if multiply else so3.rotate
-        rest, values = channel.rest.copy(), channel.values.copy()
-        rest[roots] = operation(turn, rest[roots])
-        moving = np.isin(channel.animated, roots)
-        values[:, moving] = operation(turn, values[:, moving])
-        return Channel(rest, channel.animated, values)
-
-    for block in blocks:
-        yield replace(
-            block,
-            translations=apply(block.translations, False),
-            rotations=apply(block.rotations, True),
-            points={
-                name: replace(
-                    channel,
-                    rest=so3.rotate(turn, channel.rest),
-                    values=so3.rotate(turn, channel.values),
-                )
-                for name, channel in block.points.items()
-            },
-        )
+def _placed_points(channel: Channel, placement: Placement) -> Channel:
+    if placement.moves:
+        every = np.arange(len(channel.rest))
+        return channel.put(every, placement.points(channel.gather(every)))
+    return replace(
+        channel,
+        rest=placement.points(channel.rest),
+        values=placement.points(channel.values),
+    )

@@ -50,7 +50,7 @@ Examples:
     help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: "
     f"{KEY_TOLERANCE}]",
 )
-@bake_option("reduce_at")
+@bake_option("reduce_at", "placement")
 @click.option(
     "--base",
     type=INPUT,
@@ -98,6 +98,7 @@ def convert(console: Console, /, source: Path, output: Path, **params: Any) -> N
         params,
         *("rig", "take", "dropped", "positions"),
         prim_path=params["prim_path"],
+        placement=params["placement"],
     )
     with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
@@ -139,7 +140,7 @@ def _markers(
     from animtool.cli.marker_files import run_on_markers
 
     refused = ("prim_path", "rig", "take", "reduce", "reduce_at", "base", "physics")
-    for name in (name for name in refused if params[name]):
+    for name in (name for name in (*refused, "placement") if params[name]):
         option = f"--{name.replace('_', '-')}"
         raise click.UsageError(f"{option} is not for markers.")
 
@@ -162,6 +163,7 @@ def _rig(console: Console, source: Path, output: Path, params: dict[str, Any]) -
         "source_fps",
         "take",
         "rig",
+        "placement",
     ):
         if params[name]:
             option = f"--{name.replace('_', '-')}"

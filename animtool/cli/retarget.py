@@ -65,7 +65,7 @@ Examples:
 @written_options
 @source_options
 @source_option("prim_path", "take", "positions")
-@bake_option("fps", "frame_range", "start")
+@bake_option("fps", "frame_range", "start", "placement")
 @writing_options
 def retarget(
     console: Console, /, source: Path, output: Path | None, **params: Any
@@ -88,7 +88,9 @@ def retarget(
         to_stdout,
         params["write_map"],
         written_options_record(
-            params, "fps", "frame_range", "start", strict=params["strict"]
+            params,
+            *("fps", "frame_range", "start", "placement"),
+            strict=params["strict"],
         ),
     )
     if job.output is not None and skipped(

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError
 from animtool.mocap.facts import CaptureFacts, capture_facts
 from animtool.mocap.standing import lying_notice
 from animtool.quantities import Description
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.take import Take
+from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         FormatError: It cannot be read or is malformed.
         OptionError: Its suffix is none that animtool reads.
     """
-    stream = open_source(path, options)
+    stream = _opened(path, options)
     take = stream.collect()
     motion, rig = take.motion, take.rig
     lows, highs = [], []
@@ -125,6 +125,17 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         capture,
         None if capture is None else _cycle(take),
     )
+
+
+def _opened(path: Path | str, options: SourceOptions | None) -> TakeStream:
+    """Return a take, one that joints cannot hold without where it stands."""
+    try:
+        return open_source(path, options)
+    except FormatError as error:
+        if all(fault.code != "USD035" for fault in error.faults):
+            raise
+        left = replace(options or SourceOptions(), placement="drop")
+        return open_source(path, left)
 
 
 def _cycle(take: Take) -> Cycle | None:

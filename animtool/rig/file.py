@@ -161,6 +161,8 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         colliders,
         units.angle,
         (*inherited.notices, *document.notices),
+        stands=inherited.stands,
+        rides=inherited.rides,
     )
     if rig.is_driven:
         unnamed = {

@@ -25,6 +25,7 @@ from animtool.rig.parts import (
     Shape,
     Vector,
 )
+from animtool.rig.placement import Placement
 from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
 
@@ -128,6 +129,10 @@ class Rig:
         notices: What is odd about the file that it was read from; not compared.
         has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
             without its Skeleton; not compared.
+        stands: Where a stage has it stand and face, which its roots at rest hold; a
+            scale is part of its lengths. None where it is where its numbers say; not
+            compared.
+        rides: Whether it moves there by what is above the SkelRoot; not compared.
 
     Raises:
         OptionError: A name stands twice (RIG001), or a parent does not precede its
@@ -148,6 +153,8 @@ class Rig:
     radians_per_unit: float = math.radians(1.0)
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
     has_rest: bool = field(default=True, repr=False, compare=False)
+    stands: Placement | None = field(default=None, repr=False, compare=False)
+    rides: bool = field(default=False, repr=False, compare=False)
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -14,7 +14,8 @@ from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.rates import rate_label
-from animtool.reorient import reorient
+from animtool.reorient import off_its_place, reorient
+from animtool.rig.placed import standing_notice
 from animtool.scene.first_frame import frame_start
 from animtool.scene.frames import TakePlan, TakeRun
 from animtool.scene.options import BakeOptions
@@ -40,6 +41,7 @@ from animtool.usd.names import legal_name
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
+    from animtool.usd.over_rig import OverRig
     from animtool.usd.target import JointMap, RigTarget
 
 
@@ -170,10 +172,29 @@ def plan_output(
     target = _target(path if added else options.rig_layer, options.prim_path)
     mappings: list[JointMap | None] = [None] * len(streams)
     if target is not None:
+        from animtool.usd.over_rig import over_rig
+
         notices += target.notices
-        streams = [reorient(stream, target.skeleton.rig.up) for stream in streams]
-        mappings = [_mapped(stream, target, options, notices) for stream in streams]
+        up = target.skeleton.rig.up
+        layer = str(target.path)
+        ways = [
+            over_rig(
+                reorient(one, up),
+                target.placement,
+                options.placement,
+                layer,
+                target.skeleton.rig,
+            )
+            for one in streams
+        ]
+        streams = [way.stream for way in ways]
+        mappings = [_mapped(way, target, options, notices) for way in ways]
     else:
+        kept = options.placement != "drop"
+        for source, one in zip(sources, streams, strict=True):
+            notices += standing_notice(one.rig, str(source), kept=kept)
+        if not kept:
+            streams = [off_its_place(stream) for stream in streams]
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
     if options.root_motion and not streams[0].rig.joints:
@@ -263,16 +284,20 @@ def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
 
 
 def _mapped(
-    stream: TakeStream, target: RigTarget, options: BakeOptions, notices: list[Fault]
+    way: OverRig, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> JointMap:
     from animtool.usd.target import map_joints
 
     mapping = map_joints(
-        stream.rig, target, options.strip_namespace, force_fit=options.force_fit
+        way.stream.rig,
+        target,
+        options.strip_namespace,
+        force_fit=options.force_fit,
+        over=way,
     )
     if mapping.fit is not None:
-        stream.details["fit"] = round(mapping.fit.score, 4)
-    notices += mapping.notices
+        way.stream.details["fit"] = round(mapping.fit.score, 4)
+    notices += [*way.notices, *mapping.notices]
     return mapping
 
 

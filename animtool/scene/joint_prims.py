@@ -135,7 +135,7 @@ class _JointTake:
         chosen = None
         if mapping is not None:
             mapped = mapping
-            blocks = ((codes, mapped.apply(motion)) for codes, motion in blocks)
+            blocks = ((codes, mapped.at(codes, motion)) for codes, motion in blocks)
             if (mapping.source < 0).any():
                 chosen = mapping.source >= 0
         if options.sparse:

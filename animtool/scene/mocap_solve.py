@@ -23,6 +23,7 @@ from animtool.mocap.solve.source import (
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import template_text
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
+from animtool.rig.placed import at_origin
 from animtool.scene.convert import ConvertReport
 from animtool.scene.convert_rig import RigFile, rig_file
 from animtool.scene.onto_rig import open_rig
@@ -187,6 +188,7 @@ def _solved(
     found: Calibration | None = None
     with sparing_inputs(outputs):
         rig, notices = open_rig(rig_path)
+        rig = at_origin(rig)
         markers = open_markers(job.source, **reading)
         seconds["read"] = time.perf_counter() - began
         if job.calibrate:

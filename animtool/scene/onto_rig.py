@@ -14,6 +14,7 @@ from animtool.motion import Channel, Motion
 from animtool.readers import USD, find_reader
 from animtool.reorient import reorient
 from animtool.rig.fit import check_fit
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 
@@ -150,6 +151,8 @@ def on_rig_file(
         return Fault(code, message, str(path), (), hint, severity)
 
     rig, notices = open_rig(rig_path)
+    # The take says where it goes, and not the stage that has the rig.
+    rig = at_origin(rig)
     own = reorient(stream, rig.up)
     mapped, names = on_rig(own, rig, note)
     unmatched = left_out(names, own.rig, str(path))

@@ -32,6 +32,9 @@ class BakeOptions:
         take: Name of a library's take; None is that of the source.
         prim_path: Where the character stands; None is ``/{name of the source}``,
             or where the rig layer has it.
+        placement: ``keep`` where the stage of a USD source has the character stand and
+            face, or ``drop`` it; None keeps it, but drops it in a layer over a rig that
+            stands somewhere itself.
         bones: Add geometry that shows the joints.
         strip_namespace: Leading ``ns:`` parts of joint names to drop.
         rest_frame: Frame whose pose becomes the rest pose; None keeps the source's.
@@ -134,6 +137,24 @@ class BakeOptions:
         ),
         metavar="PATH",
         help="Where the character stands, such as /World/hero.",
+    )
+    placement: str | None = option(
+        None,
+        "choice",
+        "--placement",
+        label="placement",
+        not_for=("systems",),
+        both=Key(
+            "Where the stage of a USD source has the character stand and face: in the "
+            "output, or left out. Its size and its up axis stay. Not given: `keep`; "
+            "of a layer over a rig that stands somewhere itself: `drop`.",
+            "drop",
+            ("keep", "drop"),
+        ),
+        choices=("keep", "drop"),
+        help="Where the stage of a USD source has the character stand and face: keep "
+        "it, or drop it. Its size and its up axis stay.  [default: keep; drop in a "
+        "layer over a rig that stands somewhere itself]",
     )
     bones: bool = option(
         False,

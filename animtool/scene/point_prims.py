@@ -110,7 +110,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         else:
             origin, targets = (
                 str(source),
-                source_meshes(source, options.source.prim_path),
+                source_meshes(source, options.source.prim_path, options.placement),
             )
         take.notices.extend(targets.notices)
         surfaces = _turned(targets.surfaces, rig.up, targets.up)
@@ -196,13 +196,13 @@ class PointStream:
         for codes, motion, own in pieces(timed, neighbours=self.velocities):
             mapped = motion
             if character.mapping is not None:
-                mapped = character.mapping.apply(motion)
+                mapped = character.mapping.at(codes, motion)
             world = forward(character.rig, *mapped.dense())
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
                 frames = self._frames(mesh, codes, mesh.weights(weights), world)
-                if mesh.name in motion.points:
-                    frames = self._moved(i, frames, codes, motion.points[mesh.name])
+                if mesh.name in mapped.points:
+                    frames = self._moved(i, frames, codes, mapped.points[mesh.name])
                 yield from self._rounded(i, codes, frames, own)
 
     def _moved(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.documents.names import is_named
-from animtool.errors import AnimtoolError, Fault, OptionError, Severity
+from animtool.errors import AnimtoolError, Fault, FormatError, OptionError, Severity
 from animtool.options import clashes, given_options, refused_options
 from animtool.rates import rate_label
 from animtool.scene.options import BakeOptions, merged
@@ -75,19 +75,7 @@ class Reading:
         for i, path in enumerate(self.files):
             try:
                 shown = share_of(progress, i, len(self.files))
-                if path in self.scenes:
-                    scene = self.scenes[path].forced(force_fit=options.force_fit)
-                    streams.append(scene.open(progress=shown))
-                    continue
-                own = fitting_options(options.source, path, self.files)
-                shot = options.shot or own.shot
-                own = replace(own, force_fit=options.force_fit, shot=shot)
-                stream = opener(path, own, progress=shown)
-                if stream.details.get("format") == "BVH" and own.up is None:
-                    from animtool.mocap.standing import with_lying_notice
-
-                    stream = with_lying_notice(path, stream)
-                streams.append(stream)
+                streams.append(self._open_one(path, options, opener, shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:
@@ -95,6 +83,42 @@ class Reading:
         if errors:
             raise type(errors[0])([fault for e in errors for fault in e.faults])
         return streams
+
+    def _open_one(
+        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
+    ) -> TakeStream:
+        """Return a source, opened; over a rig, without what joints cannot hold."""
+        try:
+            return self._opened(path, options, opener, shown)
+        except FormatError as error:
+            uneven = any(fault.code == "USD035" for fault in error.faults)
+            if not uneven or options.rig_layer is None or options.placement is not None:
+                raise
+            # The rig may have the same transform: a layer then lacks nothing.
+            left = replace(options, placement="drop")
+            return self._opened(path, left, opener, shown)
+
+    def _opened(
+        self, path: Path, options: BakeOptions, opener: Opener, shown: Progress
+    ) -> TakeStream:
+        if path in self.scenes:
+            scene = self.scenes[path].forced(
+                force_fit=options.force_fit, placement=options.placement
+            )
+            return scene.open(progress=shown)
+        own = fitting_options(options.source, path, self.files)
+        own = replace(
+            own,
+            force_fit=options.force_fit,
+            shot=options.shot or own.shot,
+            placement=options.placement,
+        )
+        stream = opener(path, own, progress=shown)
+        if stream.details.get("format") == "BVH" and own.up is None:
+            from animtool.mocap.standing import with_lying_notice
+
+            stream = with_lying_notice(path, stream)
+        return stream
 
 
 def found_sources(sources: Sequence[Source]) -> Reading:

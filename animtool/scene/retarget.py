@@ -19,6 +19,7 @@ from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
 from animtool.scene.frames import in_frames
@@ -191,7 +192,10 @@ def _retargeted(
     began = time.perf_counter()
     with sparing_inputs(outputs):
         rig, notices = open_rig(job.rig)
-        stream = open_source(job.source, job.reading, progress=progress)
+        # The take says where it goes, and not the stage that has the rig.
+        rig = at_origin(rig)
+        reading = replace(job.reading, placement=job.bake.placement)
+        stream = open_source(job.source, reading, progress=progress)
         seconds["read"] = time.perf_counter() - began
         stream.blocks = timed(stream.blocks, seconds, "read")
         with naming(job.source):

@@ -109,12 +109,22 @@ class Scene:
         )
         return replace(self, outputs=(output,), systems=systems)
 
-    def forced(self, *, force_fit: bool) -> Scene:
-        """Return the scene with sources that need not fit its rig, where asked for."""
-        if not force_fit:
+    def forced(self, *, force_fit: bool, placement: str | None = None) -> Scene:
+        """Return the scene with sources that need not fit its rig, where asked for.
+
+        placement: of the output, whether the sources are where their stages have them.
+        """
+        if not force_fit and placement is None:
             return self
         sources = tuple(
-            replace(source, options=replace(source.options, force_fit=True))
+            replace(
+                source,
+                options=replace(
+                    source.options,
+                    force_fit=force_fit or source.options.force_fit,
+                    placement=placement,
+                ),
+            )
             for source in self.sources
         )
         return replace(self, sources=sources)

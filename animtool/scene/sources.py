@@ -54,6 +54,8 @@ class SourceOptions:
         take: Which take of a clip library; None is the one that it selects.
         template: Marker template of a file of markers.
         cameras: Calibrations of the cameras, of an npz of what they see.
+        placement: Of USD: ``drop`` leaves out where the character stands; it is that of
+            the output, see `animtool.scene.options.BakeOptions`.
         shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
@@ -228,6 +230,7 @@ class SourceOptions:
         help="Of an npz of pixels: the calibrations of the cameras, which triangulate "
         "the markers.",
     )
+    placement: str | None = None
     force_fit: bool = False
     shot: Shot | None = None
 
@@ -348,6 +351,9 @@ def open_source(
         if field.name not in BEYOND_READERS
         and (value := getattr(options, field.name)) != getattr(usual, field.name)
     }
+    if "placement" not in reader.options:
+        # Only stages have a character stand somewhere.
+        given.pop("placement", None)
     refused = [name for name in given if name not in reader.options]
     if refused:
         raise OptionError([_refusal(name, path) for name in refused])

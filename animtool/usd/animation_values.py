@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Usd
 
 from animtool._types import FloatArray, IntArray
 from animtool.clock import frame_label, time_fraction
@@ -18,10 +18,9 @@ from animtool.errors import Fault, Severity, counted, excerpt
 from animtool.maths import so3
 from animtool.motion import Channel
 from animtool.rates import rate_from_float
-from animtool.rig.skeleton import Rig
 from animtool.usd.faults import UNIT_TOLERANCE, Spot
 from animtool.usd.library import take_range
-from animtool.usd.rig_prims import array_value, decompose, numbers
+from animtool.usd.rig_prims import array_value, numbers
 
 
 def scale_channel(dense: FloatArray) -> Channel | None:
@@ -125,69 +124,6 @@ def normalised(
         hint = "UsdSkel does not normalise, and scales these joints"
         notices.append(where.fault("USD123", message, hint, Severity.WARNING))
     return so3.normalize(rotations), notices
-
-
-UNIT_SCALE_TOLERANCE = 1e-6
-
-
-def moving_carriers(skeleton: Any) -> list[Any]:
-    """Return the prims from the SkelRoot to the Skeleton, if one of them moves."""
-    chain: list[Any] = []
-    prim = skeleton
-    while prim and prim.GetPath().pathElementCount:
-        chain.append(UsdGeom.Xformable(prim))
-        if prim.IsA(UsdSkel.Root):
-            break
-        prim = prim.GetParent()
-    moves = any(mover and mover.TransformMightBeTimeVarying() for mover in chain)
-    return [mover for mover in chain if mover] if moves else []
-
-
-def _carriers(skeleton: Any, codes: list[float]) -> FloatArray:
-    """Return the Skeleton's transforms above its SkelRoot's parent ``(F, 4, 4)``."""
-    above = UsdSkel.Root.Find(skeleton).GetPrim().GetParent()
-    matrices = []
-    for code in codes:
-        cache = UsdGeom.XformCache(Usd.TimeCode(code))
-        world = cache.GetLocalToWorldTransform(skeleton)
-        matrices.append(world * cache.GetLocalToWorldTransform(above).GetInverse())
-    return np.array(matrices)
-
-
-def carry_roots(
-    rig: Rig,
-    skeleton: Any,
-    codes: list[float],
-    translations: FloatArray,
-    rotations: FloatArray,
-    scales: FloatArray,
-    where: Spot,
-) -> list[Fault]:
-    """Give the roots the motion of what carries them, in place.
-
-    translations: of the joints, local ``(F, J, 3)`` [m]; rotations: of the joints,
-    local ``(F, J, 4)``; scales: of the joints ``(F, J, 3)``.
-
-    Returns A warning where what it finds cannot be put into joints exactly (USD109).
-    """
-    matrices = _carriers(skeleton, codes)
-    if not np.isfinite(matrices).all():
-        where.at(skeleton).fail("USD171", "the SkelRoot's transform is not finite")
-    moves, turns, sizes = decompose(matrices)
-    for root in rig.roots:
-        sized = sizes * translations[:, root]
-        translations[:, root] = so3.rotate(turns, sized) + moves * rig.meters_per_unit
-        rotations[:, root] = so3.multiply(turns, rotations[:, root])
-        scales[:, root] *= sizes
-    rotations[:] = so3.align_signs(rotations)
-    # Rounding of the matrices is no scale.
-    near = np.abs(scales - 1.0) < UNIT_SCALE_TOLERANCE
-    scales[near] = 1.0
-    if np.ptp(sizes, axis=-1).max() <= UNIT_SCALE_TOLERANCE:
-        return []
-    message = "the SkelRoot is scaled by different factors along its axes"
-    hint = "joints that turn under it are not read exactly"
-    return [where.fault("USD109", message, hint, Severity.WARNING)]
 
 
 # Sub-frame samples about each frame make a grid finer than the samples; beyond this

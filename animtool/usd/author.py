@@ -356,11 +356,14 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
+    from animtool.usd.over_rig import over_rig
     from animtool.usd.target import map_joints, open_target
 
     target = open_target(layer, prim_path)
-    take = reorient(TakeStream.of(take), target.skeleton.rig.up).collect()
-    mapping = map_joints(take.rig, target, 0, force_fit=force_fit)
+    stream = reorient(TakeStream.of(take), target.skeleton.rig.up)
+    way = over_rig(stream, target.placement, None, str(layer), target.skeleton.rig)
+    take = way.stream.collect()
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit, over=way)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -376,7 +379,7 @@ def _layer_job(
         target=target,
     )
     blocks = (
-        (codes, mapping.apply(motion))
+        (codes, mapping.at(codes, motion))
         for codes, motion in _blocks(replace(take, clock=clock))
     )
     written = UsdTake(
@@ -386,7 +389,7 @@ def _layer_job(
         chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
         shapes=mapping.shapes,
     )
-    notices = target.notices + mapping.notices
+    notices = target.notices + way.notices + mapping.notices
     return job, written, notices
 
 

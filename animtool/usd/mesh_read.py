@@ -21,11 +21,14 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
+from animtool.rig.placed import placed_rig
+from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.faults import Spot, bind_transforms
 from animtool.usd.layers import usd_errors
 from animtool.usd.meshes import SUBDIVISION
+from animtool.usd.placement import DROP, own_placement
 from animtool.usd.point_reader import PointReader, transformed
 from animtool.usd.rig_prims import (
     SkeletonRig,
@@ -347,14 +350,22 @@ class StageMeshes:
     notices: list[Fault]  # what is left out
 
 
-def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
-    """Return the meshes of the character that a USD file is read as."""
+def source_meshes(
+    path: Path, prim_path: str | None, placement: str | None = None
+) -> StageMeshes:
+    """Return the meshes of the character that a USD file is read as.
+
+    placement: as `animtool.usd.read.read_usd` has it.
+    """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
             return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
-        return _meshes(skeletons[0], skeleton_rig(skeletons[0], path), path)
+        rig = skeleton_rig(skeletons[0], path)
+        where = own_placement(skeletons[0].GetPrim(), rig.rig)
+        at_rest = where.sized if placement == DROP else where.rest
+        return _meshes(skeletons[0], rig, path, at_rest)
 
 
 def target_meshes(target: RigTarget) -> StageMeshes:
@@ -364,7 +375,12 @@ def target_meshes(target: RigTarget) -> StageMeshes:
         return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
 
 
-def _meshes(skeleton: Any, skeleton_rig: SkeletonRig, path: Path) -> StageMeshes:
+def _meshes(
+    skeleton: Any,
+    skeleton_rig: SkeletonRig,
+    path: Path,
+    placement: Placement | None = None,
+) -> StageMeshes:
     meshes, shapes, notices = read_meshes(skeleton, skeleton_rig, str(path))
     strands = read_strands(skeleton, skeleton_rig, str(path))
     rig = replace(skeleton_rig.rig, meshes=meshes, shapes=shapes, attach=strands)
@@ -375,4 +391,9 @@ def _meshes(skeleton: Any, skeleton_rig: SkeletonRig, path: Path) -> StageMeshes
     attr = skeleton.GetBindTransformsAttr()
     bind = numbers(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
+    if placement is not None and not placement.is_none:
+        rig = placed_rig(rig, placement)
+        bind = placement_matrix(placement) @ bind
+        # Joints carry no scale of their own for it: their lengths have it.
+        bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

@@ -17,15 +17,15 @@ from animtool.errors import Fault, FormatError, Severity, counted, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
+from animtool.reorient import placed_motion
 from animtool.rig.parts import AttachKind, Shape
+from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.animation_values import (
     SampleGrid,
     among_rest,
     animated_shapes,
-    carry_roots,
-    moving_carriers,
     nearest_samples,
     normalised,
     sample_grid,
@@ -45,6 +45,17 @@ from animtool.usd.faults import (
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
+from animtool.usd.placement import (
+    DROP,
+    NOWHERE,
+    SkeletonPlacement,
+    apart_notice,
+    movers,
+    refuse_uneven,
+    rest_rig,
+    skeleton_placement,
+    uneven_notice,
+)
 from animtool.usd.rig_prims import (
     SkeletonRig,
     animation_source,
@@ -66,30 +77,40 @@ from animtool.usd.stderr import without_usd_warnings
 
 
 def read_usd(
-    path: Path | str, *, prim_path: str | None = None, take: str | None = None
+    path: Path | str,
+    *,
+    prim_path: str | None = None,
+    take: str | None = None,
+    placement: str | None = None,
 ) -> TakeStream:
     """Read the animation of a character on a stage, or of an animation layer alone.
 
-    Joints that the animation lacks are at rest. A SkelRoot (or a prim below it) that
-    moves carries the roots along; one that only stands somewhere does not: where a
-    character is placed is no part of its take. A layer without its rig has no rest
-    pose: its joints rest at their first sample.
+    Joints that the animation lacks are at rest. The character is as large, and is
+    where, pxr composes it: the roots and lengths hold the transforms of the Skeleton
+    and of all above it. A layer without its rig has no rest pose: its joints rest at
+    their first sample.
 
     take: which take of a clip library; None is the one that it selects.
+    placement: ``drop`` leaves out where the character stands and faces, but for what
+        moves its SkelRoot; its size and its up axis stay. None keeps it.
     """
     path = Path(path)
     with usd_errors(path), without_usd_warnings():
-        return _read_stage(open_stage(path), path, prim_path, take)
+        return _read_stage(open_stage(path), path, prim_path, take, placement)
 
 
 def _read_stage(
-    stage: Any, path: Path, prim_path: str | None, take: str | None
+    stage: Any,
+    path: Path,
+    prim_path: str | None,
+    take: str | None,
+    choice: str | None,
 ) -> TakeStream:
     below = prim_below(stage, prim_path)
     takes = _takes(stage, below)
     if take is not None:
         takes = select_take(takes, take, str(path))
-    stream = read_character(stage, path, below)
+    stream = read_character(stage, path, below, choice)
     if takes is not None:
         stream.details["takes"] = list(takes.names)
         stream.details["take"] = takes.selected
@@ -107,8 +128,13 @@ def _takes(stage: Any, below: str) -> TakeSet | None:
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
 
 
-def read_character(stage: Any, path: Path, below: str) -> TakeStream:
-    """Read the first character below a prim, or the animation of a layer alone."""
+def read_character(
+    stage: Any, path: Path, below: str, choice: str | None = None
+) -> TakeStream:
+    """Read the first character below a prim, or the animation of a layer alone.
+
+    choice: its placement, as `read_usd` has it.
+    """
     skeletons = find_skeletons(stage, below)
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
@@ -124,19 +150,45 @@ def read_character(stage: Any, path: Path, below: str) -> TakeStream:
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
     if animation is None:
-        stream = _resting(skeleton, stage, path, prim)
+        stream, placement = _resting(skeleton, stage, path, prim, choice)
     else:
-        stream = _read(stage, path, skeleton, animation, prim)
+        stream, placement = _read(stage, path, skeleton, animation, prim, choice)
     stream.notices += skeleton.notices
     if prim is None:
         stream.notices += _lost_motion(animation, Spot.of(path, animation))
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
+        stream.rig = rest_rig(stream.rig, placement, choice)
     stream.notices += others_notice(
         skeletons, str(path), "--prim-path names one (in bake, --source-prim)"
     )
     stream.notices += composition_notices(stage, str(path))
     return stream
+
+
+def _placement(
+    prim: Any, rig: Rig, codes: list[float] | None, where: Spot, choice: str | None
+) -> tuple[SkeletonPlacement, list[Fault]]:
+    """Return where a Skeleton is at time codes, which its take has to hold."""
+    if prim is None:
+        return NOWHERE, []
+    placement = skeleton_placement(prim, rig, codes)
+    if choice != DROP:
+        refuse_uneven(placement, where)
+    notices = uneven_notice(placement, where)
+    notices += apart_notice(placement, where.path or "")
+    return (NOWHERE if placement.uneven else placement), notices
+
+
+def _placed(
+    motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
+) -> Motion:
+    """Return a motion, as the numbers of a rig are, where its stage has it."""
+    path = placement.motion if choice == DROP else placement.whole
+    if path.is_none:
+        return motion
+    roots = np.array(rig.roots, np.int64)
+    return placed_motion(motion, roots, path).map(Channel.compact)
 
 
 def _join_stored(
@@ -241,8 +293,10 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     return replace(rig, rig=replace(rig.rig, has_rest=False))
 
 
-def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeStream:
-    """Return a rig without animation: one frame, at rest."""
+def _resting(
+    skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
+) -> tuple[TakeStream, SkeletonPlacement]:
+    """Return a rig without animation: one frame, at rest; and where that is."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
     check_moves(len(rig.joints), len(shapes), Spot.of(path, prim))
@@ -253,6 +307,8 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
         scale_channel(skeleton.rest_scales[None]),
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
+    placement, notices = _placement(prim, rig, None, Spot.of(path, prim), choice)
+    motion = _placed(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
@@ -267,7 +323,8 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
         hint = BINDING_HINT
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
-    return stream
+    stream.notices += notices
+    return stream, placement
 
 
 def _ignored_binding(skeleton: Any) -> str:
@@ -280,15 +337,19 @@ def _ignored_binding(skeleton: Any) -> str:
 
 
 def _read(
-    stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
-) -> TakeStream:
+    stage: Any,
+    path: Path,
+    skeleton: SkeletonRig,
+    animation: Any,
+    prim: Any,
+    choice: str | None,
+) -> tuple[TakeStream, SkeletonPlacement]:
     where = Spot.of(path, animation)
     places, notices = _places(skeleton, animation, prim, where)
     attributes = _attributes(animation, places, where, notices)
     shapes = animated_shapes(animation)
     check_moves(len(skeleton.rig.joints), len(shapes), where)
-    movers = moving_carriers(prim)
-    sources = [*attributes.values(), *movers]
+    sources = [*attributes.values(), *([] if prim is None else movers(prim))]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
@@ -319,10 +380,6 @@ def _read(
     rotations, off = normalised(rotations, rig.names, codes, where)
     rotations = so3.align_signs(rotations)
     notices += off
-    if movers:
-        carried = {time for mover in movers for time in mover.GetTimeSamples()}
-        moved = nearest_samples(sorted(carried), codes, grid.drift)
-        notices += carry_roots(rig, prim, moved, translations, rotations, scales, where)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
@@ -331,12 +388,18 @@ def _read(
         if shapes
         else None,
     )
+    moving = [] if prim is None else movers(prim)
+    carried = sorted({time for mover in moving for time in mover.GetTimeSamples()})
+    moved = nearest_samples(carried, codes, grid.drift)
+    placement, odd = _placement(prim, rig, moved, where, choice)
+    notices += odd
+    motion = _placed(motion, rig, placement, choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
-    return stream
+    return stream, placement
 
 
 def _attributes(

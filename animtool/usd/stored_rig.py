@@ -21,6 +21,7 @@ from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.usd.faults import Spot, own_matrices
 from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes, read_strands
+from animtool.usd.placement import own_placement, rest_rig, uneven_notice
 from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
@@ -308,7 +309,9 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             path,
         )
         whole, losses = with_attachments(joined, rig, data, path)
-        return whole, notices + edits + losses
+        placement = own_placement(skeleton.GetPrim(), of_skeleton.rig)
+        notices += uneven_notice(placement, where)
+        return rest_rig(whole, placement), notices + edits + losses
 
 
 def _bind_poses(

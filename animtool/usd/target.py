@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,21 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
+from animtool.reorient import placed_motion
 from animtool.rig.fit import Fit, check_fit
+from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import RigPaths, UsdNames, joint_names, legal_name
+from animtool.usd.over_rig import OverRig
+from animtool.usd.placement import (
+    SkeletonPlacement,
+    moves_root,
+    skeleton_placement,
+)
 from animtool.usd.rig_prims import (
     SkeletonRig,
     animation_source,
@@ -59,6 +68,12 @@ class RigTarget:
     unit: float  # length unit that the stage states [m]; the rig has its own
     up: UpAxis  # up axis that the stage states
     notices: list[Fault]  # what is odd about it
+
+    def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
+        """Return where the rig's stage has its Skeleton, at time codes."""
+        prim = self.stage.GetPrimAtPath(self.on_stage(self.paths.skeleton))
+        times = None if codes is None else codes.tolist()
+        return skeleton_placement(prim, self.skeleton.rig, times)
 
     @property
     def names(self) -> UsdNames:
@@ -179,9 +194,8 @@ def _operations(root: Any) -> tuple[list[str], list[str]]:
     placing: list[str] = []
     moving: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
-        name = str(operation.GetOpName())
-        moves = "rootMotion" in name or operation.MightBeTimeVarying()
-        (moving if moves else placing).append(name)
+        names = moving if moves_root(operation) else placing
+        names.append(str(operation.GetOpName()))
     return placing, moving
 
 
@@ -222,6 +236,9 @@ def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
     )
 
 
+_NONE: IntArray = np.zeros(0, np.int64)
+
+
 @dataclass(frozen=True, slots=True)
 class JointMap:
     """How the joints of a take stand in a target rig."""
@@ -235,6 +252,16 @@ class JointMap:
     shapes: tuple[str, ...] = ()  # names of the take's shapes as the target has them
     # How well the take's rest skeleton fits; None where there are no joints.
     fit: Fit | None = None
+    # From where the take is to the numbers of the rig, at time codes ``(F,)``; None is
+    # the same.
+    to_rig: Callable[[FloatArray], Placement] | None = None
+    roots: IntArray = field(default_factory=lambda: _NONE)  # of the take
+
+    def at(self, codes: FloatArray, motion: Motion) -> Motion:
+        """Return the motion of the target at time codes ``(F,)``; see `apply`."""
+        if self.to_rig is not None:
+            motion = placed_motion(motion, self.roots, self.to_rig(codes))
+        return self.apply(motion)
 
     def apply(self, motion: Motion) -> Motion:
         """Return the motion of the target; joints that the take lacks are at rest."""
@@ -266,13 +293,18 @@ class JointMap:
         return Channel(still, np.array(animated, np.int64), channel.values[:, columns])
 
 
-_NONE: IntArray = np.zeros(0, np.int64)
-
-
 def map_joints(
-    take: Rig, target: RigTarget, strip_namespaces: int, *, force_fit: bool = False
+    take: Rig,
+    target: RigTarget,
+    strip_namespaces: int,
+    *,
+    force_fit: bool = False,
+    over: OverRig | None = None,
 ) -> JointMap:
-    """Match joints by path, else by name, legal or original."""
+    """Match joints by path, else by name, legal or original.
+
+    over: how the take comes to the numbers of the rig; None is that they are its own.
+    """
     names = joint_names(take.joints, strip_namespaces)
     own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     by_key: dict[str, list[int]] = {}
@@ -314,8 +346,9 @@ def map_joints(
     fit: Fit | None = None
     differences: list[Fault] = []
     if take.joints and skeleton.rig.joints:
+        rig = skeleton.rig if over is None else placed_rig(skeleton.rig, over.sized)
         fit, differences = check_fit(
-            take, skeleton.rig, found_at, where, forced=force_fit, unmatched=notices
+            at_origin(take), rig, found_at, where, forced=force_fit, unmatched=notices
         )
     return JointMap(
         skeleton.rig,
@@ -324,6 +357,8 @@ def map_joints(
         notices + shape_faults + differences,
         shapes,
         fit,
+        None if over is None else over.to_rig,
+        np.array(take.roots, np.int64),
     )
 
 

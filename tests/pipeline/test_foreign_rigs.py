@@ -11,7 +11,6 @@ from support.cli import animtool
 from support.shapes_alone import write_face
 
 from animtool import open_source
-from animtool.take import Take
 
 # Bound on the Skeleton itself; its SkelRoot is turned, scaled and moved.
 RIG = """#usda 1.0
@@ -108,14 +107,6 @@ def world_positions(stage: Usd.Stage, path: str, codes: list[float]) -> np.ndarr
     return np.array(found)
 
 
-def placed(take: Take, stage: Usd.Stage, root: str) -> np.ndarray:
-    """Return where a take puts the joints below a SkelRoot ``(F, J, 3)`` [cm]."""
-    matrix = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath(root))
-    linear = np.array(matrix)
-    positions = take.world().positions / take.rig.meters_per_unit
-    return positions @ linear[:3, :3] + linear[3, :3]
-
-
 def test_a_layer_over_a_rig_bound_on_its_skeleton_under_a_turned_skelroot(
     cat: Path,
 ) -> None:
@@ -130,10 +121,10 @@ def test_a_layer_over_a_rig_bound_on_its_skeleton_under_a_turned_skelroot(
         assert done.code == 0, (command, done.stderr)
     for layer in ("layer.usda", "again.usda", "bare.usda"):
         stage = resolved(cat, [layer, "cat.usda"], "/Cat/Geo/Skel")
-        wanted = placed(take, stage, "/Cat/Geo")
+        wanted = take.world().positions / take.rig.meters_per_unit
         found = world_positions(stage, "/Cat/Geo/Skel", take.clock.times.tolist())
         np.testing.assert_allclose(found, wanted, atol=2e-4)
-        # The whole is read as the take again: the SkelRoot only places it.
+        # The whole is read as the take again, which is where the SkelRoot has it.
         again = open_source(cat / "shot.usda").collect()
         np.testing.assert_allclose(
             again.world().positions, take.world().positions, atol=2e-6

@@ -98,6 +98,7 @@ COMMANDS = {
     "USD011": IN_SHOT,
     "USD017": CONVERT,
     "USD018": CONVERT,
+    "USD035": "convert hero.usda out.bvh",
     "USD042": IN_SHOT + " --deform",
     "USD043": LAYER_OVER + "hero.usda --deform",
     "USD108": LAYER_OVER + "hero.usda",

@@ -28,6 +28,7 @@ from animtool.rates import (
     rate_option,
 )
 from animtool.rig.joints import local_from_coordinates
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 from animtool.take import TakeStream
@@ -70,7 +71,7 @@ def read_mot(
     given = None if fps is None else rate_option(fps)
     table = read_table(path)
     notices = list(table.notices)
-    target = _own(table) if rig is None else Rig.load(Path(rig))
+    target = _own(table) if rig is None else at_origin(Rig.load(Path(rig)))
     at, columns, lost = _matched(table, target)
     if rig is None:
         message = "has no rig: each coordinate became a joint of its own"

@@ -34,6 +34,7 @@ from animtool.passes import (
     TakePart,
 )
 from animtool.rig.kinematics import forward
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
 
@@ -76,7 +77,8 @@ def onto_rig(
     first = next(blocks)
     found = _paired(stream.rig, rig, options, _positions(stream.rig, first, rest))
     notices = list(found.notices)
-    source = stream.rig
+    # How a stage turns its character is part of the motion, and not of how it rests.
+    source = at_origin(stream.rig)
     stands = None
     if stream.details.get("up_choice") != "stated":
         stands = stands_along(source, first, found.source.roles)
@@ -187,7 +189,8 @@ def _named_rig(options: RetargetPassOptions) -> Path:
 
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
-    rig = Rig.load(context.folder / _named_rig(options))
+    # The take says where it goes, and not the stage that has the rig.
+    rig = at_origin(Rig.load(context.folder / _named_rig(options)))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:

@@ -18,6 +18,7 @@ from animtool.mocap.solve.run import MarkerSolve, solve_markers
 from animtool.mocap.template.file import load_template
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.motion import Motion
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores, Score, ScoreUnit
 from animtool.take import TakeStream
@@ -65,7 +66,7 @@ def open_markers_source(
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     read = load_template(template)
     named = named_rig(read, rig, template)
-    loaded = Rig.load(named)
+    loaded = at_origin(Rig.load(named))
     solve = at_file(path, lambda: solve_markers(markers, loaded, read, SolveOptions()))
     stream = solve_stream(solve, path, progress)
     stream.notices = [*loaded.notices, *stream.notices]

@@ -12,6 +12,7 @@ from animtool.errors import OptionError
 from animtool.mocap.retarget.motion import retarget_take
 from animtool.mocap.retarget.pairing import map_joints
 from animtool.reorient import reorient, turned_rig
+from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
@@ -40,7 +41,7 @@ class GaitsSource:
             AnimtoolError: A file cannot be read, a clip cannot go onto the rig, or
                 none of the clips walks (SIM149).
         """
-        rig, _ = open_rig(self.rig)
+        rig = at_origin(open_rig(self.rig)[0])
         turn = up_from_up(UpAxis.Y, rig.up)
         if turn is not None:
             rig = turned_rig(rig, np.array(turn), UpAxis.Y)

@@ -17,18 +17,24 @@ from animtool.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
+from animtool.reorient import placed_motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
 from animtool.usd.animation_values import (
     among_rest,
-    carry_roots,
-    moving_carriers,
     scale_channel,
 )
 from animtool.usd.checks.subject import Subject
 from animtool.usd.faults import Spot, own_matrices, tokens, transform_attributes
 from animtool.usd.library import take_range
+from animtool.usd.placement import (
+    NOWHERE,
+    SkeletonPlacement,
+    movers,
+    rest_rig,
+    skeleton_placement,
+)
 from animtool.usd.rig_prims import (
     SkeletonRig,
     rig_from_tokens,
@@ -138,36 +144,36 @@ def _nearest(animation: Any, skeletons: list[Any]) -> Any:
 def _take(
     subject: Subject, path: Path, animation: Any, skeleton: Any, shared: _Shared
 ) -> AnimationTake | None:
-    where = Spot.of(path, animation)
     joints = tokens(animation.GetJointsAttr())
     shapes = tokens(animation.GetBlendShapesAttr())
     of_rig = _rig(subject, animation, skeleton, joints, path)
-    movers = moving_carriers(skeleton.GetPrim()) if skeleton else []
+    above = movers(skeleton.GetPrim()) if skeleton else []
     parts = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in parts]
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
-    times.update(t for mover in movers for t in mover.GetTimeSamples())
+    times.update(t for mover in above for t in mover.GetTimeSamples())
     codes = np.array(sorted(times), np.float64)
     rows = [_values(subject, *entry, codes) for entry in attributes]
     motion = _motion(of_rig, joints, shapes, rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
-    if movers:
-        own = translations, rotations, scales
-        carry_roots(of_rig.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
-    rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
-    take = Take(
-        rig,
-        _clock(subject, codes),
-        Motion(
-            Channel.from_dense(translations),
-            Channel.from_dense(rotations),
-            scale_channel(scales),
-            None if weights is None else Channel.from_dense(weights),
-        ),
+    posed = Motion(
+        Channel.from_dense(translations),
+        Channel.from_dense(rotations),
+        scale_channel(scales),
+        None if weights is None else Channel.from_dense(weights),
     )
+    placement = NOWHERE
+    if skeleton is not None:
+        placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
+    if not placement.whole.is_none:
+        roots = np.array(of_rig.rig.roots, np.int64)
+        posed = placed_motion(posed, roots, placement.whole).map(Channel.compact)
+    rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
+    rig = rest_rig(rig, placement)
+    take = Take(rig, _clock(subject, codes), posed)
     return AnimationTake(
         str(animation.GetPath()),
         take,
@@ -175,7 +181,7 @@ def _take(
         _range(subject, animation, shared),
         skeleton is not None,
         _influencing(skeleton, of_rig, shared) if skeleton else None,
-        _bind(skeleton, rig) if skeleton else None,
+        _bind(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
         bool(stored_data(animation.GetPrim()).get("reduced")),
     )
@@ -330,7 +336,7 @@ def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
     yield from np.unique(which[(which >= 0) & (which < count)]).tolist()
 
 
-def _bind(skeleton: Any, rig: Rig) -> FloatArray | None:
+def _bind(skeleton: Any, rig: Rig, placement: SkeletonPlacement) -> FloatArray | None:
     """Return where the joints are in the bind pose; None where it is not sound."""
     matrices = own_matrices(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
@@ -338,4 +344,4 @@ def _bind(skeleton: Any, rig: Rig) -> FloatArray | None:
     # Identities are another fault.
     if (matrices == np.eye(4)).all():
         return None
-    return np.asarray(matrices[:, 3, :3] * rig.meters_per_unit)
+    return placement.rest.points(matrices[:, 3, :3] * rig.meters_per_unit)

@@ -1,0 +1,152 @@
+"""A rig where a stage has it: its rest and bind poses, lengths and geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import replace
+
+import numpy as np
+
+from animtool.errors import Fault, FormatError, Severity
+from animtool.maths import so3
+from animtool.rig.limits import RangeLimit
+from animtool.rig.parts import Attachment, Collider, HeldArray, IkChain, Mesh
+from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.skeleton import Joint, JointType, Pose, Rig
+from animtool.units import UpAxis
+
+
+def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
+    """Return a rig brought to a placement at rest, that of its first frame.
+
+    A scale goes into lengths: what joints carry is bound where they are, and is scaled
+    with them.
+
+    up: the up axis that it has then; None is its own.
+    """
+    placement = placement.first()
+    if placement.is_none and up in {None, rig.up}:
+        return rig
+    roots = {joint.name for joint in rig.joints if joint.parent < 0}
+    size = placement.size
+    stands = rig.stands
+    if stands is not None:
+        # Where it stood before, seen from where it is now.
+        rigid = replace(placement, sizes=np.ones(1))
+        moved = replace(stands, translations=stands.translations * size)
+        stands = rigid.after(moved).after(rigid.inverse())
+    return replace(
+        rig,
+        joints=tuple(_joint(joint, placement) for joint in rig.joints),
+        up=rig.up if up is None else up,
+        bind={
+            name: _pose(pose, placement, root=name in roots)
+            for name, pose in rig.bind.items()
+        },
+        meshes=tuple(
+            _mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
+        ),
+        ik=tuple(_chain(chain, placement, roots) for chain in rig.ik),
+        attach=tuple(
+            _strands(entry, placement, rig.meters_per_unit) for entry in rig.attach
+        ),
+        colliders=tuple(_collider(one, size) for one in rig.colliders),
+        stands=stands,
+    )
+
+
+def _joint(joint: Joint, placement: Placement) -> Joint:
+    if joint.parent < 0:
+        x, y, z = placement.points(np.array(joint.translation)).tolist()
+        a, b, c, w = placement.turns(np.array(joint.rotation)).tolist()
+        joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
+    size = placement.size
+    if size == 1.0:
+        return joint
+    limits = joint.limits
+    if isinstance(limits, RangeLimit) and joint.type is JointType.PRISMATIC:
+        limits = RangeLimit(limits.low * size, limits.high * size)
+    x, y, z = joint.translation
+    if joint.parent >= 0:
+        x, y, z = x * size, y * size, z * size
+    tips = tuple((x * size, y * size, z * size) for x, y, z in joint.tips)
+    return replace(joint, translation=(x, y, z), tips=tips, limits=limits)
+
+
+def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+    if root:
+        x, y, z = placement.points(np.array(pose.translation)).tolist()
+        a, b, c, w = placement.turns(np.array(pose.rotation)).tolist()
+        return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
+    if placement.size == 1.0:
+        return pose
+    x, y, z = (placement.size * np.array(pose.translation)).tolist()
+    return replace(pose, translation=(x, y, z))
+
+
+def _chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkChain:
+    """Return a chain whose pole direction is turned where it is in the world."""
+    if chain.pole_dir is None or chain.root not in roots:
+        return chain
+    turned = so3.rotate(placement.rotations[0], chain.pole_dir)
+    x, y, z = turned.tolist()
+    return replace(chain, pole_dir=(x, y, z))
+
+
+def _mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
+    """Return a mesh whose points are moved where they are bound."""
+    bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
+    whole = placement_matrix(placement, unit)
+    return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
+
+
+def _strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
+    """Return an attachment whose strands are moved where they are in the world."""
+    if entry.points is None:
+        return entry
+    in_unit = replace(placement, translations=placement.translations / unit)
+    try:
+        points = in_unit.points(entry.points.load())
+    except ValueError as error:
+        raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
+    return replace(entry, points=HeldArray(points))
+
+
+def _collider(one: Collider, size: float) -> Collider:
+    if size == 1.0:
+        return one
+    shape = one.capsule
+    x, y, z = shape.offset
+    scaled = replace(
+        shape,
+        radius=shape.radius * size,
+        length=shape.length * size,
+        offset=(x * size, y * size, z * size),
+    )
+    return replace(one, capsule=scaled)
+
+
+def at_origin(rig: Rig) -> Rig:
+    """Return a rig of its size and upright, away from where its stage has it."""
+    if rig.stands is None:
+        return rig
+    return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
+
+
+def standing_notice(
+    rig: Rig, where: str, *, kept: bool, over: Placement | None = None
+) -> list[Fault]:
+    """Say what becomes of where a take's stage has its character stand (USD124).
+
+    over: where the rig stands that a layer is for.
+    """
+    if rig.stands is None and not rig.rides:
+        return []
+    first = f"stands {rig.stands.described()}" if rig.stands else ""
+    rides = "rides on what moves above its SkelRoot" if rig.rides else ""
+    message = f"the take {' and '.join(filter(None, (first, rides)))}, "
+    message += "which is kept" if kept else "which is dropped"
+    if over is not None and not over.is_none:
+        message += f"; the rig stands {over.described()}"
+    hint = f"--placement {'drop' if kept else 'keep'} does the other"
+    return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

@@ -1,0 +1,433 @@
+"""Whatever places a character, each command has it where pxr composes it."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from pxr import Usd, UsdGeom, UsdSkel
+from support.usd import joint_positions
+
+from animtool import open_source
+from animtool.errors import FormatError
+from animtool.maths import so3
+from animtool.report.describe import describe
+from animtool.rig.placement import Placement
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake import bake
+from animtool.scene.convert import convert
+from animtool.scene.options import BakeOptions
+from animtool.scene.retarget import RetargetJob, run_retarget
+from animtool.scene.sources import SourceOptions
+from animtool.units import LengthUnit, UpAxis
+
+Floats = npt.NDArray[np.float64]
+
+FRAMES = 5
+CODES = np.arange(1.0, FRAMES + 1)
+STAGE = """#usda 1.0
+(
+    defaultPrim = "set"
+    startTimeCode = 1
+    endTimeCode = {last}
+    metersPerUnit = {unit}
+    upAxis = "{up}"
+    timeCodesPerSecond = {fps}
+)
+def Xform "set"
+{{
+{set}
+    def SkelRoot "char"
+    {{
+{char}
+        def Skeleton "skel" (prepend apiSchemas = ["SkelBindingAPI"])
+        {{
+{skel}
+            uniform token[] joints = ["Hips", "Hips/Spine", "Hips/Spine/Head"]
+            uniform matrix4d[] bindTransforms = [{bind}]
+            uniform matrix4d[] restTransforms = [{rest}]
+            rel skel:animationSource = </set/char/anim>
+        }}
+        def SkelAnimation "anim"
+        {{
+            uniform token[] joints = ["Hips", "Hips/Spine", "Hips/Spine/Head"]
+            float3[] translations.timeSamples = {{ {moves} }}
+            quatf[] rotations.timeSamples = {{ {turns} }}
+            half3[] scales = [(1, 1, 1), (1, 1, 1), (1, 1, 1)]
+        }}
+        def Mesh "body" (prepend apiSchemas = ["SkelBindingAPI"])
+        {{
+            int[] faceVertexCounts = [3, 3]
+            int[] faceVertexIndices = [0, 1, 2, 1, 3, 2]
+            point3f[] points = [{points}]
+            int[] primvars:skel:jointIndices = [0, 1, 1, 2, 2, 1, 0, 2] (
+                elementSize = 2
+                interpolation = "vertex"
+            )
+            float[] primvars:skel:jointWeights = [.7, .3, .5, .5, .9, .1, .4, .6] (
+                elementSize = 2
+                interpolation = "vertex"
+            )
+            rel skel:skeleton = </set/char/skel>
+            uniform token subdivisionScheme = "none"
+        }}
+    }}
+}}
+"""
+
+
+def stage_text(
+    where: str = "",
+    ops: str = "",
+    *,
+    up: str = "Y",
+    unit: float = 0.01,
+    fps: int = 24,
+    size: float = 1.0,
+) -> str:
+    """Return a stage of a leg of .9 m, with transforms on one of its prims."""
+    long = 0.01 / unit / size
+
+    def vector(x: float, y: float, z: float) -> str:
+        # Up is the stage's axis.
+        y, z = (y, z) if up == "Y" else (-z, y)
+        return f"({x * long:.9g}, {y * long:.9g}, {z * long:.9g})"
+
+    def matrix(x: float, y: float, z: float) -> str:
+        rows = "(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)"
+        return f"({rows}, {vector(x, y, z)[:-1]}, 1))"
+
+    moves, turns = [], []
+    for i, code in enumerate(CODES):
+        places = vector(2 * i, 90, i), vector(1, -40, 2), vector(0, -40, 1)
+        moves.append(f"{code:g}: [{', '.join(places)}]")
+        half = np.radians(6.0 * i)
+        x, y, z = np.sin(half) * np.array([0.6, 0.0, 0.8])
+        turn = f"({np.cos(half):.9g}, {x:.9g}, {y:.9g}, {z:.9g})"
+        turns.append(f"{code:g}: [{turn}, {turn}, (1, 0, 0, 0)]")
+    rest = [(0, 90, 0), (1, -40, 2), (0, -40, 1)]
+    bind = np.cumsum(rest, axis=0).tolist()
+    points = [(5, 85, 3), (6, 50, -4), (-5, 45, 6), (2, 8, 9)]
+    texts = {"set": "", "char": "", "skel": ""} | ({where: ops} if where else {})
+    return STAGE.format(
+        last=FRAMES,
+        unit=unit,
+        up=up,
+        fps=fps,
+        bind=", ".join(matrix(*row) for row in bind),
+        rest=", ".join(matrix(*row) for row in rest),
+        moves=", ".join(moves),
+        turns=", ".join(turns),
+        points=", ".join(vector(*row) for row in points),
+        **texts,
+    )
+
+
+def op_text(kind: str, moves: bool, unit: float) -> str:
+    """Return operations of a prim: placed 3 m away, turned, half its size, or all."""
+    metre = 1.0 / unit
+
+    def op(spelled: str, name: str, one: object, other: object) -> str:
+        value = f" = {one}"
+        if moves:
+            value = f".timeSamples = {{ 1: {one}, {FRAMES}: {other} }}"
+        return f"{spelled} xformOp:{name}{value}\n"
+
+    kinds = {
+        "translate": op(
+            "double3", "translate", (3 * metre, metre, 0), (metre, 0, 2 * metre)
+        ),
+        "rotate": op("float3", "rotateXYZ", (90, 20, 10), (70, 50, -10)),
+        "scale": op("float3", "scale", (0.5, 0.5, 0.5), (0.75, 0.75, 0.75)),
+    }
+    chosen = list(kinds) if kind == "all" else [kind]
+    names = {"rotate": "rotateXYZ"}
+    order = ", ".join(f'"xformOp:{names.get(one, one)}"' for one in chosen)
+    text = "".join(kinds[one] for one in chosen)
+    return f"{text}uniform token[] xformOpOrder = [{order}]"
+
+
+def composed(path: Path | Usd.Stage, codes: Floats = CODES) -> Floats:
+    """Return joints where pxr has them ``(F, J, 3)`` [m], Y up."""
+    stage = Usd.Stage.Open(str(path)) if isinstance(path, Path) else path
+    places = joint_positions(stage, codes) * UsdGeom.GetStageMetersPerUnit(stage)
+    return upright(places, UsdGeom.GetStageUpAxis(stage))
+
+
+def upright(places: Floats, up: str) -> Floats:
+    if up == "Y":
+        return places
+    return np.stack([places[..., 0], places[..., 2], -places[..., 1]], axis=-1)
+
+
+def skinned(path: Path) -> Floats:
+    """Return points where pxr skins them ``(F, V, 3)`` [m], Y up."""
+    stage = Usd.Stage.Open(str(path))
+    root = UsdSkel.Root(stage.GetPrimAtPath("/set/char"))
+    UsdSkel.BakeSkinning(root)
+    return points_of(stage)
+
+
+def points_of(stage: Usd.Stage) -> Floats:
+    prim = next(p for p in stage.Traverse() if p.GetName() == "body")
+    rows = []
+    for code in CODES:
+        points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code), float)
+        cache = UsdGeom.XformCache(code)
+        world = np.array(cache.GetLocalToWorldTransform(prim))
+        rows.append(points @ world[:3, :3] + world[3, :3])
+    places = np.array(rows) * UsdGeom.GetStageMetersPerUnit(stage)
+    return upright(places, UsdGeom.GetStageUpAxis(stage))
+
+
+def over(layer: Path, rig: Path) -> Usd.Stage:
+    """Return a layer over its rig."""
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().subLayerPaths = [str(layer), str(rig)]
+    below = Usd.Stage.Open(str(rig))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.GetStageUpAxis(below))
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.GetStageMetersPerUnit(below))
+    stage.SetTimeCodesPerSecond(below.GetTimeCodesPerSecond())
+    return stage
+
+
+SETTINGS = itertools.cycle(itertools.product("YZ", (1.0, 0.01), (24, 25, 30)))
+CASES = [
+    (where, kind, moves, *next(SETTINGS))
+    for moves, kind, where in itertools.product(
+        (False, True),
+        ("translate", "rotate", "scale", "all"),
+        ("set", "char", "skel"),
+    )
+]
+
+
+@pytest.mark.parametrize(("where", "kind", "moves", "up", "unit", "fps"), CASES)
+def test_each_command_has_a_character_where_pxr_has_it(
+    tmp_path: Path,
+    where: str,
+    kind: str,
+    moves: bool,
+    up: str,
+    unit: float,
+    fps: int,
+) -> None:
+    source, rig = tmp_path / "source.usda", tmp_path / "rig.usda"
+    ops = op_text(kind, moves, unit)
+    source.write_text(stage_text(where, ops, up=up, unit=unit, fps=fps))
+    rig.write_text(stage_text(up=up, unit=unit, fps=fps, size=1.0))
+    truth = composed(source)
+    # A size that changes is a scale of the root, which USD has in half precision.
+    near = 1.5e-3 if moves and kind in {"scale", "all"} else 2e-6
+    take = open_source(source).collect()
+    assert take.clock.count == FRAMES
+    places = upright(take.world().positions, take.rig.up)
+    np.testing.assert_allclose(places, truth, atol=2e-6)
+
+    bake(source, tmp_path / "stage.usda")
+    np.testing.assert_allclose(composed(tmp_path / "stage.usda"), truth, atol=near)
+
+    bake(source, tmp_path / "cache.usda", BakeOptions(deform=True))
+    cache = points_of(Usd.Stage.Open(str(tmp_path / "cache.usda")))
+    np.testing.assert_allclose(cache, skinned(source), atol=4e-6)
+
+    for name, below in (("self", source), ("plain", rig)):
+        layer = tmp_path / f"{name}.usda"
+        bake(source, layer, BakeOptions(rig_layer=below, force_fit=True))
+        found = composed(over(layer, below))
+        np.testing.assert_allclose(found, truth, atol=near)
+    if where != "char" or not moves:
+        # The rig has all of it: its own numbers come back.
+        stages = [Usd.Stage.Open(str(p)) for p in (source, tmp_path / "self.usda")]
+        raw = stages[0].GetPrimAtPath("/set/char/anim")
+        prim = next(p for p in stages[1].TraverseAll() if p.IsA(UsdSkel.Animation))
+        for code in CODES:
+            np.testing.assert_allclose(
+                np.array(prim.GetAttribute("translations").Get(code)),
+                np.array(raw.GetAttribute("translations").Get(code)),
+                atol=2e-5 / unit,
+            )
+
+    if not (moves and kind in {"scale", "all"}):
+        # A BVH has no scale that changes.
+        convert(source, tmp_path / "out.bvh")
+        reading = SourceOptions(unit=LengthUnit.M if unit == 1.0 else LengthUnit.CM)
+        back = open_source(tmp_path / "out.bvh", reading).collect()
+        places = upright(back.world().positions, take.rig.up)
+        np.testing.assert_allclose(places, truth, atol=1e-5)
+
+
+@pytest.mark.parametrize("where", ["set", "char", "skel"])
+@pytest.mark.parametrize("kind", ["translate", "scale", "all"])
+@pytest.mark.parametrize("up", ["Y", "Z"])
+def test_a_source_that_is_placed_goes_onto_a_rig_from_where_it_is(
+    tmp_path: Path, where: str, kind: str, up: str
+) -> None:
+    source, rig = tmp_path / "source.usda", tmp_path / "rig.usda"
+    ops = op_text(kind, False, 0.01).replace("(90, 20, 10)", "(4, 20, 10)")
+    source.write_text(stage_text(where, ops, up=up))
+    rig.write_text(stage_text(up=up))
+    output = tmp_path / "out.usda"
+    run_retarget(RetargetJob(source, rig, output=output))
+    truth, found = composed(source), composed(output)
+    size = 0.5 if kind in {"scale", "all"} else 1.0
+    # Bones are as long as the rig's: what they span is the source's, by its size.
+    spans = (truth - truth[:, :1]) / size
+    np.testing.assert_allclose(found - found[:, :1], spans, atol=2e-5)
+    np.testing.assert_allclose(found[:, 0], truth[:, 0] / size, atol=2e-5)
+
+
+def test_a_placed_rig_takes_what_stands_elsewhere(tmp_path: Path) -> None:
+    plain, rig = tmp_path / "plain.usda", tmp_path / "rig.usda"
+    plain.write_text(stage_text())
+    ops = op_text("all", False, 0.01).replace("(90, 20, 10)", "(0, 20, 0)")
+    # As large as the other, by its scale.
+    rig.write_text(stage_text("char", ops, size=0.5))
+    truth = composed(plain)
+    bake(plain, tmp_path / "drop.usda", BakeOptions(rig_layer=rig))
+    turn = so3.from_axis_angle([0.0, 1.0, 0.0], np.radians(20.0))
+    moved = so3.rotate(turn, truth) + np.array([3.0, 1.0, 0.0])
+    np.testing.assert_allclose(
+        composed(over(tmp_path / "drop.usda", rig)), moved, atol=2e-6
+    )
+    options = BakeOptions(rig_layer=rig, placement="keep")
+    bake(plain, tmp_path / "keep.usda", options)
+    np.testing.assert_allclose(
+        composed(over(tmp_path / "keep.usda", rig)), truth, atol=2e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("where", "moves"),
+    [("set", False), ("set", True), ("char", False), ("skel", False)],
+)
+def test_a_place_can_be_dropped(tmp_path: Path, where: str, moves: bool) -> None:
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    source.write_text(stage_text(where, op_text("translate", moves, 0.01)))
+    plain.write_text(stage_text())
+    report = bake(source, tmp_path / "o.usda", BakeOptions(placement="drop"))
+    np.testing.assert_allclose(
+        composed(tmp_path / "o.usda"), composed(plain), atol=2e-6
+    )
+    assert not [n for n in report.notices if n.severity.value == "warning"]
+
+
+def test_what_moves_the_skelroot_is_no_place(tmp_path: Path) -> None:
+    source = tmp_path / "source.usda"
+    source.write_text(stage_text("char", op_text("translate", True, 0.01)))
+    bake(source, tmp_path / "o.usda", BakeOptions(placement="drop"))
+    found = composed(tmp_path / "o.usda")
+    np.testing.assert_allclose(found, composed(source), atol=2e-6)
+
+
+def test_what_becomes_of_a_place_is_reported_once(tmp_path: Path) -> None:
+    source, rig = tmp_path / "source.usda", tmp_path / "rig.usda"
+    source.write_text(stage_text("set", op_text("translate", False, 0.01)))
+    rig.write_text(stage_text())
+    for options, word in (
+        (BakeOptions(), "kept"),
+        (BakeOptions(placement="drop"), ""),
+        (BakeOptions(rig_layer=rig), "kept"),
+        (BakeOptions(rig_layer=source), "dropped"),
+        (BakeOptions(rig_layer=source, placement="keep"), "kept"),
+    ):
+        report = bake(source, tmp_path / "o.usda", options)
+        found = [n.message for n in report.notices if n.code == "USD124"]
+        assert len(found) == bool(word), (options, found)
+        assert all(word in message and "(3, 1, 0) m" in message for message in found)
+        (tmp_path / "o.usda").unlink()
+
+
+UNEVEN = {
+    "scaled": ("(1, 2, 1)", "1 x 2 x 1"),
+    "mirrored": ("(-1, 1, 1)", "mirrored"),
+    "flat": ("(1, 0, 1)", "flat"),
+}
+
+
+@pytest.mark.parametrize("kind", UNEVEN)
+def test_what_joints_cannot_hold_is_refused_with_numbers(
+    tmp_path: Path, kind: str
+) -> None:
+    factors, said = UNEVEN[kind]
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    ops = f"float3 xformOp:scale = {factors}\n"
+    ops += 'uniform token[] xformOpOrder = ["xformOp:scale"]'
+    source.write_text(stage_text("set", ops))
+    plain.write_text(stage_text())
+    for work in (
+        lambda: bake(source, tmp_path / "o.usda"),
+        lambda: convert(source, tmp_path / "o.bvh"),
+        lambda: run_retarget(RetargetJob(source, plain)),
+    ):
+        with pytest.raises(FormatError) as caught:
+            work()
+        assert caught.value.code == "USD035"
+        assert said in str(caught.value)
+    report = bake(source, tmp_path / "o.usda", BakeOptions(placement="drop"))
+    assert [n.code for n in report.notices] == ["USD109"]
+    assert said in report.notices[0].message
+    np.testing.assert_allclose(composed(tmp_path / "o.usda"), composed(plain))
+    assert [n.code for n in describe(source).notices] == ["USD109"]
+    # A layer over the very rig lacks nothing.
+    report = bake(source, tmp_path / "layer.usda", BakeOptions(rig_layer=source))
+    assert "USD109" not in [n.code for n in report.notices]
+    found = composed(over(tmp_path / "layer.usda", source))
+    np.testing.assert_allclose(found, composed(source), atol=2e-6)
+
+
+def test_a_shear_is_refused_with_its_angle(tmp_path: Path) -> None:
+    source = tmp_path / "source.usda"
+    rows = "((1, 0, 0, 0), (0.1, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))"
+    ops = f"matrix4d xformOp:transform = {rows}\n"
+    ops += 'uniform token[] xformOpOrder = ["xformOp:transform"]'
+    source.write_text(stage_text("char", ops))
+    with pytest.raises(FormatError, match=r"sheared by 5\.71"):
+        open_source(source)
+
+
+def test_a_rig_of_a_stage_is_as_large_as_there(tmp_path: Path) -> None:
+    path = tmp_path / "rig.usda"
+    path.write_text(stage_text("set", op_text("all", False, 0.01)))
+    rig = Rig.load(path)
+    take = open_source(path).collect()
+    np.testing.assert_allclose(rig.rest_translations, take.rig.rest_translations)
+    np.testing.assert_allclose(
+        np.linalg.norm(rig.rest_translations[2]), 0.5 * np.hypot(0.4, 0.01)
+    )
+    assert rig.meshes[0].geom_bind is not None
+
+
+def test_a_shot_that_makes_metres_of_centimetres_changes_nothing(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "rig.usda").write_text(stage_text())
+    shot = tmp_path / "shot.usda"
+    shot.write_text(
+        '#usda 1.0\n(\nmetersPerUnit = 1\nupAxis = "Z"\ntimeCodesPerSecond = 24\n)\n'
+        'def "hero" (prepend references = @./rig.usda@</set>)\n{\n'
+        "float3 xformOp:scale = (0.01, 0.01, 0.01)\nfloat xformOp:rotateX = 90\n"
+        'uniform token[] xformOpOrder = ["xformOp:rotateX", "xformOp:scale"]\n}\n'
+    )
+    bake(tmp_path / "rig.usda", tmp_path / "one.usda", BakeOptions(prim_path="/x"))
+    report = bake(shot, tmp_path / "two.usda", BakeOptions(prim_path="/x"))
+    assert (tmp_path / "one.usda").read_bytes() == (tmp_path / "two.usda").read_bytes()
+    assert [n.code for n in report.notices] == []
+
+
+def test_a_placement_is_undone_by_its_inverse() -> None:
+    rng = np.random.default_rng(4)
+    turns = so3.normalize(rng.normal(size=(6, 4)))
+    placement = Placement(rng.normal(size=(6, 3)), turns, rng.uniform(0.5, 2, 6))
+    same = placement.inverse().after(placement)
+    np.testing.assert_allclose(same.translations, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(same.rotations[:, 3]), 1.0)
+    np.testing.assert_allclose(same.sizes, 1.0)
+    stands, sized = placement.split(UpAxis.Z)
+    again = stands.after(sized)
+    points = rng.normal(size=(6, 9, 3))
+    np.testing.assert_allclose(again.points(points), placement.points(points))
+    assert (stands.sizes == 1.0).all()
