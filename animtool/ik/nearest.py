@@ -22,7 +22,7 @@ from animtool.ik.solving import IkOptions, solve
 MAX_STARTS, MANY_DEGREES = 27, 12
 # Steps from each, and from the best of them; what is still this many times as costly as
 # the pose at hand then is not followed.
-GLANCE, DESCENT, HOPELESS = 8, 100, 1.3
+TRIAL, DESCENT, HOPELESS = 8, 100, 1.3
 # So many of the most promising starts are followed to their end.
 FOLLOWED = 4
 
@@ -57,13 +57,13 @@ def nearest(
         method=IkMethod.DAMPED,
     )
     wished = np.asarray(prefer, np.float64)
-    glance, descent = (replace(chosen, iterations=n) for n in (GLANCE, DESCENT))
+    trial, descent = (replace(chosen, iterations=n) for n in (TRIAL, DESCENT))
     ends: list[FloatArray] = []
     costs: list[FloatArray] = []
     for start in _starts(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        end = solve(problem, rows, targets, glance, prefer=wished)
+        end = solve(problem, rows, targets, trial, prefer=wished)
         ends.append(end.coordinates)
         costs.append(cost_of(end, targets))
     best, order = result, np.argsort(costs, axis=0, kind="stable")

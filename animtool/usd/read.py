@@ -389,8 +389,8 @@ def _read(
         else None,
     )
     moving = [] if prim is None else movers(prim)
-    carried = sorted({time for mover in moving for time in mover.GetTimeSamples()})
-    moved = nearest_samples(carried, codes, grid.drift)
+    sampled = sorted({time for mover in moving for time in mover.GetTimeSamples()})
+    moved = nearest_samples(sampled, codes, grid.drift)
     placement, odd = _placement(prim, rig, moved, where, choice)
     notices += odd
     motion = _placed(motion, rig, placement, choice)

@@ -55,7 +55,13 @@ def _held(known: tuple[bytes, ...]) -> Iterator[None]:
     except OSError:  # nobody listens
         yield
         return
-    with tempfile.TemporaryFile() as held:
+    try:
+        holding = tempfile.TemporaryFile()
+    except OSError:  # a full disk
+        os.close(saved)
+        yield
+        return
+    with holding as held:
         os.dup2(held.fileno(), 2)
         try:
             yield
