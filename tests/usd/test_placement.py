@@ -449,5 +449,16 @@ def test_lengths_are_those_of_the_world(tmp_path: Path) -> None:
     assert other is not None
     assert one.kept.tolist() == other.kept.tolist() != list(range(FRAMES))
     np.testing.assert_allclose(one.error, other.error, rtol=0.1)
-    errors = [report.rounding.error for report in reports]
+    errors = [report.written.rounding.error for report in reports]
     assert max(errors) < 1e-6
+
+
+def test_a_cache_over_a_scaled_rig_is_where_its_skin_would_be(tmp_path: Path) -> None:
+    plain, rig = tmp_path / "plain.usda", tmp_path / "rig.usda"
+    plain.write_text(stage_text())
+    ops = op_text("all", False, 0.01).replace("(90, 20, 10)", "(0, 20, 0)")
+    rig.write_text(stage_text("char", ops, size=0.5))
+    options = BakeOptions(rig_layer=rig, deform=True, placement="keep")
+    bake(plain, tmp_path / "cache.usda", options)
+    found = points_of(over(tmp_path / "cache.usda", rig))
+    np.testing.assert_allclose(found, skinned(plain), atol=4e-6)
