@@ -106,8 +106,13 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
         root_motion = take.plan.options.root_motion
+        mapping = take.plan.mapping
         made = round_blocks(
-            blocks, job.rig, job.meters_per_unit, root_motion=root_motion
+            blocks,
+            job.rig,
+            job.meters_per_unit,
+            root_motion=root_motion,
+            size=1.0 if mapping is None else mapping.size,
         )
         rounded = prefetch(timed(made, take.seconds, "read"))
         try:
@@ -187,9 +192,11 @@ def _thinned(
     motion = Motion.concatenate([motion for _, motion in held])
     tolerance = plan.options.reduce
     assert tolerance is not None
-    thinned = thin_samples(
-        rig, codes, motion, tolerance, joint_tolerances=dict(plan.options.reduce_at)
-    )
+    # A rig that its stage scales moves by so much less there than in its own numbers.
+    size = 1.0 if plan.mapping is None else plan.mapping.size
+    other = {name: most / size for name, most in plan.options.reduce_at}
+    thinned = thin_samples(rig, codes, motion, tolerance / size, joint_tolerances=other)
+    thinned = replace(thinned, error=thinned.error * size)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
     kept = iter([(codes[thinned.kept], motion.select(thinned.kept))])

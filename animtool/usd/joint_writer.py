@@ -34,8 +34,12 @@ def round_blocks(
     meters_per_unit: float,  # unit of the layer [m]
     *,
     root_motion: bool = False,
+    size: float = 1.0,
 ) -> Iterator[WrittenBlock]:
-    """Yield blocks rounded to what USD holds, and what the rounding did."""
+    """Yield blocks rounded to what USD holds, and what the rounding did.
+
+    size: what the rig's stage scales it by, where the error is seen.
+    """
     for codes, motion in blocks:
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
@@ -70,7 +74,7 @@ def round_blocks(
             written_s,
             bounds,
             root,
-            error * meters_per_unit,
+            error * meters_per_unit * size,
             float(codes[frame]),
             joint,
             _weights(motion, rig, codes),

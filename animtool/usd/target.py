@@ -256,6 +256,7 @@ class JointMap:
     # the same.
     to_rig: Callable[[FloatArray], Placement] | None = None
     roots: IntArray = field(default_factory=lambda: _NONE)  # of the take
+    size: float = 1.0  # of the world, a length of 1 m in the numbers of the rig
 
     def at(self, codes: FloatArray, motion: Motion) -> Motion:
         """Return the motion of the target at time codes ``(F,)``; see `apply`."""
@@ -359,6 +360,7 @@ def map_joints(
         fit,
         None if over is None else over.to_rig,
         np.array(take.roots, np.int64),
+        1.0 if over is None else over.sized.size,
     )
 
 

@@ -431,3 +431,34 @@ def test_a_placement_is_undone_by_its_inverse() -> None:
     points = rng.normal(size=(6, 9, 3))
     np.testing.assert_allclose(again.points(points), placement.points(points))
     assert (stands.sizes == 1.0).all()
+
+
+def test_lengths_are_those_of_the_world(tmp_path: Path) -> None:
+    plain, rig = tmp_path / "plain.usda", tmp_path / "rig.usda"
+    plain.write_text(stage_text())
+    ops = "float3 xformOp:scale = (0.01, 0.01, 0.01)\n"
+    ops += 'uniform token[] xformOpOrder = ["xformOp:scale"]'
+    rig.write_text(stage_text("char", ops, size=0.01))
+    reports = []
+    for below in (None, rig):
+        output = tmp_path / "o.usda"
+        options = BakeOptions(rig_layer=below, reduce=0.005, overwrite=True)
+        reports.append(bake(plain, output, options).takes[0])
+    one, other = (report.thinned for report in reports)
+    assert one is not None
+    assert other is not None
+    assert one.kept.tolist() == other.kept.tolist() != list(range(FRAMES))
+    np.testing.assert_allclose(one.error, other.error, rtol=0.1)
+    errors = [report.written.rounding.error for report in reports]
+    assert max(errors) < 1e-6
+
+
+def test_a_cache_over_a_scaled_rig_is_where_its_skin_would_be(tmp_path: Path) -> None:
+    plain, rig = tmp_path / "plain.usda", tmp_path / "rig.usda"
+    plain.write_text(stage_text())
+    ops = op_text("all", False, 0.01).replace("(90, 20, 10)", "(0, 20, 0)")
+    rig.write_text(stage_text("char", ops, size=0.5))
+    options = BakeOptions(rig_layer=rig, deform=True, placement="keep")
+    bake(plain, tmp_path / "cache.usda", options)
+    found = points_of(over(tmp_path / "cache.usda", rig))
+    np.testing.assert_allclose(found, skinned(plain), atol=4e-6)
