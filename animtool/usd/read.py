@@ -59,9 +59,13 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     stored_data,
     up_axis,
-    upwards,
 )
-from animtool.usd.skinned import BINDING_HINT, MAX_NAMED, character_paths
+from animtool.usd.skinned import (
+    BINDING_HINT,
+    MAX_NAMED,
+    character_paths,
+    ignored_binding,
+)
 from animtool.usd.stderr import without_usd_warnings
 
 
@@ -262,21 +266,12 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeSt
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
     hint = None
-    if ignored := _ignored_binding(prim):
+    if ignored := ignored_binding(prim):
         message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     return stream
-
-
-def _ignored_binding(skeleton: Any) -> str:
-    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
-    for prim in upwards(skeleton):
-        bound = prim.GetRelationship("skel:animationSource")
-        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
-            return str(prim.GetPath())
-    return ""
 
 
 def _read(
@@ -320,9 +315,11 @@ def _read(
     rotations = so3.align_signs(rotations)
     notices += off
     if movers:
-        carried = {time for mover in movers for time in mover.GetTimeSamples()}
-        moved = nearest_samples(sorted(carried), codes, grid.drift)
-        notices += carry_roots(rig, prim, moved, translations, rotations, scales, where)
+        keyed = {time for mover in movers for time in mover.GetTimeSamples()}
+        nearest = nearest_samples(sorted(keyed), codes, grid.drift)
+        notices += carry_roots(
+            rig, prim, nearest, translations, rotations, scales, where
+        )
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),

@@ -479,7 +479,7 @@ def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:
         (-40, 5, (1, FRAMES)),
     ],
 )
-def test_a_range_off_the_samples_is_brought_onto_them(
+def test_a_range_off_the_samples_becomes_theirs(
     start: float, end: float, after: tuple[float, float], tmp_path: Path
 ) -> None:
     path = planted(tmp_path / "wrong.usda", stated(start, end))
