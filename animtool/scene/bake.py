@@ -335,6 +335,8 @@ def start_of(
     if target is not None and target.start is not None:
         return target.start
     if stream.start is not None:
+        if stream.start.denominator == 1:
+            return stream.start
         fps = options.fps or (target.fps if target else stream.fps)
         whole = not options.keep_samples
         return frame_start(stream.start, stream.fps, fps, whole=whole)

@@ -372,7 +372,9 @@ def target_meshes(target: RigTarget) -> StageMeshes:
     """Return the meshes of a rig layer."""
     with usd_errors(target.path), without_usd_warnings():
         prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
-        return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+        meshes = _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+        fresh = [notice for notice in meshes.notices if notice not in target.notices]
+        return replace(meshes, notices=fresh)
 
 
 def _meshes(

@@ -70,9 +70,13 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     stored_data,
     up_axis,
-    upwards,
 )
-from animtool.usd.skinned import BINDING_HINT, MAX_NAMED, character_paths
+from animtool.usd.skinned import (
+    BINDING_HINT,
+    MAX_NAMED,
+    character_paths,
+    ignored_binding,
+)
 from animtool.usd.stderr import without_usd_warnings
 
 
@@ -318,22 +322,13 @@ def _resting(
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
     hint = None
-    if ignored := _ignored_binding(prim):
+    if ignored := ignored_binding(prim):
         message += f": {ignored} binds one, and SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
     warning = Severity.WARNING
     stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
     stream.notices += notices
     return stream, placement
-
-
-def _ignored_binding(skeleton: Any) -> str:
-    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
-    for prim in upwards(skeleton):
-        bound = prim.GetRelationship("skel:animationSource")
-        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
-            return str(prim.GetPath())
-    return ""
 
 
 def _read(

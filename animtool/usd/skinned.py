@@ -71,6 +71,15 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
 
+def ignored_binding(skeleton: Any) -> str:
+    """Return the prim whose binding UsdSkel ignores for want of its schema, or none."""
+    for prim in upwards(skeleton):
+        bound = prim.GetRelationship("skel:animationSource")
+        if bound and bound.GetTargets() and not prim.HasAPI(UsdSkel.BindingAPI):
+            return str(prim.GetPath())
+    return ""
+
+
 BINDING_HINT = "UsdSkel ignores the binding; apply it, as animtool validate --fix does"
 
 

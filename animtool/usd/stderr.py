@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from animtool.quantities import escaped_lines
 
@@ -55,13 +55,13 @@ def _held(known: tuple[bytes, ...]) -> Iterator[None]:
     except OSError:  # nobody listens
         yield
         return
-    try:
-        holding = tempfile.TemporaryFile()
-    except OSError:  # a full disk
-        os.close(saved)
-        yield
-        return
-    with holding as held:
+    with ExitStack() as stack:
+        try:
+            held = stack.enter_context(tempfile.TemporaryFile())
+        except OSError:  # a full disk
+            os.close(saved)
+            yield
+            return
         os.dup2(held.fileno(), 2)
         try:
             yield

@@ -35,13 +35,10 @@ class SkinnedBounds:
 
     def __init__(self, root: Any) -> None:
         self._root = root
-        cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
-        schema = UsdSkel.Root(root)
-        cache.Populate(schema, everything)
-        self._bound = [
-            (cache.GetSkelQuery(binding.GetSkeleton()), _skinned(binding))
-            for binding in cache.ComputeSkelBindings(schema, everything)
-        ]
+        try:
+            self._bound = _bindings(root)
+        except Tf.ErrorException:
+            self._bound = []
 
     @property
     def points(self) -> int:
@@ -105,6 +102,17 @@ def overhang(
         if over > worst:
             worst, when = over, time
     return (worst, when, len(chosen) == count) if worst > 0.0 else None
+
+
+def _bindings(root: Any) -> list[tuple[Any, list[_Skinned]]]:
+    """Return the skeletons below a SkelRoot, as queries, with what each moves."""
+    cache, everything = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
+    schema = UsdSkel.Root(root)
+    cache.Populate(schema, everything)
+    return [
+        (cache.GetSkelQuery(binding.GetSkeleton()), _skinned(binding))
+        for binding in cache.ComputeSkelBindings(schema, everything)
+    ]
 
 
 def _skinned(binding: Any) -> list[_Skinned]:
