@@ -120,7 +120,7 @@ def test_a_source_without_controls_says_so(walk: Path, tmp_path: Path) -> None:
     ("made", "kept"),
     [
         ("root_motion: {mode: extract}", 2),
-        ("resample: {fps: 12}", 0),
+        ("resample: {fps: 12}", 2),
         ("trim: {first: 3, last: 9}", 0),
         ("loop: {first: 2, last: 9}", 0),
     ],
