@@ -115,7 +115,7 @@ def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArra
     counts = np.divide(counts, most, out=np.zeros_like(counts), where=most > 0)
     found = misses / by_unit(problem.length, 1.0)
     # What counts nothing may be infinite.
-    return np.where(counts > 0, found, 0.0) * counts
+    return np.asarray(np.where(counts > 0, found, 0.0) * counts, np.float64)
 
 
 def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
