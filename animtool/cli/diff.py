@@ -17,6 +17,7 @@ from animtool.cli.options import (
     Command,
     common_options,
     format_option,
+    source_option,
     source_options,
     source_options_record,
 )
@@ -79,6 +80,7 @@ Examples:
 @_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight that is no difference.")
 @_choices
 @source_options
+@source_option("positions")
 @format_option
 @common_options
 @click.pass_obj
@@ -125,7 +127,9 @@ def _options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
     """Return what each file is: options of both where they fit, then its own."""
     from animtool.scene.sources import fitting_options
 
-    shared = source_options_record(params, "take", prim_path=params["prim_path"])
+    shared = source_options_record(
+        params, "take", "positions", prim_path=params["prim_path"]
+    )
     options = []
     for path, side in ((first, "a"), (second, "b")):
         names = ("take", "prim_path")

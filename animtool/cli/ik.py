@@ -46,7 +46,7 @@ _HEEDED = frozenset(
     {
         *("rig", "start", "match", "chains", "pose", "output", "reduce"),
         *("overwrite", "skip_existing", "strict", "report_format", "units", "up"),
-        *("source_fps", "source_prim", "take"),
+        *("source_fps", "source_prim", "take", "positions"),
     }
 )
 
@@ -166,7 +166,7 @@ Examples:
     "--match, how far sparse keys may be off.",
 )
 @source_options
-@source_option("prim_path", "take")
+@source_option("prim_path", "take", "positions")
 @writing_options
 def ik(console: Console, /, **params: Any) -> None:
     """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
@@ -270,7 +270,8 @@ def _check(params: dict[str, Any]) -> None:
 
 def _source(params: dict[str, Any]) -> Any:
     """Return what the start is."""
-    return source_options_record(params, "prim_path", "take", shot=params["shot"])
+    named = ("prim_path", "take", "positions")
+    return source_options_record(params, *named, shot=params["shot"])
 
 
 def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:

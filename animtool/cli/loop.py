@@ -40,7 +40,7 @@ Examples:
 )
 @record_option(LoopOptions)
 @source_options
-@source_option("prim_path", "take")
+@source_option("prim_path", "take", "positions")
 @strict_option
 @writing_options
 def loop(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
@@ -65,7 +65,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
             source,
             output,
             LoopOptions(find=find, **values),
-            source_options_record(params, "prim_path", "take"),
+            source_options_record(params, "prim_path", "take", "positions"),
             overwrite=params["overwrite"],
             strict=params["strict"],
             progress=progress,

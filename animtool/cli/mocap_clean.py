@@ -53,7 +53,7 @@ Examples:
     "moved so that feet stand where they stand.  [default: keep]",
 )
 @source_options
-@source_option("prim_path", "take")
+@source_option("prim_path", "take", "positions")
 @strict_option
 @writing_options
 def clean(console: Console, /, source: Path, output: Path, **params: Any) -> None:
@@ -79,7 +79,7 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
             source,
             output,
             passes,
-            source_options_record(params, "take", "prim_path"),
+            source_options_record(params, "take", "prim_path", "positions"),
             overwrite=params["overwrite"],
             strict=params["strict"],
             progress=progress,

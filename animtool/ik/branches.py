@@ -113,7 +113,9 @@ def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArra
         counts = counts * np.asarray(targets.weights, np.float64)
     most = counts.max(axis=(-2, -1), keepdims=True)
     counts = np.divide(counts, most, out=np.zeros_like(counts), where=most > 0)
-    return np.asarray(misses / by_unit(problem.length, 1.0) * counts)
+    found = misses / by_unit(problem.length, 1.0)
+    # What counts nothing may be infinite.
+    return np.asarray(np.where(counts > 0, found, 0.0) * counts, np.float64)
 
 
 def price(misses: FloatArray, reached: BoolArray) -> FloatArray:

@@ -182,12 +182,10 @@ class ClipPath:
         """Return a result whose frames that are not the nearest say so."""
         whole = slice(0, len(self))
         costs = self.interval(self.poses(result), whole, 0).costs
-        # Frames that were not searched have no least, targets beyond numbers no cost.
-        known = np.isfinite(costs) & np.isfinite(self.least)
-        own, least = (
-            missed_by(np.where(known, values, 0.0)) for values in (costs, self.least)
-        )
-        beyond = (own - least) * self.problem.length
+        own, least = missed_by(costs), missed_by(self.least)
+        # Misses beyond numbers are infinite at the nearest, too.
+        beyond = np.subtract(own, least, out=np.zeros_like(own), where=own > least)
+        beyond = beyond * self.problem.length
         statuses = tuple(
             IkStatus.STEADIER if status is IkStatus.NEAREST and far else status
             for status, far in zip(result.statuses, beyond > NEAR, strict=True)

@@ -80,6 +80,9 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: say which coordinate"
             hint = f"write {name}.{parts[0]}" if parts else None
+        elif any(shape.name == name for shape in rig.shapes):
+            message = f"{name!r} is a shape: drivers read joints and controls"
+            hint = "read what drives the shape"
         return Fault("RIG012", message, hint=hint)
     if joint not in rig.names:
         hint = _near(joint, rig.names)

@@ -51,12 +51,12 @@ def open_start(
     if options.rig is None and takes_option(path, "rig"):
         options = replace(options, rig=rig_path)
     stream = reorient(open_source(path, options, progress=progress), rig.up)
-    notices = list(stream.notices)
+    # What its blocks notice is known when all are read.
     take = _within(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
-        return driven_take(replace(take, rig=rig, notices=tuple(notices)))
+        return driven_take(replace(take, rig=rig))
     motion, odd = _mapped(take, rig, path)
-    return driven_take(Take(rig, take.clock, motion, (*notices, *odd)))
+    return driven_take(Take(rig, take.clock, motion, (*take.notices, *odd)))
 
 
 def _within(take: Take, shot: Shot | None) -> Take:

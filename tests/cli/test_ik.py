@@ -618,3 +618,49 @@ def test_to_ease_a_limb_out_is_advised_where_it_may_be(
     targets.write_text(SNAPS.replace("tip\n", "tip\n  soft: 0.1\n"), "utf-8")
     eased = animtool("ik", rig, "-t", targets, "--format", "json")
     assert (eased.code == 0) is not slides
+
+
+COLLAPSED = """\
+HIERARCHY
+ROOT hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT knee
+  {
+    OFFSET 0 -40 0
+    CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 -40 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.041667
+0 90 0 0 0 0 0 0 0 0 0 0
+0 90 1 0 0 0 0 0 0 0 5 0
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("ik", "a.bvh", "-t", "t.targets.yaml", "--clip", "a.bvh"),
+        ("loop", "a.bvh", "--first", "1", "--last", "2"),
+        ("info", "a.bvh"),
+        ("mocap", "clean", "a.bvh", "-o", "c.bvh"),
+    ],
+)
+def test_what_reads_a_bvh_names_lost_positions_and_heeds_the_option(
+    tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    (tmp_path / "a.bvh").write_text(COLLAPSED, "utf-8")
+    targets = "targets: animtool/1\ngoals:\n- {effector: knee, hold: [[1, 2]]}\n"
+    (tmp_path / "t.targets.yaml").write_text(targets, "utf-8")
+    for more, said in (((), True), (("--positions", "offsets"), False)):
+        (tmp_path / "c.bvh").unlink(missing_ok=True)
+        done = animtool(*command, *more, cwd=tmp_path)
+        assert done.code == 0, done.stderr
+        assert ("BVH111" in done.stderr + done.stdout) is said

@@ -147,6 +147,7 @@ def test_what_drivers_read(
         ("end.angle", "RIG033", "pins"),
         ("elbow", "RIG012", "elbow.angle"),
         ("grp", "RIG012", "grip"),
+        ("bulge", "RIG012", "drives the shape"),
     ],
 )
 def test_what_cannot_be_read(name: str, code: str, hint: str) -> None:
@@ -158,6 +159,7 @@ def test_what_cannot_be_read(name: str, code: str, hint: str) -> None:
             Joint("wrist", 0, JointType.BALL, limits=limits),
             Joint("end", 0, JointType.FIXED),
         ),
+        shapes=(Shape("bulge"),),
         controls=(Control("grip"),),
     )
     fault = coordinate_fault(rig, name)

@@ -26,6 +26,13 @@ from animtool.units import LengthUnit, UpAxis, unit_name, up_from_up
 # as large, is hardly meant, where it would be near and no larger than this many times
 # the character if it counted as the rig does.
 FAR, LARGE, NEAR, FITTING = 10.0, 20.0, 2.0, 5.0
+# What lengths of systems are called.
+_COUNTED = {
+    LengthUnit.M: "metres",
+    LengthUnit.CM: "centimetres",
+    LengthUnit.MM: "millimetres",
+    LengthUnit.IN: "inches",
+}
 
 
 def misplaced(
@@ -94,12 +101,12 @@ def _out_of_scale(
     else:
         return
     unit = unit_name(rig.meters_per_unit)
-    counts = "metres" if counted is LengthUnit.M else str(counted)
+    counts = _COUNTED[counted]
     message = (
         f"{system.name} {what}, and the joints of {rig.name!r} span {plain(tall)} m; "
         f"systems count {counts}, this rig is in {unit}"
     )
-    hint = f"units: {{length: {unit}}} of the scene counts as the rig does"
+    hint = _counting_as(unit) or f"write its lengths in {counts}"
     yield Fault("SIM169", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -162,13 +169,21 @@ def _faults(
     )
     hint = "begin it at what carries it, or give the pin an offset"
     if unit != counted:
-        counts = "metres" if counted is LengthUnit.M else str(counted)
+        counts = _COUNTED[counted]
         message += f"; systems count {counts}, this rig is in {unit}"
-        hint = f"units: {{length: {unit}}} of the scene counts as the rig does; or "
-        hint += "begin it at what carries it"
+        hint = "; or ".join(
+            filter(None, [_counting_as(unit), "begin it at what carries it"])
+        )
     yield Fault(
         "SIM168", message, hint=hint, where=pinned.where, severity=Severity.WARNING
     )
+
+
+def _counting_as(unit: str) -> str:
+    """Return how a scene counts in a unit; empty of one that it cannot name."""
+    if unit not in {one.value for one in LengthUnit}:
+        return ""
+    return f"units: {{length: {unit}}} of the scene counts as the rig does"
 
 
 def _sizes(rig: Rig) -> tuple[float, float]:

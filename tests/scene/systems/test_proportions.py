@@ -130,3 +130,17 @@ def test_emitters_count_by_where_they_are(tmp_path: Path) -> None:
     assert "SIM169" in [fault.code for fault in validate(path)]
     path.write_text(DROPS.replace("fps", "units: {length: cm}\nfps", 1), "utf-8")
     assert "SIM169" not in [fault.code for fault in validate(path)]
+
+
+def test_a_unit_that_scenes_cannot_name_is_not_advised(tmp_path: Path) -> None:
+    path = scene(tmp_path, 9000.0)
+    bake(tmp_path / "pair.clip.yaml", tmp_path / "feet.usda", BakeOptions())
+    feet = tmp_path / "feet.usda"
+    text = feet.read_text("utf-8")
+    assert "metersPerUnit = 0.01" in text
+    feet.write_text(text.replace("= 0.01", "= 0.3048", 1), "utf-8")
+    text = path.read_text("utf-8").replace("pair.clip.yaml", "feet.usda")
+    path.write_text(text, "utf-8")
+    (found,) = [one for one in validate([path]) if one.code == "SIM168"]
+    assert "0.3048 m" in found.message
+    assert "units:" not in (found.hint or "")
