@@ -55,7 +55,13 @@ def _held(known: tuple[bytes, ...]) -> Iterator[None]:
     except OSError:  # nobody listens
         yield
         return
-    with tempfile.TemporaryFile() as held:
+    try:
+        holder = tempfile.TemporaryFile()  # noqa: SIM115
+    except OSError:  # no place to hold it: a full disk is for the output to report
+        os.close(saved)
+        yield
+        return
+    with holder as held:
         os.dup2(held.fileno(), 2)
         try:
             yield
