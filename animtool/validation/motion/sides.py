@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
 # Fewer frames are a pose.
@@ -294,7 +294,7 @@ def _neighbor_moves(steps: FloatArray, most: FloatArray) -> BoolArray:
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never turn while those of the other side do (MOT211)."""
     channel = subject.take.motion.rotations
-    roots = set(subject.take.rig.roots)
+    roots = {*subject.take.rig.roots, *carriers(subject)}
     # Where the root stays put, parts were keyed one by one, and one arm may wave.
     if subject.frames < MIN_FRAMES or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]
