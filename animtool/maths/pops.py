@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 
 # A smaller difference to the motion around is seen as a part of it [rad].
-MIN_TURN = math.radians(18.5)
+MIN_TURN = math.radians(17.0)
 # No motion at the rates in use turns a joint so far in one frame [rad].
 FLIP = math.radians(120.0)
 # A pop is as many times rougher than the motion around: kicks, claps and landings at
@@ -91,20 +91,36 @@ def stands_out(
 def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return how far each step is from those around it ``(S, N)``.
 
-    The prediction is the mean of the middle two of the two steps before and the two
-    after, by component, so that one bad step does not spoil that of its neighbours.
+    The smallest difference to several predictions counts: the mean of the middle two of
+    the two steps before and the two after, by component, so that one bad step does not
+    spoil that of its neighbours; cubics through four steps around, next to it or with
+    the one before or after left out, which follow fast motion; and straight lines
+    through the two steps before or after, which a pop on the other side leaves alone.
 
     ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
     """
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
     steps = _without(steps, cuts)
-    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
-    a, b, c, d = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    most = np.maximum(np.maximum(a, b), np.maximum(c, d))
-    least = np.minimum(np.minimum(a, b), np.minimum(c, d))
-    off = steps - 0.5 * (a + b + c + d - most - least)
-    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", off, off)))
+    rows = np.pad(steps, ((3, 3), (0, 0), (0, 0)), mode="edge")
+    a, b, c, d, e, f = (
+        rows[3 + offset : 3 + offset + len(steps)] for offset in (-3, -2, -1, 1, 2, 3)
+    )
+    most = np.maximum(np.maximum(b, c), np.maximum(d, e))
+    least = np.minimum(np.minimum(b, c), np.minimum(d, e))
+    predictions = (
+        0.5 * (b + c + d + e - most - least),
+        (4.0 * (c + d) - b - e) / 6.0,
+        c - 0.3 * b + 0.5 * e - 0.2 * f,
+        d - 0.3 * e + 0.5 * b - 0.2 * a,
+        2.0 * c - b,
+        2.0 * d - e,
+    )
+    off = np.full(steps.shape[:2], np.inf)
+    for prediction in predictions:
+        away = steps - prediction
+        off = np.minimum(off, np.einsum("snc,snc->sn", away, away))
+    return np.asarray(np.sqrt(off))
 
 
 def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
