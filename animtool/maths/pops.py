@@ -22,6 +22,9 @@ ABOVE_NEIGHBOURS = 5.5
 # A move is as many times what the speed changes by: a ball that bounces turns its speed
 # round in one step, and that is the jump [1].
 ABOVE_CHANGE = 2.5
+# Smooth motion explains some of a surprise that is a pop, but leaves this part of the
+# least one [1].
+LEFT = 0.6
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, MIN_STEPS = 0.12, 12
 # Steps beside a pop that it disturbs itself [1].
@@ -46,7 +49,7 @@ def turn_pops(
         empty = np.zeros(turns.shape[:2])
         return empty.astype(bool), empty
     amounts = surprises(turns, cuts)
-    flags = stands_out(amounts, MIN_TURN, TURN_NOISE, interval)
+    flags = stands_out(turns, amounts, cuts, MIN_TURN, TURN_NOISE, interval)
     # Where every other step is one, none is above what is around it.
     flips = np.linalg.norm(turns, axis=2) > FLIP
     flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
@@ -65,25 +68,36 @@ def shift_pops(
         empty = np.zeros(shifts.shape[:2])
         return empty.astype(bool), empty
     amounts = surprises(shifts, cuts)
-    flags = stands_out(amounts, least, noise, interval)
+    flags = stands_out(shifts, amounts, cuts, least, noise, interval)
     return flags & (amounts > ABOVE_CHANGE * changes(shifts)), amounts
 
 
 def stands_out(
-    amounts: FloatArray, least: float, noise: float, interval: float
+    steps: FloatArray,
+    amounts: FloatArray,
+    cuts: BoolArray,
+    least: float,
+    noise: float,
+    interval: float,
 ) -> BoolArray:
-    """Return where surprises are far above those around ``(S, N)``."""
+    """Return where surprises are far above those around ``(S, N)``.
+
+    ``steps`` ``(S, N, 3)`` and their surprises, ``amounts`` ``(S, N)``.
+    """
     candidates = (amounts > least).any(axis=0)
     flags = np.zeros(amounts.shape, bool)
     if not candidates.any():
         return flags
     amounts = amounts[:, candidates]
+    steps = _without(steps[:, candidates], cuts)
+    left, apart = _unexplained(steps, amounts)
     reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
-    usual = noise + mean_around(amounts, reach, GAP)
+    usual = noise + mean_around(left, reach, GAP)
     flags[:, candidates] = (
         (amounts > least)
-        & (amounts > STANDS_OUT * usual)
-        & (amounts > ABOVE_NEIGHBOURS * around(amounts))
+        & (left > LEFT * least)
+        & (left > STANDS_OUT * usual)
+        & (left > ABOVE_NEIGHBOURS * around(apart))
     )
     return flags
 
@@ -91,36 +105,52 @@ def stands_out(
 def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return how far each step is from those around it ``(S, N)``.
 
-    The smallest difference to several predictions counts: the mean of the middle two of
-    the two steps before and the two after, by component, so that one bad step does not
-    spoil that of its neighbours; cubics through four steps around, next to it or with
-    the one before or after left out, which follow fast motion; and straight lines
-    through the two steps before or after, which a pop on the other side leaves alone.
+    The prediction is the mean of the middle two of the two steps before and the two
+    after, by component, so that one bad step does not spoil that of its neighbours.
 
     ``steps`` ``(S, N, 3)``, ``cuts`` ``(S,)``.
     """
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
     steps = _without(steps, cuts)
-    rows = np.pad(steps, ((3, 3), (0, 0), (0, 0)), mode="edge")
-    a, b, c, d, e, f = (
-        rows[3 + offset : 3 + offset + len(steps)] for offset in (-3, -2, -1, 1, 2, 3)
-    )
-    most = np.maximum(np.maximum(b, c), np.maximum(d, e))
-    least = np.minimum(np.minimum(b, c), np.minimum(d, e))
-    predictions = (
-        0.5 * (b + c + d + e - most - least),
+    a, b, c, d = (_shifted(steps, offset) for offset in (-2, -1, 1, 2))
+    most = np.maximum(np.maximum(a, b), np.maximum(c, d))
+    least = np.minimum(np.minimum(a, b), np.minimum(c, d))
+    return _lengths(steps - 0.5 * (a + b + c + d - most - least))
+
+
+def _unexplained(
+    steps: FloatArray, amounts: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what fast motion that is smooth leaves of surprises ``(S, N)``, twice.
+
+    Cubics go through four steps about each: those next to it, or without the one before
+    or after, which a frame that is off disturbs as well. What straight lines through
+    the two steps before or after leave too, which a pop beside them does not disturb,
+    is the second one: it is of the steps beside a pop, as these lines follow it.
+    """
+    a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
+    left = amounts
+    for cubic in (
         (4.0 * (c + d) - b - e) / 6.0,
         c - 0.3 * b + 0.5 * e - 0.2 * f,
         d - 0.3 * e + 0.5 * b - 0.2 * a,
-        2.0 * c - b,
-        2.0 * d - e,
-    )
-    off = np.full(steps.shape[:2], np.inf)
-    for prediction in predictions:
-        away = steps - prediction
-        off = np.minimum(off, np.einsum("snc,snc->sn", away, away))
-    return np.asarray(np.sqrt(off))
+    ):
+        left = np.minimum(left, _lengths(steps - cubic))
+    apart = left
+    for line in (2.0 * c - b, 2.0 * d - e):
+        apart = np.minimum(apart, _lengths(steps - line))
+    return left, apart
+
+
+def _shifted(steps: FloatArray, offset: int) -> FloatArray:
+    """Return the step that is so many after each, held at the ends ``(S, N, 3)``."""
+    rows = np.arange(len(steps)) + offset
+    return np.asarray(steps[rows.clip(0, len(steps) - 1)])
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
 def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:
