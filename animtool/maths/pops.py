@@ -25,6 +25,8 @@ ABOVE_CHANGE = 2.5
 # Smooth motion explains some of a surprise that is a pop, but leaves this part of the
 # least one [1].
 LEFT = 0.6
+# A step goes along with the next one that is this part of it, in its direction [1].
+ALONG = 0.4
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, MIN_STEPS = 0.12, 12
 # Steps beside a pop that it disturbs itself [1].
@@ -125,9 +127,10 @@ def _unexplained(
     """Return what fast motion that is smooth leaves of surprises ``(S, N)``, twice.
 
     Cubics go through four steps about each: those next to it, or without the one before
-    or after, which a frame that is off disturbs as well. What straight lines through
-    the two steps before or after leave too, which a pop beside them does not disturb,
-    is the second one: it is of the steps beside a pop, as these lines follow it.
+    or after, which a frame that is off disturbs as well; and straight lines through the
+    two steps before or after, where the nearer one goes along, as a strike that ends
+    gets faster until then. What these lines leave of all steps is the second one: it is
+    of the steps beside a pop, which the lines on their other sides do not know of.
     """
     a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
     left = amounts
@@ -138,8 +141,12 @@ def _unexplained(
     ):
         left = np.minimum(left, _lengths(steps - cubic))
     apart = left
-    for line in (2.0 * c - b, 2.0 * d - e):
-        apart = np.minimum(apart, _lengths(steps - line))
+    own = np.einsum("snc,snc->sn", steps, steps)
+    for nearer, farther in ((c, b), (d, e)):
+        off = _lengths(steps - (2.0 * nearer - farther))
+        along = np.einsum("snc,snc->sn", nearer, steps) > ALONG * own
+        left = np.where(along, np.minimum(left, off), left)
+        apart = np.minimum(apart, off)
     return left, apart
 
 

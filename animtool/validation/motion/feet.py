@@ -27,8 +27,9 @@ SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
 SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
 # Or it never stands: in four of five frames on the ground it moves at this speed
-# [size/s], which is twice that of the roughest capture, for so long in all [s].
-SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS = 0.012, 0.2, 1.0
+# [size/s], which is twice that of the roughest capture, for so long in all [s]. Where
+# turning explains it in most frames, as in a spin, it is a fast one [size/s].
+SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.03, 0.2, 1.0, 0.08
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
@@ -85,7 +86,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
     if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
-        yield from _skating(subject, contacts, slowest)
+        yield from _skating(subject, contacts, slowest, slides)
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
@@ -136,14 +137,16 @@ def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> f
 
 
 def _skating(
-    subject: MotionSubject, contacts: Contacts, slowest: FloatArray
+    subject: MotionSubject, contacts: Contacts, slowest: FloatArray, slides: FloatArray
 ) -> Iterator[Fault]:
     """Yield that no foot ever stands still, though each slides a little alone."""
     standing = np.flatnonzero(contacts.near.any(axis=1))
     if len(standing) * subject.interval < SKATE_SECONDS:
         return
     speeds = slowest[standing]
-    if np.quantile(speeds, SKATE_SHARE) < SKATE_SPEED * subject.size:
+    turns = float(np.median(np.minimum(slides, slowest)[standing])) <= 0.0
+    least = SKATE_TURNING if turns else SKATE_SPEED
+    if np.quantile(speeds, SKATE_SHARE) < least * subject.size:
         return
     usual = float(np.median(speeds))
     frame = int(standing[int(np.abs(speeds - usual).argmin())])
@@ -267,7 +270,7 @@ def _clearances(
             least[e] = heights[foot] - lowest
         else:
             hangs = False
-    on_zero = hangs and abs(lowest) < STANDS_AT_ZERO * size
+    on_zero = hangs and -SUNK < 2.0 * lowest / size < 2.0 * STANDS_AT_ZERO
     if on_zero:
         least = most = heights[feet]
     else:
