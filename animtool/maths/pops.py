@@ -25,7 +25,7 @@ ABOVE_CHANGE = 2.5
 # Smooth motion explains some of a surprise that is a pop, but leaves this part of the
 # least one [1].
 LEFT = 0.6
-# A step goes along with the next one that is this part of it, in its direction [1].
+# A step is a part of fast motion where the next one is this part of it [1].
 ALONG = 0.4
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, MIN_STEPS = 0.12, 12
@@ -128,7 +128,7 @@ def _unexplained(
 
     Cubics go through four steps about each: those next to it, or without the one before
     or after, which a frame that is off disturbs as well; and straight lines through the
-    two steps before or after, where the nearer one goes along, as a strike that ends
+    two steps before or after, where the nearer one is as fast, as a strike that ends
     gets faster until then. What these lines leave of all steps is the second one: it is
     of the steps beside a pop, which the lines on their other sides do not know of.
     """
@@ -144,7 +144,7 @@ def _unexplained(
     own = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         off = _lengths(steps - (2.0 * nearer - farther))
-        along = np.einsum("snc,snc->sn", nearer, steps) > ALONG * own
+        along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * own
         left = np.where(along, np.minimum(left, off), left)
         apart = np.minimum(apart, off)
     return left, apart
