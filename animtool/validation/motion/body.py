@@ -86,13 +86,14 @@ def placed(subject: MotionSubject) -> BoolArray:
     carrying = carriers(subject)
     found = parents < 0
     found[list(carrying)] = True
-    return np.asarray(found | np.isin(parents, carrying[:-1]))
+    return np.asarray(found | np.isin(parents, carrying[:-1]), bool)
 
 
 def body(subject: MotionSubject) -> BoolArray:
     """Return the joints that hang from the one that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
-    found = np.arange(len(parents)) == hips_of(subject)
+    found = np.zeros(len(parents), bool)
+    found[hips_of(subject) : hips_of(subject) + 1] = True
     for joint in range(1, len(parents)):
         found[joint] |= parents[joint] >= 0 and found[parents[joint]]
     return found

@@ -14,16 +14,16 @@ from animtool.validation.motion.subject import MotionSubject
 NEAR = 0.025
 # Over this long a foot that stands hardly moves [s], [size].
 STILL_SECONDS, STILL = 0.1, 0.012
-# Fewer frames in which feet are still show no ground, and nor does a lesser share of all
-# frames: feet hold for a moment in the air, too [1].
+# Fewer frames in which feet are still show no ground, and nor does a lesser share of
+# all frames: feet hold for a moment in the air, too [1].
 MIN_CONTACTS, SELDOM = 4, 0.1
 # Where it is seldom still, it slides all along: it stands at the height that it is
 # nearest to for this share of the frames [1].
 MOSTLY_LOW = 0.25
 # A foot carries the body where no other joint is lower by more, of the size [1].
 LOWEST = 0.05
-# Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels or
-# lies drags the feet. These are joints that rest so much above the feet [size].
+# Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
+# or lies drags the feet. These are joints that rest so much above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
 # Share of the contacts of a foot that are at one height, where its ground is flat; and
 # at two heights, each with so many, where part of the take floats, or is on a step [1].

@@ -33,8 +33,11 @@ SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.03, 0.2, 1.0, 0.08
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
-# What a foot goes by as it turns about a point under it, of the size a radian, and as it
-# rises or falls so many times as far, is no slide [1].
+# Who lands slows down at least to this part of the speed [1] while falling by so much
+# [size], and who leaves the other way round.
+LANDS, LIFTS = 0.6, 0.005
+# What a foot goes by as it turns about a point under it, of the size a radian, and as
+# it rises or falls so many times as far, is no slide [1].
 LEVER, STEEP = 0.07, 2.0
 # A foot is sunk that is this far below its ground [size], for so long [s].
 SUNK, SUNK_SECONDS = 0.04, 0.05
@@ -43,10 +46,11 @@ SUNK, SUNK_SECONDS = 0.04, 0.05
 LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
 # No foot, and no other joint, is nearer to the ground in the air [size].
 AIR = 0.05
-# On stairs one foot stands on a step within this time of the other on the ground [s].
-STEP_SECONDS = 0.8
-# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at rest
-# [size]. Contacts this far above it are not on it; below it, those that are sunk.
+# On stairs one foot stands on a step within this time of the other on the ground [s],
+# and steps are so high at least [size].
+STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
+# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at
+# rest [size]. Contacts this far above it are not on it; below it, those that are sunk.
 STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
 # Elsewhere 0 is taken for the ground too, but contacts so far from it have another
 # origin, such as the hips [size].
@@ -79,9 +83,12 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     slides = _of_the_standing(subject, contacts, speeds, slides)
     fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
     sliding = contacts.near.any(axis=1) & fast
+    lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     ways = []
     for first, last in runs(sliding):
         seconds = (last - first + 1) * subject.interval
+        if _lands(slowest[first : last + 1], lowest[first : last + 1]):
+            continue
         way = _way(subject, contacts, first, last)
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
@@ -122,6 +129,22 @@ def _of_the_standing(
         found = np.where(speed < slowest, slide, found)
         slowest = np.minimum(slowest, speed)
     return found
+
+
+def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
+    """Return whether a foot slows down as it falls, or gets faster as it rises.
+
+    ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
+
+    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.02, 0.01, 0.0]))
+    True
+    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.01, 0.01, 0.01]))
+    False
+    """
+    rises = float(heights[-1] - heights[0])
+    changes = np.diff(speeds) * np.sign(rises)
+    slows = float(speeds.min()) < LANDS * float(speeds.max())
+    return abs(rises) > LIFTS and slows and bool((changes >= 0.0).all())
 
 
 def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
@@ -217,8 +240,8 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     least, most, rests_at_zero = _clearances(subject, contacts.feet[shown])
     ground = contacts.ground[shown]
     offs = np.where(ground < least, ground - least, np.maximum(ground - most, 0.0))
-    # A heel may be up for good: the foot nearest to the ground counts. Where how high it
-    # stands is not known, the lowest one shows it best.
+    # A heel may be up for good: the foot nearest to the ground counts. Where how high
+    # feet stand is not known, the lowest one shows it best.
     nearest = int((np.abs(offs) if rests_at_zero else ground).argmin())
     off = float(offs[nearest])
     if -SUNK * subject.size < off < OFF_ZERO * subject.size:
@@ -308,18 +331,17 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     flat = np.isfinite(contacts.floor)
     if not flat.any():
         return
-    reach = max(1, round(STEP_SECONDS / subject.interval))
     ground = float(contacts.floor[flat].min())
     above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
     lowest = subject.heights[:, body(subject)].min(axis=1) - ground
     air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
     still = contacts.still[:, flat]
-    steps = (still & (above > AIR * subject.size)).any(axis=1)
-    steps &= (still & (np.abs(above) < NEAR * subject.size)).any(axis=1)
-    longest = LONGEST_JUMP * np.sqrt(subject.size / PERSON_SIZE)
+    # A file without units may be of a person, whatever its numbers are.
+    tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
+    longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
     for first, last in runs(air):
         seconds = (last - first + 1) * subject.interval
-        if seconds <= longest or _climbs(steps, first, last, reach):
+        if seconds <= longest or _climbs(subject, still, above, first, last):
             continue
         height = float(lowest[first : last + 1].min())
         foot = int(contacts.feet[flat][above[first].argmin()])
@@ -333,14 +355,27 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
         return
 
 
-def _climbs(steps: BoolArray, first: int, last: int, reach: int) -> bool:
-    """Return whether one foot stands on a step and the other one still on the ground.
+def _climbs(
+    subject: MotionSubject, still: BoolArray, above: FloatArray, first: int, last: int
+) -> bool:
+    """Return whether the feet go up or down one by one, as on stairs and ladders.
 
-    Within ``reach`` frames of a run, before or after it.
-
-    >>> steps = np.array([False, True, False, False])
-    >>> _climbs(steps, 2, 3, 2), _climbs(steps, 3, 3, 1)
-    (True, False)
+    Their first contacts in a run are at several heights, or their last ones; or one
+    stands high shortly before or after it, and the other one still on the ground.
+    ``still`` and ``above`` ``(F, E)`` [m].
     """
-    before, after = steps[max(first - reach, 0) : first], steps[last + 1 :][:reach]
-    return bool(before.any() or after.any())
+    size = subject.size
+    reach = max(1, round(STEP_SECONDS / subject.interval))
+    high, low = above > AIR * size, np.abs(above) < NEAR * size
+    steps = (still & high).any(axis=1) & (still & low).any(axis=1)
+    steps = np.asarray(steps)
+    if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
+        return True
+    within, heights = still[first : last + 1], above[first : last + 1]
+    stands = np.flatnonzero(within.any(axis=0))
+    for rows in (slice(None), slice(None, None, -1)):
+        at = np.argmax(within[rows], axis=0)
+        contacts = heights[rows][at, np.arange(within.shape[1])][stands]
+        if len(stands) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
+            return True
+    return False

@@ -84,7 +84,7 @@ MIN_FRAMES = 12
 # Fewer joints that move do not tell a lost frame from a key of theirs [1].
 MIN_JOINTS = 4
 # A step over lost frames is as far as all of theirs, of which up to so many are looked
-# for: more are a cut [1]. Of the squared difference to one step so much is left at most:
+# for: more are a cut [1]. No more is left then of the squared difference to one step:
 # other steps of captures that joints agree in leave .45 and more [1].
 MAX_LOST, EXPLAINED = 6, 0.35
 # Where few joints move, all of them must show it, and no more than this be left [1].
@@ -103,6 +103,12 @@ GAP = 3
 MIN_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
 MAX_JOINTS = 0.55
+# Joints that go no more than this many steps contradict it: no more than a share of
+# them, by the squares of their steps, of which fast ones have more; and where these are
+# not few, no more of the difference may be left than this [1].
+GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
+# Few joints are at least this share of all that moves [1].
+FEW_PACE = 0.5
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
@@ -192,12 +198,20 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     possible = (many >= MIN_FEW) & (total > STANDS_OUT**2 * many)
     possible &= paces > MIN_PACE * np.median(paces)
     possible &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
+    on = np.einsum("snc,snc->sn", c, usual) < GOES_ON * pace
+    against = (shows * on * pace).sum(axis=1) / np.maximum(
+        (shows * pace).sum(axis=1), np.finfo(float).tiny
+    )
+    possible &= against < MAX_ON
     for frames in range(1, MAX_LOST + 1):
         left = _squares(c - _predicted(near, far, frames))
         rest = (shows * left / noise).sum(axis=1)
-        joints = (shows & (left < 0.5 * off)).sum(axis=1)
-        found = (rest < EXPLAINED * total) & (joints > MAX_JOINTS * many)
+        further = shows & (left < 0.5 * off)
+        joints = further.sum(axis=1)
+        explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
+        found = (rest < explained) & (joints > MAX_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
+        few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
         found = possible & np.where(many >= MIN_JOINTS, found, few)
         ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
         lost[2:-2] |= found

@@ -159,9 +159,10 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         ratio = height / (legs if at_hips else rest)
         # At 1/100 of its height a root is at 0, where one of another origin is, too.
         factor = _unit_factor(np.array([ratio])) if ratio < 1.0 else _high(ratio)
-        if factor is not None and (factor > 1.0 or not at_hips):
-            if abs(math.log10(factor)) > 1.5:
-                return int(root), factor
+        if factor is None or abs(math.log10(factor)) < 1.5:
+            continue
+        if factor > 1.0 or not at_hips:
+            return int(root), factor
     return None
 
 
