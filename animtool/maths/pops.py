@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 
 # A smaller difference to the motion around is seen as a part of it [rad].
-MIN_TURN = math.radians(18.5)
+MIN_TURN = math.radians(17.0)
 # No motion at the rates in use turns a joint so far in one frame [rad].
 FLIP = math.radians(120.0)
 # A pop is as many times rougher than the motion around: kicks, claps and landings at
@@ -22,6 +22,11 @@ ABOVE_NEIGHBOURS = 5.5
 # A move is as many times what the speed changes by: a ball that bounces turns its speed
 # round in one step, and that is the jump [1].
 ABOVE_CHANGE = 2.5
+# Smooth motion explains some of a surprise that is a pop, but leaves this part of the
+# least one [1].
+LEFT = 0.6
+# A step is a part of fast motion where the next one is this part of it [1].
+ALONG = 0.4
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, MIN_STEPS = 0.12, 12
 # Steps beside a pop that it disturbs itself [1].
@@ -46,7 +51,7 @@ def turn_pops(
         empty = np.zeros(turns.shape[:2])
         return empty.astype(bool), empty
     amounts = surprises(turns, cuts)
-    flags = stands_out(amounts, MIN_TURN, TURN_NOISE, interval)
+    flags = stands_out(turns, amounts, cuts, MIN_TURN, TURN_NOISE, interval)
     # Where every other step is one, none is above what is around it.
     flips = np.linalg.norm(turns, axis=2) > FLIP
     flags |= flips & (amounts > MIN_TURN + 2.0 * np.median(amounts, axis=0))
@@ -65,25 +70,36 @@ def shift_pops(
         empty = np.zeros(shifts.shape[:2])
         return empty.astype(bool), empty
     amounts = surprises(shifts, cuts)
-    flags = stands_out(amounts, least, noise, interval)
+    flags = stands_out(shifts, amounts, cuts, least, noise, interval)
     return flags & (amounts > ABOVE_CHANGE * changes(shifts)), amounts
 
 
 def stands_out(
-    amounts: FloatArray, least: float, noise: float, interval: float
+    steps: FloatArray,
+    amounts: FloatArray,
+    cuts: BoolArray,
+    least: float,
+    noise: float,
+    interval: float,
 ) -> BoolArray:
-    """Return where surprises are far above those around ``(S, N)``."""
+    """Return where surprises are far above those around ``(S, N)``.
+
+    ``steps`` ``(S, N, 3)`` and their surprises, ``amounts`` ``(S, N)``.
+    """
     candidates = (amounts > least).any(axis=0)
     flags = np.zeros(amounts.shape, bool)
     if not candidates.any():
         return flags
     amounts = amounts[:, candidates]
+    steps = _without(steps[:, candidates], cuts)
+    left, apart = _unexplained(steps, amounts)
     reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
-    usual = noise + mean_around(amounts, reach, GAP)
+    usual = noise + mean_around(left, reach, GAP)
     flags[:, candidates] = (
         (amounts > least)
-        & (amounts > STANDS_OUT * usual)
-        & (amounts > ABOVE_NEIGHBOURS * around(amounts))
+        & (left > LEFT * least)
+        & (left > STANDS_OUT * usual)
+        & (left > ABOVE_NEIGHBOURS * around(apart))
     )
     return flags
 
@@ -99,12 +115,49 @@ def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     if len(steps) < 3:
         return np.zeros(steps.shape[:2])
     steps = _without(steps, cuts)
-    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
-    a, b, c, d = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    a, b, c, d = (_shifted(steps, offset) for offset in (-2, -1, 1, 2))
     most = np.maximum(np.maximum(a, b), np.maximum(c, d))
     least = np.minimum(np.minimum(a, b), np.minimum(c, d))
-    off = steps - 0.5 * (a + b + c + d - most - least)
-    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", off, off)))
+    return _lengths(steps - 0.5 * (a + b + c + d - most - least))
+
+
+def _unexplained(
+    steps: FloatArray, amounts: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return what fast motion that is smooth leaves of surprises ``(S, N)``, twice.
+
+    Cubics go through four steps about each: those next to it, or without the one before
+    or after, which a frame that is off disturbs as well; and straight lines through the
+    two steps before or after, where the nearer one is as fast, as a strike that ends
+    gets faster until then. What these lines leave of all steps is the second one: it is
+    of the steps beside a pop, which the lines on their other sides do not know of.
+    """
+    a, b, c, d, e, f = (_shifted(steps, offset) for offset in (-3, -2, -1, 1, 2, 3))
+    left = amounts
+    for cubic in (
+        (4.0 * (c + d) - b - e) / 6.0,
+        c - 0.3 * b + 0.5 * e - 0.2 * f,
+        d - 0.3 * e + 0.5 * b - 0.2 * a,
+    ):
+        left = np.minimum(left, _lengths(steps - cubic))
+    apart = left
+    own = np.einsum("snc,snc->sn", steps, steps)
+    for nearer, farther in ((c, b), (d, e)):
+        off = _lengths(steps - (2.0 * nearer - farther))
+        along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * own
+        left = np.where(along, np.minimum(left, off), left)
+        apart = np.minimum(apart, off)
+    return left, apart
+
+
+def _shifted(steps: FloatArray, offset: int) -> FloatArray:
+    """Return the step that is so many after each, held at the ends ``(S, N, 3)``."""
+    rows = np.arange(len(steps)) + offset
+    return np.asarray(steps[rows.clip(0, len(steps) - 1)])
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
 def _without(steps: FloatArray, cuts: BoolArray) -> FloatArray:

@@ -26,7 +26,7 @@ from animtool.errors import AnimtoolError, Fault
 from animtool.rules import own_rules
 from animtool.scene.sources import open_source
 from animtool.take import Take
-from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.body import feet_of
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 

@@ -281,6 +281,57 @@ def reference_first(take: Take) -> Take:
     )
 
 
+def under_a_root(take: Take) -> Take:
+    """Hang the skeleton from a root that stays at the origin, as armatures do."""
+    bare = edited(take)
+    first = replace(bare.rig.joints[0], parent=-1, translation=(0.0, 0.0, 0.0))
+    first = replace(first, name="Armature", rotation=(0.0, 0.0, 0.0, 1.0), tips=())
+    joints = tuple(
+        replace(joint, parent=joint.parent + 1, mirror=None)
+        for joint in bare.rig.joints
+    )
+    moves, turns, _ = bare.motion.dense()
+    moves = np.concatenate([np.zeros((len(moves), 1, 3)), moves], axis=1)
+    still = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(turns), 1, 4))
+    turns = np.concatenate([still, turns], axis=1)
+    motion = replace(
+        bare.motion,
+        translations=Channel.from_dense(moves),
+        rotations=Channel.from_dense(turns),
+    )
+    rig = replace(bare.rig, joints=(first, *joints), bind={})
+    return replace(bare, rig=rig, motion=motion)
+
+
+def rests_with_legs_spread(take: Take) -> Take:
+    """Turn the thighs of the rest pose to the sides by 70 degrees, and no motion."""
+    sides = pair_sides(take.rig.names, take.rig.parents).left
+    bare = edited(take)
+    joints = list(bare.rig.joints)
+    for left in sides:
+        if "UpLeg" in joints[left].name:
+            right = int(pair_sides(take.rig.names, take.rig.parents).partners[left])
+            for joint, angle in ((left, 1.2), (right, -1.2)):
+                turn = so3.from_axis_angle([0.0, 0.0, 1.0], angle)
+                a, b, c, w = so3.multiply(turn, joints[joint].rotation).tolist()
+                joints[joint] = replace(joints[joint], rotation=(a, b, c, w))
+    return replace(bare, rig=replace(bare.rig, joints=tuple(joints)))
+
+
+def scaled_root(factor: float) -> Edit:
+    """Scale the root of the motion, and neither rig nor translations."""
+
+    def edit(take: Take) -> Take:
+        bare = edited(take)
+        scales = np.ones((bare.motion.frames, len(bare.rig.joints), 3))
+        scales[:, bare.rig.roots[0]] = factor
+        return replace(
+            bare, motion=replace(bare.motion, scales=Channel.from_dense(scales))
+        )
+
+    return edit
+
+
 _JUMPS = frozenset({"MOT202", "MOT203"})
 _FEET = frozenset({"MOT208", "MOT209"})
 
@@ -332,6 +383,13 @@ TAKES = [
             frozenset({"MOT208"})),
     Planted("sunk by 7% for a while", "walk", eased(-0.07, 1, 0.45, 0.8), "MOT209",
             frozenset({"MOT208"})),
+    Planted("sunk by 5% for a while", "walk", eased(-0.05, 1, 0.4, 0.7), "MOT209",
+            frozenset({"MOT208"})),
+    Planted("all of it sunk by 6%", "walk", step(-0.06, 1, 0.0), "MOT209"),
+    Planted("all of it sunk, at rest with legs spread", "walk",
+            lambda take: step(-0.08, 1, 0.0)(rests_with_legs_spread(take)), "MOT209"),
+    Planted("the hips below an armature displaced", "walk",
+            lambda take: under_a_root(step(0.08, 0)(take)), "MOT203", _FEET),
     Planted("all of it sunk", "stride", step(-0.08, 1, 0.0), "MOT209"),
     Planted("all of it floating", "stride", step(0.1, 1, 0.0), "MOT209"),
     Planted("all of it floating, carrying", "carry", step(0.08, 1, 0.0), "MOT209"),
@@ -357,6 +415,8 @@ TAKES = [
             "MOT213", _FEET),
     Planted("a character 100 times too large", "stride", scaled(100.0), "MOT213"),
     Planted("a character 100 times too small", "carry", scaled(0.01), "MOT213"),
+    Planted("a root scaled by 100", "stride", scaled_root(100.0), "MOT213"),
+    Planted("a root scaled by 1/100", "walk", scaled_root(0.01), "MOT213"),
     Planted("a character of 1.2 mm", "stride", scaled(0.0005), "MOT213"),
     Planted("a machine of 0.7 mm", "press", scaled(0.0005), "MOT215"),
     Planted("Z up, stated as Y", "walk", rolled(90.0), "MOT214"),

@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.validation.motion.body import body, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Words for feet, whole or as part of a name put together: not flyWHEEL.
-_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
-_FOOT = re.compile(
-    rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"
-    rf"|(?<![A-Za-z])(?:{_WORDS.upper()})"
-)
 # A foot stands that is this near to the lowest height it rests at, of the size [1].
 NEAR = 0.025
 # Over this long a foot that stands hardly moves [s], [size].
 STILL_SECONDS, STILL = 0.1, 0.012
-# Fewer frames in which feet are still show no ground.
-MIN_CONTACTS = 4
-# Where it is never still, it slides all along: it stands at the height that it is
+# Fewer frames in which feet are still show no ground, and nor does a lesser share of
+# all frames: feet hold for a moment in the air, too [1].
+MIN_CONTACTS, SELDOM = 4, 0.1
+# Where it is seldom still, it slides all along: it stands at the height that it is
 # nearest to for this share of the frames [1].
 MOSTLY_LOW = 0.25
 # A foot carries the body where no other joint is lower by more, of the size [1].
 LOWEST = 0.05
+# Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
+# or lies drags the feet. These are joints that rest so much above the feet [size].
+LIES, ABOVE_FEET = 0.12, 0.15
+# Share of the contacts of a foot that are at one height, where its ground is flat; and
+# at two heights, each with so many, where part of the take floats, or is on a step [1].
+AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,8 @@ class Contacts:
         feet: Indices of the joints ``(E,)``.
         ground: Height at which each foot stands, from its contacts ``(E,)`` [m].
         flat: Whether a foot and that of the other side stand at one height ``(E,)``.
+        floor: The lower one of two heights at which a foot stands often; else its
+            ground; infinite where there are more than two ``(E,)`` [m].
         carries: Whether no other joint is much lower ``(F, E)``.
         near: Whether a foot carries, and is near to a ground that is flat ``(F, E)``.
         still: Whether it carries and does not move ``(F, E)``.
@@ -45,19 +48,10 @@ class Contacts:
     feet: IntArray
     ground: FloatArray
     flat: BoolArray
+    floor: FloatArray
     carries: BoolArray
     near: BoolArray
     still: BoolArray
-
-
-def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of the joints that are of feet.
-
-    >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
-    [1, 2, 4]
-    """
-    feet = [i for i, name in enumerate(names) if _FOOT.search(name)]
-    return np.array(feet, np.int64)
 
 
 def contacts_of(subject: MotionSubject) -> Contacts | None:
@@ -66,24 +60,78 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
     heights = subject.heights[:, feet]
-    lowest = subject.heights.min(axis=1, keepdims=True)
+    lowest = subject.heights[:, body(subject)].min(axis=1, keepdims=True)
     carries = heights < lowest + LOWEST * subject.size
+    carries &= ~_lies(subject, feet)[:, None]
     still = carries & _still(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
+    floor = np.full(len(feet), np.inf)
     flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
         stands = heights[still[:, e], e]
-        if len(stands) >= MIN_CONTACTS:
-            ground[e] = np.median(stands)
-            spread = np.percentile(stands, 75) - np.percentile(stands, 25)
-            flat[e] = spread < NEAR * subject.size
+        if len(stands) >= max(MIN_CONTACTS, SELDOM * subject.frames):
+            ground[e], share = _level(stands, NEAR * subject.size)
+            flat[e] = share > AT_ONE_HEIGHT
+            floor[e] = _floor(stands, NEAR * subject.size)
         else:
             ground[e] = np.percentile(heights[:, e], 5)
             low = np.abs(heights[:, e] - ground[e]) < NEAR * subject.size
             flat[e] = low.mean() > MOSTLY_LOW
+            floor[e] = ground[e] if flat[e] else np.inf
     flat &= _agrees(subject, feet, ground)
+    floor[~_agrees(subject, feet, floor)] = np.inf
     near = carries & flat & (np.abs(heights - ground) < NEAR * subject.size)
-    return Contacts(feet, ground, flat, carries, near, still)
+    return Contacts(feet, ground, flat, floor, carries, near, still)
+
+
+def _level(heights: FloatArray, within: float) -> tuple[float, float]:
+    """Return the height that most of some are near to, and which share of them is.
+
+    >>> _level(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
+    (0.1, 0.75)
+    """
+    ordered = np.sort(heights)
+    ends = np.searchsorted(ordered, ordered + 2.0 * within, "right")
+    many = ends - np.arange(len(ordered))
+    first = int(many.argmax())
+    chosen = ordered[first : first + int(many[first])]
+    return float(np.median(chosen)), len(chosen) / len(ordered)
+
+
+def _floor(heights: FloatArray, within: float) -> float:
+    """Return the lower one of two heights that nearly all are near to; else infinity.
+
+    >>> _floor(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
+    0.05
+    """
+    one, share = _level(heights, within)
+    rest = heights[np.abs(heights - one) > 2.0 * within]
+    if len(rest) < AT_EACH * len(heights):
+        return one if share > AT_ONE_HEIGHT else np.inf
+    other, part = _level(rest, within)
+    part *= len(rest) / len(heights)
+    if part < AT_EACH:
+        return one if share > AT_ONE_HEIGHT else np.inf
+    return min(one, other) if share + part > AT_TWO_HEIGHTS else np.inf
+
+
+def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
+    """Return in which frames other joints than feet are at the ground ``(F,)``."""
+    parents = subject.take.rig.parents
+    others = body(subject)
+    leg = set(feet.tolist())
+    for joint in range(len(parents)):
+        if parents[joint] in leg:
+            leg.add(joint)
+    others[list(leg)] = False
+    if subject.has_rest:
+        rests = subject.rest @ subject.up
+        others &= rests > rests[feet].min() + ABOVE_FEET * subject.rest_size
+    if not others.any():
+        return np.zeros(subject.frames, bool)
+    lowest = subject.heights[:, feet].min(axis=1)
+    trunk = subject.heights[:, others].min(axis=1)
+    return np.asarray(trunk < lowest + LIES * subject.size)
 
 
 def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:
@@ -91,7 +139,8 @@ def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolA
     places = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
     others = [places.get(joint, e) for e, joint in enumerate(partners)]
-    return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
 
 
 def moves_over(

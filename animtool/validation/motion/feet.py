@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.validation.motion.body import body, feet_of, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
+    NEAR,
     Contacts,
     contacts_of,
-    moves_over,
 )
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import body_axis
@@ -25,10 +27,18 @@ SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
 SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
 # Or it never stands: in four of five frames on the ground it moves at this speed
-# [size/s], which is twice that of the roughest capture, for so long in all [s].
-SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS = 0.012, 0.2, 1.0
-# The speed is that over this time [s]: shorter, it is noise.
+# [size/s], which is twice that of the roughest capture, for so long in all [s]. Where
+# turning explains it in most frames, as in a spin, it is a fast one [size/s].
+SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.03, 0.2, 1.0, 0.08
+# The speed is the lower one of those over this time before and after [s]: a foot that
+# lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
+# Who lands slows down at least to this part of the speed [1] while falling by so much
+# [size], and who leaves the other way round.
+LANDS, LIFTS = 0.6, 0.005
+# What a foot goes by as it turns about a point under it, of the size a radian, and as
+# it rises or falls so many times as far, is no slide [1].
+LEVER, STEEP = 0.07, 2.0
 # A foot is sunk that is this far below its ground [size], for so long [s].
 SUNK, SUNK_SECONDS = 0.04, 0.05
 # Of a character as tall as a person, the longest jump [s] for a size of 2.2 m; of
@@ -36,9 +46,19 @@ SUNK, SUNK_SECONDS = 0.04, 0.05
 LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
 # No foot, and no other joint, is nearer to the ground in the air [size].
 AIR = 0.05
-# At rest the lowest foot is this near to 0 of the up axis, where the ground is then;
-# contacts this far from it are not on it [size].
+# On stairs one foot stands on a step within this time of the other on the ground [s],
+# and steps are so high at least [size].
+STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
+# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at
+# rest [size]. Contacts this far above it are not on it; below it, those that are sunk.
 STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
+# Elsewhere 0 is taken for the ground too, but contacts so far from it have another
+# origin, such as the hips [size].
+OTHER_ORIGIN = 0.25
+# A leg hangs at rest that reaches down by this share of its length; legs that are
+# spread show nothing of how high feet stand [1], and these then are no higher [size],
+# and no lower than this part of it [1].
+HANGS, ANKLE, TOE, FLAT = 0.85, 0.08, 0.03, 0.3
 # Fewer seconds of contacts do not show that a whole take is off the ground.
 SHOWN_SECONDS = 0.3
 
@@ -49,6 +69,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     Of the feet on the ground the slowest counts: one may be dragged while the other
     stands, and a heel turns about its toes.
     """
+    subject = subject.main
     contacts = contacts_of(subject)
     if (
         contacts is None
@@ -56,19 +77,23 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         or _travel(subject) < TRAVEL * subject.size
     ):
         return
-    level = subject.level(contacts.feet)
-    speeds = _speeds(subject, level)
+    speeds, slides = _speeds(subject, contacts.feet)
     speeds = np.where(contacts.carries, speeds, np.inf)
     slowest = speeds.min(axis=1)
-    sliding = contacts.near.any(axis=1) & (slowest > SLIDE_SPEED * subject.size)
+    slides = _of_the_standing(subject, contacts, speeds, slides)
+    fast = np.minimum(slowest, slides) > SLIDE_SPEED * subject.size
+    sliding = contacts.near.any(axis=1) & fast
+    lowest = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     ways = []
     for first, last in runs(sliding):
         seconds = (last - first + 1) * subject.interval
-        way = float(slowest[first : last + 1].sum()) * subject.interval
+        if _lands(slowest[first : last + 1], lowest[first : last + 1]):
+            continue
+        way = _way(subject, contacts, first, last)
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
     if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
-        yield from _skating(subject, contacts, slowest)
+        yield from _skating(subject, contacts, slowest, slides)
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
@@ -81,15 +106,70 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT208", foot, first, message, hint)
 
 
+def _of_the_standing(
+    subject: MotionSubject, contacts: Contacts, speeds: FloatArray, slides: FloatArray
+) -> FloatArray:
+    """Return how fast the foot slides that is the slowest one on the ground ``(F,)``.
+
+    All of its joints near to the ground count: one that stands, such as its toe, makes
+    the foot slow, and one that turns about that does not make another foot slide.
+    """
+    feet, parents = contacts.feet.tolist(), subject.take.rig.parents
+    places = {foot: e for e, foot in enumerate(feet)}
+    tops: list[int] = []
+    for e, foot in enumerate(feet):
+        above = places.get(int(parents[foot]))
+        tops.append(e if above is None else tops[above])
+    found, slowest = np.zeros(len(speeds)), np.full(len(speeds), np.inf)
+    for top in sorted(set(tops)):
+        columns = np.flatnonzero(np.array(tops) == top)
+        near = contacts.near[:, columns]
+        speed = np.where(near, speeds[:, columns], np.inf).min(axis=1)
+        slide = np.where(near, slides[:, columns], 0.0).max(axis=1)
+        found = np.where(speed < slowest, slide, found)
+        slowest = np.minimum(slowest, speed)
+    return found
+
+
+def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
+    """Return whether a foot slows down as it falls, or gets faster as it rises.
+
+    ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
+
+    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.02, 0.01, 0.0]))
+    True
+    >>> _lands(np.array([3.0, 2.0, 1.0]), np.array([0.01, 0.01, 0.01]))
+    False
+    """
+    rises = float(heights[-1] - heights[0])
+    changes = np.diff(speeds) * np.sign(rises)
+    slows = float(speeds.min()) < LANDS * float(speeds.max())
+    return abs(rises) > LIFTS and slows and bool((changes >= 0.0).all())
+
+
+def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
+    """Return the shortest way that a foot near to the ground goes over a run [m].
+
+    With half of the time that its speed is that of, before and after.
+    """
+    reach = max(1, round(0.5 * SPEED_SECONDS / subject.interval))
+    part = slice(max(first - reach, 0), last + reach + 1)
+    feet = contacts.feet[contacts.near[first : last + 1].any(axis=0)]
+    level = subject.level(feet)[part]
+    return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
+
+
 def _skating(
-    subject: MotionSubject, contacts: Contacts, slowest: FloatArray
+    subject: MotionSubject, contacts: Contacts, slowest: FloatArray, slides: FloatArray
 ) -> Iterator[Fault]:
     """Yield that no foot ever stands still, though each slides a little alone."""
     standing = np.flatnonzero(contacts.near.any(axis=1))
     if len(standing) * subject.interval < SKATE_SECONDS:
         return
     speeds = slowest[standing]
-    if np.quantile(speeds, SKATE_SHARE) < SKATE_SPEED * subject.size:
+    turns = float(np.median(np.minimum(slides, slowest)[standing])) <= 0.0
+    least = SKATE_TURNING if turns else SKATE_SPEED
+    if np.quantile(speeds, SKATE_SHARE) < least * subject.size:
         return
     usual = float(np.median(speeds))
     frame = int(standing[int(np.abs(speeds - usual).argmin())])
@@ -104,15 +184,34 @@ def _skating(
 
 
 def _travel(subject: MotionSubject) -> float:
-    """Return how far the roots go along the ground, from corner to corner [m]."""
-    points = subject.level(np.array(subject.take.rig.roots[:1]))[:, 0]
+    """Return how far the hips go along the ground, from corner to corner [m]."""
+    points = subject.level(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
-def _speeds(subject: MotionSubject, points: FloatArray) -> FloatArray:
-    """Return the speeds of points ``(F, E, 3)`` over a short time ``(F, E)`` [m/s]."""
-    moves, frames = moves_over(subject, points, SPEED_SECONDS)
-    return np.asarray(moves / (frames * subject.interval)[:, None])
+def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return how fast feet go along the ground, and slide, ``(F, E)`` each [m/s].
+
+    Of their ways over a short time before and after each frame the shorter one counts;
+    they slide by what turning and lifting the foot leave of it.
+    """
+    count = subject.frames
+    reach = max(1, round(SPEED_SECONDS / subject.interval))
+    level, heights = subject.level(feet), subject.heights[:, feet]
+    rotations = subject.world.rotations[:, feet]
+    speeds = np.full((2, count, len(feet)), np.inf)
+    for offset in (-reach, reach):
+        ends = np.clip(np.arange(count) + offset, 0, count - 1)
+        seconds = np.abs(ends - np.arange(count)) * subject.interval
+        way = np.linalg.norm(level[ends] - level, axis=2)
+        explained = STEEP * np.abs(heights[ends] - heights)
+        angles = so3.angle_between(rotations[ends], rotations)
+        explained += LEVER * subject.size * angles
+        # The first frame has nothing before it, and the last one nothing after it.
+        known = seconds > 0.0
+        ways = np.stack([way, np.maximum(way - explained, 0.0)])[:, known]
+        speeds[:, known] = np.minimum(speeds[:, known], ways / seconds[known, None])
+    return speeds[0], speeds[1]
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
@@ -121,6 +220,7 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
     The ground is 0 of the up axis where the rig rests standing on that, else the
     height at which the feet stand most.
     """
+    subject = subject.main
     contacts = contacts_of(subject)
     if contacts is None or body_axis(subject):
         return
@@ -129,32 +229,76 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that all contacts are off the ground that the rig rests on."""
+    """Yield that all contacts are off 0 of the up axis, where that is the ground."""
     if not subject.has_rest:
-        return
-    rests = subject.rest[contacts.feet] @ subject.up
-    lowest = float((subject.rest @ subject.up).min())
-    if abs(lowest) > STANDS_AT_ZERO * subject.size:
         return
     often = contacts.still.sum(axis=0)
     fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
-    shown = (often >= fewest) & contacts.flat
-    if not shown.any():
+    shown = np.flatnonzero((often >= fewest) & contacts.flat)
+    if not len(shown):
         return
-    offs = (contacts.ground - rests)[shown]
-    # A heel may be up for good: the foot nearest to the ground counts.
-    off = float(offs[np.abs(offs).argmin()])
-    if abs(off) < OFF_ZERO * subject.size:
+    least, most, rests_at_zero = _clearances(subject, contacts.feet[shown])
+    ground = contacts.ground[shown]
+    offs = np.where(ground < least, ground - least, np.maximum(ground - most, 0.0))
+    # A heel may be up for good: the foot nearest to the ground counts. Where how high
+    # feet stand is not known, the lowest one shows it best.
+    nearest = int((np.abs(offs) if rests_at_zero else ground).argmin())
+    off = float(offs[nearest])
+    if -SUNK * subject.size < off < OFF_ZERO * subject.size:
         return
-    foot = int(contacts.feet[shown][np.abs(offs).argmin()])
+    lowest = subject.heights[:, contacts.feet].min(axis=1)
+    if off > 0.0 and float(np.percentile(lowest, 5)) < off:
+        return
+    if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
+        return
+    foot = int(contacts.feet[shown[nearest]])
     frame = int(np.flatnonzero(contacts.still[:, shown].any(axis=1))[0])
     how = "below" if off < 0.0 else "above"
     message = (
-        f"the feet stand {abs(off):.3g} m {how} the ground, 0 of the up axis, on which "
-        f"the rig rests; {subject.take.rig.joints[foot].name!r} is nearest to it"
+        f"the feet stand {abs(off):.3g} m {how} the ground, 0 of the up axis; "
+        f"{subject.take.rig.joints[foot].name!r} is nearest to it"
     )
     hint = "lift or lower the root, or convert the take's units"
     yield subject.fault("MOT209", foot, frame, message, hint)
+
+
+def _clearances(
+    subject: MotionSubject, feet: IntArray
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Return how far foot joints are above the ground when they stand.
+
+    Least and most ``(E,)`` [m], and whether the rig rests on 0 of the up axis. Legs
+    that hang at rest show it; of others only that feet are flat is known.
+    """
+    rig, size = subject.take.rig, subject.rest_size
+    scale = subject.size / size
+    rest = subject.rest
+    heights = rest @ subject.up
+    lowest = float(heights.min())
+    parents, hips = rig.parents, hips_of(subject)
+    least = np.zeros(len(feet))
+    most = np.zeros(len(feet))
+    hangs = True
+    known = set(feet_of(rig.names).tolist())
+    for e, foot in enumerate(feet.tolist()):
+        is_toe = int(parents[foot]) in known
+        most[e] = (TOE if is_toe else ANKLE) * size
+        length, joint = 0.0, foot
+        while joint not in (-1, hips):
+            parent = int(parents[joint])
+            if parent >= 0:
+                length += float(np.linalg.norm(rest[joint] - rest[parent]))
+            joint = parent
+        if heights[hips] - heights[foot] > HANGS * length > 0.0:
+            least[e] = heights[foot] - lowest
+        else:
+            hangs = False
+    on_zero = hangs and -SUNK < 2.0 * lowest / size < 2.0 * STANDS_AT_ZERO
+    if on_zero:
+        least = most = heights[feet]
+    else:
+        least, most = np.maximum(least, FLAT * most), np.maximum(least, most)
+    return least * scale, most * scale, on_zero
 
 
 def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
@@ -184,17 +328,20 @@ def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
 
 def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     """Yield that no joint comes near to the ground for longer than a jump lasts."""
-    flat = contacts.flat
+    flat = np.isfinite(contacts.floor)
     if not flat.any():
         return
-    ground = float(contacts.ground[flat].min())
-    above = subject.heights[:, contacts.feet[flat]] - contacts.ground[flat]
-    lowest = subject.heights.min(axis=1) - ground
+    ground = float(contacts.floor[flat].min())
+    above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
+    lowest = subject.heights[:, body(subject)].min(axis=1) - ground
     air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
-    longest = LONGEST_JUMP * np.sqrt(subject.size / PERSON_SIZE)
+    still = contacts.still[:, flat]
+    # A file without units may be of a person, whatever its numbers are.
+    tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
+    longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
     for first, last in runs(air):
         seconds = (last - first + 1) * subject.interval
-        if seconds <= longest:
+        if seconds <= longest or _climbs(subject, still, above, first, last):
             continue
         height = float(lowest[first : last + 1].min())
         foot = int(contacts.feet[flat][above[first].argmin()])
@@ -206,3 +353,29 @@ def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
         hint = "lower the root there; a jump does not last so long"
         yield subject.fault("MOT209", foot, first, message, hint)
         return
+
+
+def _climbs(
+    subject: MotionSubject, still: BoolArray, above: FloatArray, first: int, last: int
+) -> bool:
+    """Return whether the feet go up or down one by one, as on stairs and ladders.
+
+    Their first contacts in a run are at several heights, or their last ones; or one
+    stands high shortly before or after it, and the other one still on the ground.
+    ``still`` and ``above`` ``(F, E)`` [m].
+    """
+    size = subject.size
+    reach = max(1, round(STEP_SECONDS / subject.interval))
+    high, low = above > AIR * size, np.abs(above) < NEAR * size
+    steps = (still & high).any(axis=1) & (still & low).any(axis=1)
+    steps = np.asarray(steps)
+    if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
+        return True
+    within, heights = still[first : last + 1], above[first : last + 1]
+    stands = np.flatnonzero(within.any(axis=0))
+    for rows in (slice(None), slice(None, None, -1)):
+        at = np.argmax(within[rows], axis=0)
+        contacts = heights[rows][at, np.arange(within.shape[1])][stands]
+        if len(stands) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
+            return True
+    return False

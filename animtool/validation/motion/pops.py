@@ -10,7 +10,8 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, listed
-from animtool.maths.pops import MIN_FRAMES, STANDS_OUT, shift_pops, turn_pops
+from animtool.maths.pops import shift_pops, turn_pops
+from animtool.validation.motion.body import carriers
 from animtool.validation.motion.subject import MotionSubject
 
 
@@ -30,10 +31,6 @@ def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:
 MIN_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
 # What the noise of captures moves joints by [size].
 SHIFT_NOISE = 0.002
-# So many joints that jump from the first frame are a reference pose.
-REFERENCE_JOINTS = 3
-# Below this many degrees a joint starts from rest, and does not leave a pose.
-REFERENCE_TURN = math.radians(30.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +72,7 @@ def root_pops(subject: MotionSubject) -> Iterator[Fault]:
 
 def _pops(subject: MotionSubject, least: float, *, roots: bool) -> list[_Pops]:
     """Return jumps of turning, and of moving joints: of the roots, or of all others."""
-    own = list(subject.take.rig.roots)
+    own = [*subject.take.rig.roots, *carriers(subject)]
     turning, moving = (
         np.flatnonzero(np.isin(joints, own) == roots)
         for joints in (subject.turning, subject.moving)
@@ -139,20 +136,10 @@ def _ignored(subject: MotionSubject) -> BoolArray:
     return cuts
 
 
-def _leaving_first(subject: MotionSubject) -> IntArray:
-    """Return the joints that jump from the first frame to the second."""
-    if subject.frames < MIN_FRAMES or not len(subject.turning):
-        return np.zeros(0, np.int64)
-    sizes = np.linalg.norm(subject.turns[:MIN_FRAMES], axis=2)
-    usual = sizes[1:].max(axis=0)
-    away = (sizes[0] > REFERENCE_TURN) & (sizes[0] > STANDS_OUT * usual)
-    return np.asarray(subject.turning[away])
-
-
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the first frame is a pose of its own (MOT204)."""
-    pose = _leaving_first(subject)
-    if len(pose) < REFERENCE_JOINTS or subject.cuts()[0]:
+    pose = subject.posing
+    if not len(pose):
         return
     first, second = subject.at(0), subject.at(1)
     message = (

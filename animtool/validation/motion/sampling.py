@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -82,18 +83,32 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
 MIN_FRAMES = 12
 # Fewer joints that move do not tell a lost frame from a key of theirs [1].
 MIN_JOINTS = 4
-# A step over one lost frame is twice what the steps around predict; in captures none
-# comes to 1.4 where the motion is smooth [1]. More than so many frames are a cut [1].
-DOUBLE, MAX_LOST = 1.6, 8.0
-# Share of the step that may go another way than predicted [1].
-ASTRAY = 0.25
-# Steps around count for so many before and after, but the nearest, which the loss
-# disturbs; they may be so much less uneven than the step [1].
-REACH, GAP, UNEVEN = 10, 3, 0.4
+# A step over lost frames is as far as all of theirs, of which up to so many are looked
+# for: more are a cut [1]. No more is left then of the squared difference to one step:
+# other steps of captures that joints agree in leave .45 and more [1].
+MAX_LOST, EXPLAINED = 6, 0.35
+# Where few joints move, all of them must show it, and no more than this be left [1].
+FEW_EXPLAINED, MIN_FEW = 0.02, 2
+# The step is as many times further from what is predicted than others around it, within
+# blocks of so many frames, are mostly [1]. No joint goes more evenly than a part of its
+# usual step, which is text of few digits, or than this [rad].
+STANDS_OUT, BLOCK, EVEN, NOISE = 5.0, 40, 0.02, 1e-5
+# A joint shows a loss whose step is as many times what others differ by [1].
+SHOWS = 4.0
+# Holes between samples are longer than so many steps [1].
+DOUBLE = 1.6
+# So many steps about a repeated frame are looked at together [1].
+GAP = 3
 # Of the usual step: less shows no loss, and is no motion that stops [1].
 MIN_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
-MAX_JOINTS = 0.7
+MAX_JOINTS = 0.55
+# Joints that go no more than this many steps contradict it: no more than a share of
+# them, by the squares of their steps, of which fast ones have more; and where these are
+# not few, no more of the difference may be left than this [1].
+GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
+# Few joints are at least this share of all that moves [1].
+FEW_PACE = 0.5
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
@@ -119,7 +134,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     count = max(1, round(float(ratios[step])) - 1)
     more = f"; so are {len(frames) - 1} more steps" if len(frames) > 1 else ""
     message = (
-        f"all joints go {ratios[step]:.1f} times as far from frame {subject.at(step)} "
+        f"all joints go {ratios[step]:.0f} times as far from frame {subject.at(step)} "
         f"to {subject.at(step + 1)} as around: {counted(count, 'frame')} lost{more}"
     )
     hint = "record or export the take again, or put the missing frame in between"
@@ -161,30 +176,80 @@ def _vectors(subject: MotionSubject) -> FloatArray:
 
 
 def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return how many times the predicted way each step goes, and which are losses."""
+    """Return how many steps' way each step goes, and which of them are losses ``(S,)``.
+
+    A loss is a step that is far from what the two on either side predict of one, and
+    near to what they predict of several.
+    """
     steps = _vectors(subject)
     count = len(steps)
     ratios, lost = np.ones(count), np.zeros(count, bool)
     a, b, c, d, e = (steps[i : count - 4 + i] for i in range(5))
-    # What a cubic through the two steps on either side has in the middle.
-    usual = (4.0 * (b + d) - a - e) / 6.0
-    along = np.einsum("snc,snc->sn", c, usual)
-    square = np.einsum("snc,snc->sn", usual, usual)
-    own = np.einsum("snc,snc->s", c, c)
-    total = square.sum(axis=1)
-    tiny = np.finfo(float).tiny
-    ratio = along.sum(axis=1) / np.maximum(total, tiny)
-    astray = 1.0 - along.sum(axis=1) ** 2 / np.maximum(total * own, tiny)
-    pace = np.sqrt(total)
-    fast = pace > MIN_PACE * np.median(pace)
-    unlike = np.where(fast, np.abs(ratio - 1.0), 0.0)
-    doubled = fast & (ratio > DOUBLE) & (ratio < MAX_LOST) & (astray < ASTRAY)
-    doubled &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
-    if doubled.any():
-        doubled &= _uneven_around(unlike) < UNEVEN * unlike
-        doubled &= _share(along, square) > MAX_JOINTS
-    ratios[2:-2], lost[2:-2] = ratio, doubled
+    near, far = 0.5 * (b + d), 0.5 * (a + e)
+    usual = _predicted(near, far, 0)
+    off = _squares(c - usual)
+    pace = _squares(usual)
+    noise = _usual_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
+    shows = pace > SHOWS**2 * noise
+    shows &= pace > 0.02 * pace.max(axis=1, keepdims=True)
+    many = shows.sum(axis=1)
+    total = (shows * off / noise).sum(axis=1)
+    paces = np.sqrt(pace.sum(axis=1))
+    possible = (many >= MIN_FEW) & (total > STANDS_OUT**2 * many)
+    possible &= paces > MIN_PACE * np.median(paces)
+    possible &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
+    on = np.einsum("snc,snc->sn", c, usual) < GOES_ON * pace
+    against = (shows * on * pace).sum(axis=1) / np.maximum(
+        (shows * pace).sum(axis=1), np.finfo(float).tiny
+    )
+    possible &= against < MAX_ON
+    for frames in range(1, MAX_LOST + 1):
+        left = _squares(c - _predicted(near, far, frames))
+        rest = (shows * left / noise).sum(axis=1)
+        further = shows & (left < 0.5 * off)
+        joints = further.sum(axis=1)
+        explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
+        found = (rest < explained) & (joints > MAX_JOINTS * many)
+        few = (rest < FEW_EXPLAINED * total) & (joints == many)
+        few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
+        found = possible & np.where(many >= MIN_JOINTS, found, few)
+        ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
+        lost[2:-2] |= found
     return ratios, lost
+
+
+def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
+    """Return how far a step goes over some lost frames, by the steps around it.
+
+    ``near`` and ``far`` are the means of the steps next to it and of those after these
+    ``(S, N, 3)``. A parabola through these and their mirror images is summed.
+    """
+    first, second = 1.0 + 0.5 * lost, 2.0 + 0.5 * lost
+    bend = (far - near) / (second**2 - first**2)
+    level = near - bend * first**2
+    places = np.arange(lost + 1) - 0.5 * lost
+    return np.asarray((lost + 1) * level + bend * float((places**2).sum()))
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Return the squared lengths of vectors ``(S, N, 3)``."""
+    return np.asarray(np.einsum("snc,snc->sn", vectors, vectors))
+
+
+def _usual_around(squares: FloatArray) -> FloatArray:
+    """Return the usual value about each row, by column ``(S, N)``.
+
+    The largest median of its block of rows and the two beside it.
+    """
+    count = len(squares)
+    blocks = max(1, count // BLOCK)
+    edges = np.linspace(0, count, blocks + 1).astype(int)
+    medians = np.stack(
+        [np.median(squares[i:j], axis=0) for i, j in pairwise(edges.tolist())]
+    )
+    rows = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
+    around = np.maximum(np.maximum(rows[:-2], rows[1:-1]), rows[2:])
+    return np.asarray(np.repeat(around, np.diff(edges), axis=0))
 
 
 def _next_to_still(subject: MotionSubject) -> BoolArray:
@@ -192,25 +257,6 @@ def _next_to_still(subject: MotionSubject) -> BoolArray:
     still = subject.speeds < STILL * np.median(subject.speeds)
     windows = sliding_window_view(np.pad(still, GAP), 2 * GAP + 1)
     return np.asarray(windows.any(axis=1))
-
-
-def _uneven_around(unlike: FloatArray) -> FloatArray:
-    """Return the second largest of the values around each ``(S,)``.
-
-    Of several losses near each other, each may leave one other out.
-    """
-    windows = sliding_window_view(np.pad(unlike, REACH), 2 * REACH + 1).copy()
-    windows[:, REACH - GAP : REACH + GAP + 1] = 0.0
-    return np.asarray(np.partition(windows, -2, axis=1)[:, -2])
-
-
-def _share(along: FloatArray, square: FloatArray) -> FloatArray:
-    """Return which share of the joints that move much go further too ``(S,)``."""
-    counts = square > 0.02 * square.max(axis=1, keepdims=True)
-    far = along > 0.5 * (1.0 + DOUBLE) * square
-    many = counts.sum(axis=1)
-    share = (counts & far).sum(axis=1) / np.maximum(many, 1)
-    return np.where(many >= MIN_JOINTS, share, 0.0)
 
 
 def _still_steps(subject: MotionSubject) -> BoolArray | None:

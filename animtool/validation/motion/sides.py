@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.body import carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
 
 # Fewer frames are a pose.
@@ -150,6 +150,9 @@ STILL, ALIVE = 1e-6, math.radians(20.0)
 MIN_FRAMES = 2
 # Share of the frames in which left lies on the right for the two to be swapped [1].
 MOSTLY = 0.9
+# They are judged where hips are above the feet, within 26 degrees, and where this is
+# often so [1].
+UPRIGHT, KNOWN = 0.9, 0.3
 # Toes point ahead, and knees bend, by at least this much of the size [1].
 AHEAD = 0.01
 # Joints that change places turn by this much at least, and all of them together by
@@ -162,6 +165,8 @@ MIN_PAIRS = 2
 # Where two joints change places, going on as the other leaves a step this much of
 # what going on as oneself does [1].
 EXCHANGED = 0.35
+# Of a single pair it is so little, of a larger step [1], [rad].
+SURELY, SURE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
@@ -172,6 +177,7 @@ def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that left and right are swapped, in all frames or in some (MOT210)."""
+    subject = subject.main
     pairs = _pairs(subject)
     if not pairs:
         return
@@ -195,7 +201,9 @@ def _whole_take(
     across = np.cross(upwards, ahead)
     side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
     known = np.linalg.norm(ahead, axis=1) > AHEAD * subject.size
-    if np.count_nonzero(known) < max(1, len(known) // 2):
+    # Who crawls or lies has feet behind or beside the hips, which point anywhere.
+    known &= upwards @ subject.up > UPRIGHT * np.linalg.norm(upwards, axis=1)
+    if np.count_nonzero(known) < max(1.0, KNOWN * len(known)):
         return
     wrong = known & (side < 0.0)
     if np.count_nonzero(wrong) <= MOSTLY * np.count_nonzero(known):
@@ -220,8 +228,11 @@ def _ahead(subject: MotionSubject) -> FloatArray | None:
         return None
     toes = np.array(ends)
     bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
-    ahead = bones.mean(axis=1)
-    return np.asarray(ahead - (ahead @ subject.up)[:, None] * subject.up)
+    rises = bones @ subject.up
+    level = bones - rises[..., None] * subject.up
+    # Toes of a foot that hangs, or is lifted behind, point down.
+    lies = np.abs(rises) < np.linalg.norm(level, axis=2)
+    return np.asarray(np.where(lies[..., None], level, 0.0).mean(axis=1))
 
 
 def _hips(
@@ -255,46 +266,70 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
         return
     left = rotations.gather(np.array([pair[0] for pair in pairs]))
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
-    own = so3.angle_between(left[1:], left[:-1])
-    own = np.minimum(own, so3.angle_between(right[1:], right[:-1]))
-    across = so3.angle_between(left[1:], right[:-1])
-    across = np.maximum(across, so3.angle_between(right[1:], left[:-1]))
+    steps = so3.angle_between(left[1:], left[:-1])
+    steps = np.minimum(steps, so3.angle_between(right[1:], right[:-1]))
+    own, across = _offs(left, right)
+    own_back, across_back = (off[::-1] for off in _offs(left[::-1], right[::-1]))
+    across = np.minimum(across, across_back)
     swaps = (own > MIN_EXCHANGE) & (across < EXCHANGED * own)
-    swaps &= _neighbor_moves(own, EXCHANGED * own) & ~subject.cuts()[:, None]
+    swaps &= _neighbor_moves(steps, own, own_back) & ~subject.cuts()[:, None]
     far = np.where(swaps, own, 0.0).sum(axis=1) > MIN_TOTAL_EXCHANGE
     many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
-    swaps &= (far & many)[:, None]
-    steps = np.flatnonzero(swaps.any(axis=1))
-    if not len(steps):
+    sure = (own > SURE_EXCHANGE) & (across < SURELY * own)
+    swaps &= (far & many)[:, None] | sure
+    found = np.flatnonzero(swaps.any(axis=1))
+    if not len(found):
         return
-    step = int(steps[0])
+    step = int(found[0])
     names = [
         f"{subject.take.rig.names[pairs[i][0]]!r} and "
         f"{subject.take.rig.names[pairs[i][1]]!r}"
         for i in np.flatnonzero(swaps[step]).tolist()
     ]
-    until = f", until frame {subject.at(int(steps[1]))}" if len(steps) > 1 else ""
+    until = f", until frame {subject.at(int(found[1]))}" if len(found) > 1 else ""
     message = f"{listed(names)} change places at frame {subject.at(step + 1)}{until}"
     hint = "swap their channels back there; markers of two sides were exchanged"
     joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
-def _neighbor_moves(steps: FloatArray, most: FloatArray) -> BoolArray:
-    """Return where the steps before and after are motion, but small ``(F - 1, P)``.
+def _offs(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far sides are from going on as themselves, and as each other."""
+    own = np.minimum(_off(left, left), _off(right, right))
+    return own, np.maximum(_off(left, right), _off(right, left))
 
-    Poses of a library that are held, or take turns, exchange sides by intent.
+
+def _off(side: FloatArray, other: FloatArray) -> FloatArray:
+    """Return how far rotations are from those that others before would go on to.
+
+    ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others stay, or turn on as in
+    the step before: the smaller difference counts.
+    """
+    turned = so3.multiply(other[1:-1], so3.conjugate(other[:-2]))
+    ahead = other[:-1].copy()
+    ahead[1:] = so3.multiply(turned, other[1:-1])
+    off = so3.angle_between(side[1:], ahead)
+    return np.minimum(off, so3.angle_between(side[1:], other[:-1]))
+
+
+def _neighbor_moves(steps: FloatArray, off: FloatArray, back: FloatArray) -> BoolArray:
+    """Return where the steps before and after are motion that goes on ``(F - 1, P)``.
+
+    Poses of a library that are held, or take turns, exchange sides by intent. ``off``
+    is from what was before each step, and ``back`` from what comes after it.
     """
     rows = np.pad(steps, ((1, 1), (0, 0)))
-    before, after = rows[:-2], rows[2:]
-    moving = np.minimum(before, after) > STILL
-    return np.asarray(moving & (np.maximum(before, after) < most))
+    moving = np.minimum(rows[:-2], rows[2:]) > STILL
+    rest = np.zeros((1, steps.shape[1]))
+    before = np.concatenate([rest, off[:-1]])
+    after = np.concatenate([back[1:], rest])
+    return np.asarray(moving & (np.maximum(before, after) < EXCHANGED * off))
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never turn while those of the other side do (MOT211)."""
     channel = subject.take.motion.rotations
-    roots = set(subject.take.rig.roots)
+    roots = {*subject.take.rig.roots, *carriers(subject)}
     # Where the root stays put, parts were keyed one by one, and one arm may wave.
     if subject.frames < MIN_FRAMES or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]

@@ -13,7 +13,7 @@ from animtool.errors import Fault, Severity
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import Stance, stance
 from animtool.rig.kinematics import rest_world
-from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.body import feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
 # Share of its length that a bone may change by, and of the rig's size below which a
@@ -22,6 +22,8 @@ GROWS, SHORT = 0.5, 0.02
 # Factors by which units are mistaken: m, cm, mm and in, and how near to one [1].
 FACTORS = (10.0, 100.0, 1000.0, 39.37)
 NEAR_FACTOR = 0.15
+# A root this many times as high as at rest is of another unit, whatever it does [1].
+HIGH = (25.0, 4000.0)
 # Of animated bones, the share that must have one such factor [1].
 MAX_BONES = 0.8
 # From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
@@ -38,15 +40,17 @@ MIN_FRAMES = 8
 
 def stretched(subject: MotionSubject) -> Iterator[Fault]:
     """Yield bones whose length changes by over a half (MOT212)."""
+    subject = subject.main
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
+    locations = placed(subject)
     worst: tuple[float, int, int, float, float] | None = None
     count = 0
     channel = subject.take.motion.translations
     for a, j in enumerate(channel.animated.tolist()):
         joint = subject.take.rig.joints[j]
         rest = math.hypot(*joint.translation)
-        if joint.parent < 0 or rest <= SHORT * subject.size:
+        if locations[j] or rest <= SHORT * subject.rest_size:
             continue
         lengths = np.linalg.norm(channel.values[:, a], axis=1)
         off = np.abs(lengths / rest - 1.0)
@@ -70,9 +74,10 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
 def _bone_factor(subject: MotionSubject) -> float | None:
     """Return the factor between animated bones and those at rest, if it is a unit's."""
     rig, translations = subject.take.rig, subject.take.motion.translations
-    bones = np.flatnonzero(rig.parents >= 0)
+    bones = np.flatnonzero(~placed(subject))
     rest = np.linalg.norm(rig.rest_translations[bones], axis=1)
-    bones, rest = bones[rest > SHORT * subject.size], rest[rest > SHORT * subject.size]
+    kept = rest > SHORT * subject.rest_size
+    bones, rest = bones[kept], rest[kept]
     if not len(bones):
         return None
     lengths = np.linalg.norm(translations.gather(bones), axis=2)
@@ -93,6 +98,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that the motion, or the whole character, is in another unit (MOT213)."""
+    subject = subject.main
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
         message = (
@@ -133,20 +139,44 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root that moves at many times its height at rest, and how many."""
+    """Return a root that moves at many times its height at rest, and how many.
+
+    Where the rig rests at its hips, these are as high as its legs are long.
+    """
     if not subject.has_rest or not _is_character(subject):
         return None
     rig = subject.take.rig
     moving = set(subject.moving.tolist())
-    for root in rig.roots:
-        rest = float(subject.rest[root] @ subject.up)
-        if root not in moving or rest < 0.1 * subject.size:
+    heights = subject.rest @ subject.up
+    legs = float(heights[hips_of(subject)] - heights[feet_of(rig.names)].min())
+    least = 0.1 * subject.rest_size
+    for root in sorted({*rig.roots, hips_of(subject)} & moving):
+        rest = float(heights[root])
+        at_hips = rest < least
+        if max(rest, legs) < least:
             continue
-        heights = subject.heights[:, root]
-        factor = _unit_factor(np.array([np.median(heights)]) / rest)
-        if factor is not None and abs(math.log10(factor)) > 1.5:
+        height = float(np.median(subject.heights[:, root]))
+        ratio = height / (legs if at_hips else rest)
+        # At 1/100 of its height a root is at 0, where one of another origin is, too.
+        factor = _unit_factor(np.array([ratio])) if ratio < 1.0 else _high(ratio)
+        if factor is None or abs(math.log10(factor)) < 1.5:
+            continue
+        if factor > 1.0 or not at_hips:
             return int(root), factor
     return None
+
+
+def _high(ratio: float) -> float | None:
+    """Return the factor of two units that a height is nearest to, if it is one.
+
+    Who crawls or climbs is lower or higher than at rest, and nobody so many times.
+
+    >>> _high(45.0), _high(1700.0), _high(12.0), _high(1e6)
+    (39.37, 1000.0, None, None)
+    """
+    if not HIGH[0] < ratio < HIGH[1]:
+        return None
+    return min(FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
 
 def _is_character(subject: MotionSubject) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -12,7 +13,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.rig.kinematics import rest_world
+from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 from animtool.take import Take
 
@@ -21,6 +22,13 @@ FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 
 # A rig that spans less has no size to compare with [m].
 SMALLEST_SIZE = 1e-9
+# Of the rig's size: shorter bones show no scale [1]. So many frames show it.
+SHORT, SCALE_FRAMES = 0.02, 32
+# Bones that are posed less longer or shorter than this stretch, and are not scaled [1].
+SCALED = 1.5
+# A first frame is a pose of its own that is left by so many joints, each by so far
+# [rad], and so many times as far as in the steps after it, of which so many count [1].
+POSE_JOINTS, POSE_TURN, POSE_STANDS_OUT, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +126,44 @@ class MotionSubject:
         return np.asarray(np.sqrt(turns + moves * (2.0 / self.size) ** 2))
 
     @cached_property
+    def posing(self) -> IntArray:
+        """Indices of the joints that leave a first frame which is a pose of its own.
+
+        Empty where it is a part of the motion.
+        """
+        if self.frames < POSE_STEPS or not len(self.turning) or self.cuts()[0]:
+            return np.zeros(0, np.int64)
+        sizes = np.linalg.norm(self.turns[:POSE_STEPS], axis=2)
+        after = sizes[1:].max(axis=0)
+        away = (sizes[0] > POSE_TURN) & (sizes[0] > POSE_STANDS_OUT * after)
+        joints = np.asarray(self.turning[away])
+        return joints if len(joints) >= POSE_JOINTS else joints[:0]
+
+    @cached_property
+    def main(self) -> MotionSubject:
+        """The take without a first frame that is a pose of its own."""
+        if not len(self.posing):
+            return self
+        clock = self.take.clock
+        clock = replace(clock, start=clock.start + clock.step, count=clock.count - 1)
+        motion = self.take.motion.select(slice(1, None))
+        take = replace(self.take, clock=clock, motion=motion, curve=None)
+        return replace(
+            self,
+            take=take,
+            codes=None if self.codes is None else self.codes[1:],
+            meant=None if self.meant is None else self.meant[1:],
+        )
+
+    @cached_property
+    def world(self) -> WorldTransforms:
+        """Transforms of the joints, world."""
+        return self.take.world()
+
+    @property
     def positions(self) -> FloatArray:
         """Joint positions, world ``(F, J, 3)`` [m]."""
-        return np.asarray(self.take.world().positions)
+        return self.world.positions
 
     @cached_property
     def rest(self) -> FloatArray:
@@ -133,12 +176,35 @@ class MotionSubject:
         return pair_sides(self.take.rig.names, self.take.rig.parents)
 
     @cached_property
-    def size(self) -> float:
+    def rest_size(self) -> float:
         """Diagonal of the joints' bounds at rest [m]."""
         if not len(self.rest):
             return SMALLEST_SIZE
         span = self.rest.max(axis=0) - self.rest.min(axis=0)
         return max(float(np.linalg.norm(span)), SMALLEST_SIZE)
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the joints' bounds at rest, in the scale that is posed [m]."""
+        return max(self.rest_size * self._scale, SMALLEST_SIZE)
+
+    @cached_property
+    def _scale(self) -> float:
+        """How many times as long as at rest the bones are in the world, mostly."""
+        parents = self.take.rig.parents
+        bones = np.flatnonzero(parents >= 0)
+        if not self.has_rest or not len(bones) or not self.frames:
+            return 1.0
+        rest = np.linalg.norm(self.rest[bones] - self.rest[parents[bones]], axis=1)
+        kept = rest > SHORT * self.rest_size
+        bones, rest = bones[kept], rest[kept]
+        if not len(bones):
+            return 1.0
+        some = np.unique(np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int))
+        posed = self.positions[some]
+        lengths = np.linalg.norm(posed[:, bones] - posed[:, parents[bones]], axis=2)
+        scale = float(np.median(lengths / rest))
+        return scale if max(scale, 1.0 / max(scale, 1e-12)) > SCALED else 1.0
 
     @cached_property
     def up(self) -> FloatArray:

@@ -1,0 +1,99 @@
+"""What of a rig is its body: its feet, and the joints that carry it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from animtool._types import BoolArray, IntArray
+from animtool.validation.motion.subject import MotionSubject
+
+# Words for feet, whole or as part of a name put together: not flyWHEEL.
+_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
+_FOOT = re.compile(
+    rf"(?<![A-Za-z])(?:{_WORDS})|{'|'.join(w.capitalize() for w in _WORDS.split('|'))}"
+    rf"|(?<![A-Za-z])(?:{_WORDS.upper()})"
+)
+# Share of the joints that hang from the one that carries the body; targets and props
+# beside it have less [1].
+BODY = 0.6
+
+
+def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
+    """Return the indices of the joints that are of feet.
+
+    >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
+    [1, 2, 4]
+    """
+    feet = [i for i, name in enumerate(names) if _FOOT.search(name)]
+    return np.array(feet, np.int64)
+
+
+def carriers(subject: MotionSubject) -> tuple[int, ...]:
+    """Return the joints that move the whole body, from the first root to the hips.
+
+    Below a root that stays at the origin, or that has the path of a walk, another
+    joint carries the body. What hangs from these beside it are targets and props.
+    """
+    rig = subject.take.rig
+    if not rig.roots:
+        return ()
+    feet = np.isin(np.arange(len(rig.joints)), feet_of(rig.names))
+    steps = _totals(rig.parents, feet)
+    joints = _totals(rig.parents, np.ones(len(feet), bool))
+    chain, found = [int(rig.roots[0])], 1
+    moving = set(subject.moving.tolist())
+    while True:
+        children = np.flatnonzero(rig.parents == chain[-1]).tolist()
+        bodies = [
+            child
+            for child in children
+            if joints[child] >= BODY * joints[chain[0]]
+            and 2 * steps[child] > np.count_nonzero(feet)
+        ]
+        if not bodies:
+            return tuple(chain[:found])
+        chain.append(bodies[0])
+        if bodies[0] in moving:
+            found = len(chain)
+
+
+def hips_of(subject: MotionSubject) -> int:
+    """Return the joint that carries the body; the first one of a rig without roots."""
+    return (carriers(subject) or (0,))[-1]
+
+
+def _totals(parents: IntArray, values: BoolArray) -> IntArray:
+    """Return how many values are true of each joint and all below it ``(J,)``.
+
+    >>> _totals(np.array([-1, 0, 1, 0]), np.array([True, False, True, True])).tolist()
+    [3, 1, 1, 1]
+    """
+    counts = values.astype(np.int64)
+    for joint in range(len(parents) - 1, 0, -1):
+        if parents[joint] >= 0:
+            counts[parents[joint]] += counts[joint]
+    return counts
+
+
+def placed(subject: MotionSubject) -> BoolArray:
+    """Return the joints whose translation is a location, and no bone ``(J,)``.
+
+    Roots, what carries the body, and what hangs from a joint above that.
+    """
+    parents = subject.take.rig.parents
+    carrying = carriers(subject)
+    found = parents < 0
+    found[list(carrying)] = True
+    return np.asarray(found | np.isin(parents, carrying[:-1]), bool)
+
+
+def body(subject: MotionSubject) -> BoolArray:
+    """Return the joints that hang from the one that carries the body ``(J,)``."""
+    parents = subject.take.rig.parents
+    found = np.zeros(len(parents), bool)
+    found[hips_of(subject) : hips_of(subject) + 1] = True
+    for joint in range(1, len(parents)):
+        found[joint] |= parents[joint] >= 0 and found[parents[joint]]
+    return found
