@@ -92,9 +92,11 @@ def stands_out(
         return flags
     amounts = amounts[:, candidates]
     steps = _without(steps[:, candidates], cuts)
-    left, apart = _unexplained(steps, amounts)
-    reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
-    usual = noise + mean_around(left, reach, GAP)
+    # Of steps beyond numbers nothing is explained.
+    with np.errstate(over="ignore", invalid="ignore"):
+        left, apart = _unexplained(steps, amounts)
+        reach = max(MIN_STEPS, round(REACH_SECONDS / interval))
+        usual = noise + mean_around(left, reach, GAP)
     flags[:, candidates] = (
         (amounts > least)
         & (left > LEFT * least)
@@ -139,14 +141,14 @@ def _unexplained(
         c - 0.3 * b + 0.5 * e - 0.2 * f,
         d - 0.3 * e + 0.5 * b - 0.2 * a,
     ):
-        left = np.minimum(left, _lengths(steps - cubic))
+        left = np.fmin(left, _lengths(steps - cubic))
     apart = left
     own = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         off = _lengths(steps - (2.0 * nearer - farther))
         along = np.einsum("snc,snc->sn", nearer, nearer) > ALONG**2 * own
-        left = np.where(along, np.minimum(left, off), left)
-        apart = np.minimum(apart, off)
+        left = np.where(along, np.fmin(left, off), left)
+        apart = np.fmin(apart, off)
     return left, apart
 
 

@@ -29,7 +29,7 @@ SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
 # Or it never stands: in four of five frames on the ground it moves at this speed
 # [size/s], which is twice that of the roughest capture, for so long in all [s]. Where
 # turning explains it in most frames, as in a spin, it is a fast one [size/s].
-SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.03, 0.2, 1.0, 0.08
+SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.013, 0.2, 1.0, 0.08
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
