@@ -6,7 +6,8 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, suppress
+from typing import IO
 
 from animtool.quantities import escaped_lines
 
@@ -55,21 +56,27 @@ def _held(known: tuple[bytes, ...]) -> Iterator[None]:
     except OSError:  # nobody listens
         yield
         return
-    with ExitStack() as stack:
-        try:
-            held = stack.enter_context(tempfile.TemporaryFile())
-        except OSError:  # a full disk
-            os.close(saved)
-            yield
-            return
-        os.dup2(held.fileno(), 2)
-        try:
-            yield
-        finally:
+    held = None
+    try:
+        # Where a full disk holds nothing, USD's lines come as they are.
+        with suppress(OSError):
+            held = tempfile.TemporaryFile()  # noqa: SIM115
+            os.dup2(held.fileno(), 2)
+        yield
+    finally:
+        with suppress(OSError):
             os.dup2(saved, 2)
+        with suppress(OSError):
             os.close(saved)
-            held.seek(0)
-            for line in held:
-                if not any(text in line for text in known):
-                    text = line.decode("utf-8", "surrogateescape")
-                    os.write(2, escaped_lines(text).encode())
+        if held is not None:
+            with suppress(OSError), held:
+                _print_others(held, known)
+
+
+def _print_others(held: IO[bytes], known: tuple[bytes, ...]) -> None:
+    """Print what was held but for lines with known texts."""
+    held.seek(0)
+    for line in held:
+        if not any(text in line for text in known):
+            text = line.decode("utf-8", "surrogateescape")
+            os.write(2, escaped_lines(text).encode())

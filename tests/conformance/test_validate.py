@@ -13,8 +13,15 @@ from animtool.validation.run import validate
 
 # Warnings in good files, each with the reason why it is right.
 KNOWN = {
+    "ad_jesse_dance.bvh": {
+        "MOT202": "RightToeBase turns by 28° within 20 ms, and stands before and after",
+    },
+    "ad_jumping_jacks.bvh": {
+        "MOT202": "RightToe turns by 22° and 26° in one frame at two landings",
+    },
     "assimp_boxing_toes.bvh": {
         "BVH101": "Frames says 3069, and there are 3070 rows",
+        "MOT202": "LeftAnkle and LeftKnee flip by 23° and 21° within 10 ms",
     },
     "assimp_cmu_01_03.bvh": {
         "MOT202": "RThumb turns over 38 times, LeftToeBase by 60° in one frame",
@@ -33,7 +40,7 @@ def test_good_captures(path: Path) -> None:
     warnings = {f.code for f in found if f.severity is Severity.WARNING}
     assert not any(fault.severity is Severity.ERROR for fault in found)
     assert warnings == set(KNOWN.get(path.name, {}))
-    assert len(warnings) <= 1
+    assert len(warnings) <= 2
 
 
 @pytest.mark.parametrize("path", data_files("bvh_hard", "*.bvh"))
