@@ -58,6 +58,7 @@ def _of_expression(
         message = "`by` is of a curve; an expr names what it reads"
         document.add("RIG015", (*at, "by"), message, "leave it out")
         return None
+    refuse_smooth(document, at, model.interp)
     try:
         expression = parse_expression(model.expr or "", coordinates=True)
     except ValueError as error:
@@ -65,6 +66,13 @@ def _of_expression(
         return None
     length, angle = units
     return Driver(expression, unit=unit, length=length, angle=angle)
+
+
+def refuse_smooth(document: Document, at: Location, interp: str) -> None:
+    """Note an ``interp`` beside an expression, which it would not change."""
+    if interp == "smooth":
+        message = "`interp` joins the points of a curve, and this is an expr"
+        document.add("RIG015", (*at, "interp"), message, "leave it out")
 
 
 def ascending_faults(

@@ -16,7 +16,11 @@ from animtool.rig.controls import (
     Drive,
     evaluation_order,
 )
-from animtool.rig.driver_entries import ascending_faults, read_driver
+from animtool.rig.driver_entries import (
+    ascending_faults,
+    read_driver,
+    refuse_smooth,
+)
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
@@ -333,6 +337,7 @@ class PartReader:
             return None
         target, unit = self._target((*at, given[0]), given[0], model, shapes)
         if model.expr is not None:
+            refuse_smooth(self.document, at, model.interp)
             expression = self._expression((*at, "expr"), model.expr)
             return Drive(target, expression, (), unit) if expression else None
         points = tuple((x, y) for x, y in model.curve or ())

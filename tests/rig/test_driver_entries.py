@@ -132,6 +132,7 @@ ROLL = "- {name: roll, type: pin, axis: [1, 0, 0], driven: {DRIVEN}}\n"
         ("expr: elbow.angle, curve: [[0, 0]]", "RIG015"),
         ("curve: [[0, 0], [1, 1]]", "RIG015"),
         ("expr: elbow.angle, by: elbow.angle", "RIG015"),
+        ("expr: elbow.angle, interp: smooth", "RIG015"),
         ("by: elbow.angle, curve: [[1, 0], [0, 1]]", "RIG016"),
         ("expr: elbow.angle ** 2", "RIG013"),
         ("expr: elbow.__class__.angle()", "RIG013"),
