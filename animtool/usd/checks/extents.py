@@ -214,7 +214,9 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Say how far skinned points leave the extents of a SkelRoot at most, and when."""
     over = overhang(root, extents, times.tolist())
-    if over is None:
+    # What rounding moves is no overhang, as of `bounds_apart`.
+    reach = float(np.abs(extents).max(initial=0.0))
+    if over is None or over[0] <= 1e-6 * (1 + reach):
         return "; no skinned point leaves it"
     most, when, of_all = over
     at = "" if np.isnan(when) else f" at time code {frame_label(when)}"
