@@ -13,6 +13,7 @@ from animtool.errors import Fault, Severity
 from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import Stance, stance
 from animtool.rig.kinematics import rest_world
+from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
@@ -50,7 +51,8 @@ def stretched(subject: MotionSubject) -> Iterator[Fault]:
     for a, j in enumerate(channel.animated.tolist()):
         joint = subject.take.rig.joints[j]
         rest = math.hypot(*joint.translation)
-        if locations[j] or rest <= SHORT * subject.rest_size:
+        slides = joint.type is JointType.PRISMATIC
+        if slides or locations[j] or rest <= SHORT * subject.rest_size:
             continue
         lengths = np.linalg.norm(channel.values[:, a], axis=1)
         off = np.abs(lengths / rest - 1.0)

@@ -19,7 +19,7 @@ from animtool.errors import Fault, Severity
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.parts import Shape
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import JointType, Rig
 from animtool.rules import find_rule, own_rules, replaced_codes
 from animtool.scene.sources import open_source
 from animtool.take import Take
@@ -49,6 +49,21 @@ def subject(take: Take, codes: FloatArray | None = None) -> MotionSubject:
 def codes(take: Take, times: FloatArray | None = None) -> list[str]:
     seen = subject(take, times)
     return [fault.code for rule in RULES for fault in rule.load()(seen)]
+
+
+@pytest.mark.parametrize("kind", [JointType.FREE, JointType.PRISMATIC])
+def test_what_slides_is_no_bone_that_stretches(walking: Take, kind: JointType) -> None:
+    places = walking.motion.translations.dense().copy()
+    j = walking.rig.index("LeftFoot")
+    places[:, j] *= np.linspace(1.0, 2.0, len(places))[:, None]
+    joints = list(walking.rig.joints)
+    joints[j] = replace(joints[j], type=kind)
+    take = replace(
+        walking,
+        rig=replace(walking.rig, joints=tuple(joints)),
+        motion=replace(walking.motion, translations=Channel.from_dense(places)),
+    )
+    assert ("MOT212" in codes(take)) is (kind is JointType.FREE)
 
 
 def kicked(take: Take, frames: int, degrees: float) -> Take:
