@@ -47,6 +47,13 @@ class MimicModel(FileModel):
     offset: Real = key("Added to it, in this joint's unit.", 10.0, default=0.0)
 
 
+# Of every curve of a rig file.
+JOINED = (
+    "How the points of a curve are joined: by straight lines, or by a monotone "
+    "cubic, which goes beyond no point and is flat at both ends."
+)
+
+
 class DrivenModel(FileModel):
     """A value that follows from joint coordinates and controls."""
 
@@ -67,8 +74,7 @@ class DrivenModel(FileModel):
         default=None,
     )
     interp: Literal["linear", "smooth"] = key(
-        "How the points of a curve are joined: by straight lines, or by a monotone "
-        "cubic, which goes beyond no point and is flat at both ends.",
+        JOINED,
         "smooth",
         default="linear",
     )

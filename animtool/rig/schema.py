@@ -13,6 +13,7 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector, key
 from animtool.rig.joint_schema import (
+    JOINED,
     DrivenModel,
     JointModel,
     MeshModel,
@@ -105,8 +106,7 @@ class DriveModel(FileModel):
         default=None,
     )
     interp: Literal["linear", "smooth"] = key(
-        "How the points of a curve are joined: by straight lines, or by a monotone "
-        "cubic, which goes beyond no point and is flat at both ends.",
+        JOINED,
         "smooth",
         default="linear",
     )
