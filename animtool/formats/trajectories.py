@@ -32,6 +32,7 @@ _UNITS = {
     "cm": LengthUnit.CM, "centimeter": LengthUnit.CM, "centimetre": LengthUnit.CM,
     "m": LengthUnit.M, "meter": LengthUnit.M, "metre": LengthUnit.M,
     "in": LengthUnit.IN, "inch": LengthUnit.IN, "inche": LengthUnit.IN,
+    '"': LengthUnit.IN,
 }  # fmt: skip
 
 
@@ -85,7 +86,7 @@ class MarkerFile:
             message = f"states no unit; {usual} is assumed"
             self.note("MKR104", message, "--units says what its lengths are in")
             return usual
-        unit = _UNITS.get(stated.strip().lower().rstrip("s."))
+        unit = _unit(stated.strip().lower().rstrip("s."))
         if unit is None:
             message = f"states the unit {excerpt(stated)}"
             hint = f"--units gives one of {', '.join(LengthUnit)}"
@@ -152,6 +153,14 @@ class MarkerFile:
         positions[beyond | origin | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
         return positions
+
+
+def _unit(text: str) -> LengthUnit | None:
+    """Return the unit that a text names; some writers have room for its beginning."""
+    if text in _UNITS or len(text) < 4:
+        return _UNITS.get(text)
+    begun = {unit for name, unit in _UNITS.items() if name.startswith(text)}
+    return begun.pop() if len(begun) == 1 else None
 
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)

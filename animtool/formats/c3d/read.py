@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,8 +10,12 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import Clock
-from animtool.errors import counted, listed
+from animtool.errors import FormatError, counted, listed
 from animtool.files import MAX_INPUT_BYTES, open_input
+from animtool.formats.c3d.claims import WORD, Claim, claims_of, trial_fields, word_of
+from animtool.formats.c3d.evidence import judge
+from animtool.formats.c3d.layout import Layout, Outcome, choose_layout, contradicted
+from animtool.formats.c3d.screen import read_screen
 from animtool.formats.c3d.sections import (
     BLOCK,
     MalformedError,
@@ -23,8 +27,6 @@ from animtool.markers import Markers
 from animtool.rates import FractionLike
 from animtool.units import LengthUnit, UpAxis
 
-# Counts in 16 bits: a take may be longer where one of these is stated.
-FULL_COUNTS = (32767, 65535)
 # Groups of labels under which models write angles and forces as if they were points.
 MODELLED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 # The group in which `write_c3d` keeps which positions were filled.
@@ -42,21 +44,24 @@ def read_c3d(
     """Return the markers of a C3D file.
 
     Integer and float files of Intel, DEC and SGI processors are read, and more than 255
-    labels. Results of models (angles, forces) are left out. A point with a negative
-    residual, at exactly the origin or with a NaN was not seen.
+    labels. Where header, parameters and the size of the file disagree about counts,
+    those are read that fill the file (C3D101). Results of models (angles, forces) are
+    left out. A point with a negative residual, at exactly the origin or with a NaN was
+    not seen.
 
     Args:
         path: The file.
         unit: What its numbers are in; None is what it states, millimetres without.
-        up: Which of its axes points up; None is what it states, Y without.
+        up: Which of its axes points up; None is what it states, Y without. Where it
+            states -Y, -Z or an X, positions are turned so that Y or Z is up.
         fps: The frame rate, where the file states a wrong one or none.
         subject: Whose prefix, as in ``Anna:LFHD``, is left out of names; None is the
             only one, where there is only one.
 
     Raises:
         FormatError: It cannot be read, is no C3D (C3D001), is cut short (C3D002),
-            states no rate (MKR010) or an unknown unit (MKR011), or has no points
-            (MKR013).
+            has counts of which nothing decides which are right (C3D003), states no
+            rate (MKR010) or an unknown unit (MKR011), or has no points (MKR013).
         OptionError: fps is no rate (SCN022).
     """
     path = Path(path)
@@ -67,23 +72,28 @@ def read_c3d(
         sections = read_sections(data)
     except MalformedError as error:
         raise file.error("C3D001", str(error)) from None
-    layout = _layout(file, sections, len(data))
+    if not sections.groups:
+        message = "has no parameters: names, unit and up axis are not stated"
+        file.warn("C3D107", message)
+    layout = _layout(file, sections, data)
+    _check_scale(file, sections, layout)
     length = file.unit(_unit(sections), unit, LengthUnit.MM)
     rate = file.rate(_rate(file, sections, fps), fps)
-    axis = file.up(_up(sections), up)
+    screen = read_screen(file, sections, up)
     positions, words = _points(sections, layout, data)
     names, kept = _names(file, sections, layout.points, subject)
     positions, words = positions[:, kept], words[:, kept]
     positions[words < 0] = np.nan
-    positions = file.cleaned(positions, length.meters)
+    positions = screen.turned(file.cleaned(positions, length.meters))
     seen = np.isfinite(positions[..., 0])
     scale = abs(_scale(sections)) * length.meters
-    clock = Clock(rate, Fraction(layout.first), Fraction(1), layout.frames)
+    first = _first(sections, layout.frames)
+    clock = Clock(rate, Fraction(first), Fraction(1), layout.frames)
     return Markers(
         names,
         clock,
         positions,
-        axis,
+        screen.up,
         _cameras(words, seen),
         _residuals(words, seen, scale),
         _filled(sections, words, seen, kept),
@@ -91,90 +101,100 @@ def read_c3d(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Where the points of a file are."""
-
-    begin: int  # byte of the first frame
-    frames: int
-    points: int
-    analog: int  # numbers behind the points of a frame
-    first: int  # number of the first frame
-    width: int  # bytes of a number
-
-    @property
-    def row(self) -> int:
-        """Numbers of a frame."""
-        return 4 * self.points + self.analog
-
-
-def _layout(file: MarkerFile, sections: Sections, size: int) -> _Layout:
-    """Return the layout, held against the size of the file [byte]."""
-    header = sections.header
-    points = header.points
-    used = sections.number("POINT", "USED")
-    if used is not None and int(used) & 0xFFFF != points:
-        message = f"its header has {points} points, its parameters {int(used)}"
-        file.warn("C3D101", f"{message}; those of the parameters are read")
-        points = int(used) & 0xFFFF
-    frames, first = _frames(file, sections)
-    if points == 0 or frames <= 0:
-        what = "points" if points == 0 else "frames"
-        raise file.error("MKR013", f"has no {what}")
-    if points * frames > MAX_POSITIONS:
-        message = f"claims {points} points in {frames} frames, more than are read"
-        raise file.error("C3D001", message)
-    width = 4 if _scale(sections) < 0 else 2
-    block = header.data_block
-    if block < 2:
-        block = int(sections.number("POINT", "DATA_START") or 0) & 0xFFFF
-    begin = BLOCK * (block - 1)
-    row = width * (4 * points + header.analog)
-    held = max(0, size - begin) // row if block >= 2 else 0
-    if held < frames:
-        message = f"is cut short: it claims {counted(frames, 'frame')} of "
-        message += f"{counted(points, 'point')} and holds {held}"
-        raise file.error("C3D002", message, "copy or export it again")
-    return _Layout(begin, frames, points, header.analog, first, width)
-
-
-def _frames(file: MarkerFile, sections: Sections) -> tuple[int, int]:
-    """Return the number of frames, and the number of the first one."""
-    header = sections.header
-    first, count = header.first, header.last - header.first + 1
-    start, end = (
-        _long(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
-        for name in ("START", "END")
+def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
+    """Return the layout that fills the file, and say what it contradicts."""
+    claims = claims_of(sections)
+    ends = [*_ends(sections, len(data)), len(data)]
+    outcome = choose_layout(
+        claims, data, ends, lambda each: judge(each, data, sections.processor)
     )
-    stated = sections.number("POINT", "FRAMES")
-    longer = sections.number("POINT", "LONG_FRAMES")
-    if start is not None and end is not None and end - start + 1 > count:
-        return end - start + 1, start
-    if longer is not None and np.isfinite(longer) and longer > count:
-        return int(longer), first
-    if stated is not None and np.isfinite(stated):
-        in_parameters = int(stated) if stated > 65535 else int(stated) & 0xFFFF
-        if in_parameters > 65535:
-            return in_parameters, first
-        if in_parameters != count and in_parameters not in (0, *FULL_COUNTS):
-            message = f"its header has {count} frames, its parameters {in_parameters}"
-            file.warn("C3D101", f"{message}; those of the header are read")
-    return count, first
+    layout = outcome.layout
+    if layout is None:
+        raise _without_layout(file, outcome, len(data))
+    if layout.points == 0 or layout.frames == 0:
+        what = "points" if layout.points == 0 else "frames"
+        raise file.error("MKR013", f"has no {what}")
+    if layout.points * layout.frames > MAX_POSITIONS:
+        message = f"claims {layout.points} points in {layout.frames} frames, "
+        raise file.error("C3D001", message + "more than are read")
+    told = [_told(*each) for each in contradicted(claims, layout)]
+    if told:
+        message = "its header, parameters and size disagree; what fills the file is "
+        file.warn("C3D101", f"{message}read: {'; '.join(told)}")
+    if layout.rest >= BLOCK or (layout.rest and len(data) % BLOCK):
+        message = f"has {counted(layout.rest, 'byte')} behind the last of "
+        message += f"{counted(layout.frames, 'frame')}, which are not read"
+        file.warn("C3D108", message, "check the number of frames")
+    return layout
 
 
-def _long(words: list[float]) -> int | None:
-    """Return a number that is stored as two 16-bit words, the low one first."""
-    if not words or not all(np.isfinite(words)):
-        return None
-    low, high = ([*words, 0.0])[:2]
-    return (int(low) & 0xFFFF) + ((int(high) & 0xFFFF) << 16)
+def _ends(sections: Sections, size: int) -> list[int]:
+    """Return where the points may end before the end of the file: at rotations."""
+    block = word_of(sections, "ROTATION", "DATA_START")
+    used = sections.number("ROTATION", "USED")
+    if not block or not used or not block > 2:
+        return []
+    return [end for end in [BLOCK * (block - 1)] if end < size]
+
+
+def _without_layout(file: MarkerFile, outcome: Outcome, size: int) -> FormatError:
+    """Return the error of a file in which no combination of counts fits."""
+    if outcome.rivals:
+        message = "its header, parameters and size disagree, and nothing decides "
+        message += f"between {' or '.join(map(str, outcome.rivals))}"
+        return file.error("C3D003", message, "export it again")
+    short = outcome.short
+    if short is None or not short.points or not short.frames:
+        return file.error("MKR013", "has no points in frames")
+    room = max(0, size - short.begin)
+    message = f"is cut short: it claims {short}, {short.end - short.begin} bytes; "
+    message += f"there are {room}, {room // (short.width * short.row)} frames"
+    return file.error("C3D002", message, "copy or export it again")
+
+
+_QUANTITIES = {
+    "frames": "frames",
+    "points": "points",
+    "analog": "analogue numbers a frame",
+    "width": "bytes a number",
+    "begin": "bytes before the first frame",
+}
+
+
+def _told(name: str, value: int, against: list[Claim]) -> str:
+    others = ", ".join(f"{claim.value} ({claim.source})" for claim in against)
+    return f"{value} {_QUANTITIES[name]}, not {others}"
+
+
+def _first(sections: Sections, frames: int) -> int:
+    """Return the number of the first frame; the header has no room for all of them."""
+    header = sections.header
+    start, end = trial_fields(sections)
+    if start is None or end is None or end - start + 1 != frames:
+        return header.first
+    shown = header.last - header.first + 1 == frames and end < WORD
+    return header.first if shown else start
 
 
 def _scale(sections: Sections) -> float:
     """Return the scale of integers; below 0 numbers are floats."""
     stated = sections.number("POINT", "SCALE")
-    found = sections.header.scale if stated is None else stated
-    return found if np.isfinite(found) and found != 0 else -1.0
+    scale = sections.header.scale if stated is None else stated
+    return scale if np.isfinite(scale) and scale != 0 else -1.0
+
+
+def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
+    """Warn of integers whose scale is not stated, or stated twice."""
+    header, stated = sections.header.scale, sections.number("POINT", "SCALE")
+    if layout.width == 4:
+        return
+    both = [abs(s) for s in (stated, header) if s and np.isfinite(s)]
+    if not both:
+        message = "has integers without a scale; they are read as they are"
+        file.warn("C3D101", message, "check the size of what is captured")
+    elif len(both) == 2 and not math.isclose(both[0], both[1], rel_tol=1e-4):
+        message = f"its header has the scale {both[1]:g}, its parameters {both[0]:g}"
+        file.warn("C3D101", f"{message}; that of the parameters is taken")
 
 
 def _rate(
@@ -195,28 +215,17 @@ def _unit(sections: Sections) -> str | None:
     return found[0] if found else None
 
 
-def _up(sections: Sections) -> UpAxis | None:
-    """Return the axis that points up on a screen."""
-    found = sections.texts("POINT", "Y_SCREEN")
-    axis = found[0].upper().lstrip("+") if found else ""
-    return UpAxis(axis) if axis in {"Y", "Z"} else None
-
-
 def _points(
-    sections: Sections, layout: _Layout, data: bytes
+    sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
     """Return positions ``(F, M, 3)`` in the file's unit, and the fourth words."""
-    size = layout.width * layout.row * layout.frames
-    raw = data[layout.begin : layout.begin + size]
-    processor = sections.processor
-    numbers: FloatArray | IntArray
-    numbers = processor.floats(raw) if layout.width == 4 else processor.integers(raw)
-    rows = numbers.reshape(layout.frames, layout.row)[:, : 4 * layout.points]
+    raw = data[layout.begin : layout.end]
+    rows = sections.processor.rows(raw, layout.width, layout.row, 4 * layout.points)
     rows = rows.reshape(layout.frames, layout.points, 4)
-    positions = np.array(rows[..., :3], np.float64)
+    positions = np.ascontiguousarray(rows[..., :3])
     if layout.width == 2:
-        positions *= _scale(sections)
-    last = rows[..., 3].astype(np.float64)
+        positions *= abs(_scale(sections))
+    last = rows[..., 3]
     usable = np.isfinite(last) & (np.abs(last) < 2**31)
     # A sign in the last word alone says that a point was not seen.
     words = np.where(usable, last, np.where(last < 0, -1.0, 0.0)).astype(np.int64)

@@ -21,6 +21,10 @@ BLOCK = 512
 MAGIC = 80
 # Groups and parameters of one file; the format allows 127 groups.
 MAX_PARAMETERS = 20_000
+# Between these are scales and rates [1/s] of captures; in the byte order of another
+# processor they are not.
+MIN_SCALE, MAX_SCALE = 1e-8, 1e5
+MIN_RATE, MAX_RATE = 0.5, 1e5
 
 
 class MalformedError(ValueError):
@@ -55,6 +59,15 @@ class Processor(IntEnum):
         size = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
         return np.where(raw >> 31, -size, size)
 
+    def rows(self, data: bytes, width: int, row: int, kept: int) -> FloatArray:
+        """Return the first numbers ``(F, kept)`` of rows of integers or floats."""
+        if width == 4 and self is Processor.DEC:
+            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * row)[:, : 2 * kept]
+            return self.floats(pairs.tobytes()).reshape(-1, kept)
+        kind = f"{self.order}{'f4' if width == 4 else 'i2'}"
+        numbers = np.frombuffer(data, kind).reshape(-1, row)
+        return numbers[:, :kept].astype(np.float64)
+
 
 @dataclass(frozen=True, slots=True)
 class Header:
@@ -66,6 +79,7 @@ class Header:
     last: int
     scale: float
     data_block: int
+    samples: int  # analogue samples of a channel in a frame
     rate: float
 
 
@@ -75,6 +89,10 @@ class Sections:
 
     header: Header
     processor: Processor
+    # Block behind the parameters, as they state it; 2 without parameters.
+    end_block: int = 2
+    # Whether the file states the processor.
+    stated: bool = True
     # Values by group and name, in capitals: arrays, or lists of texts.
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -109,29 +127,58 @@ class Sections:
 def read_sections(data: bytes) -> Sections:
     """Return header and parameters; of parameters that are broken, those before.
 
+    A file without parameters is read by its header alone.
+
     Raises:
         MalformedError: It is no C3D file.
     """
     if len(data) < BLOCK or data[1] != MAGIC:
         raise MalformedError("does not begin as a C3D file does")
     start = BLOCK * (data[0] - 1)
-    if data[0] < 2 or start + 4 > len(data):
-        raise MalformedError("has no parameters where its header says")
-    try:
-        processor = Processor(data[start + 3])
-    except ValueError:
-        known = ", ".join(f"{int(p)} {p.name}" for p in Processor)
-        message = f"has numbers of processor {data[start + 3]}; known are {known}"
-        raise MalformedError(message) from None
-    words = processor.integers(data[:BLOCK]) & 0xFFFF
+    found = data[0] >= 2 and start + 4 <= len(data)
+    kind = data[start + 3] if found else 0
+    known = kind in {int(p) for p in Processor}
+    if found:
+        processor = Processor(kind) if known else _lone_header(data, kind)[1]
+        sections = Sections(_header(data, processor), processor, stated=known)
+        _read_parameters(sections, data, start + 4)
+        if sections.groups:
+            sections.end_block = data[0] + data[start + 2]
+            return sections
+    return Sections(*_lone_header(data, kind), stated=known)
+
+
+def _header(data: bytes, processor: Processor) -> Header:
+    words = (processor.integers(data[:BLOCK]) & 0xFFFF).tolist()
     scale, rate = (float(processor.floats(data[a : a + 4])[0]) for a in (12, 20))
-    points, analog, first, last = words[1:5].tolist()
-    header = Header(points, analog, first, last, scale, int(words[8]), rate)
-    sections = Sections(header, processor)
-    _read_parameters(sections, data, start + 4)
-    if not sections.groups:
-        raise MalformedError("has no parameters where its header says")
-    return sections
+    points, analog, first, last = words[1:5]
+    block, samples = words[8:10]
+    return Header(points, analog, first, last, scale, block, samples, rate)
+
+
+def _lone_header(data: bytes, kind: int) -> tuple[Header, Processor]:
+    """Return the header of a file without parameters, and how its numbers are stored.
+
+    Raises:
+        MalformedError: By no processor it is a header that can be.
+    """
+    for processor in sorted(Processor, key=lambda p: (p != kind, p)):
+        header = _header(data, processor)
+        if _possible(header, len(data)):
+            return header, processor
+    raise MalformedError("has no parameters where its header says")
+
+
+def _possible(header: Header, size: int) -> bool:
+    """Return whether a header states what the header of a capture can."""
+    scale, rate = header.scale, header.rate
+    return (
+        header.points > 0
+        and header.last >= header.first
+        and 2 <= header.data_block <= 1 + size // BLOCK
+        and MIN_SCALE < abs(scale) < MAX_SCALE
+        and MIN_RATE < rate < MAX_RATE
+    )
 
 
 def _read_parameters(sections: Sections, data: bytes, at: int) -> None:

@@ -31,6 +31,9 @@ RESIDUAL_STEPS = 255
 # What integers of the format could hold: the scale that readers expect of floats.
 INTEGER_RANGE = 32000
 FRAMES_AT_ONCE = 4096
+# Samples of an analogue channel in a frame, of which there are none: readers hold this
+# number against the rates.
+ANALOG_SAMPLES = 1
 
 
 def write_c3d(
@@ -41,7 +44,8 @@ def write_c3d(
     Residuals are kept to a 255th of the largest, cameras as their number up to seven.
     Filled positions have a residual of 0, as the format says, and are listed in the
     group ``ANIMTOOL``, so that reading the file gives them back. Longer takes than
-    65535 frames have their length in ``TRIAL:ACTUAL_END_FIELD`` as usual.
+    65535 frames have their length in ``TRIAL:ACTUAL_END_FIELD`` and
+    ``POINT:LONG_FRAMES``, as usual.
 
     Args:
         markers: What to write.
@@ -80,7 +84,8 @@ def _head(markers: Markers, path: Path) -> bytes:
     first, last = _shown(markers.clock)
     scale = _scale(markers)
     header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
-    header += struct.pack("<fHHf", scale, 2 + blocks, 0, float(markers.clock.rate))
+    rate = float(markers.clock.rate)
+    header += struct.pack("<fHHf", scale, 2 + blocks, ANALOG_SAMPLES, rate)
     text = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + section
     return header.ljust(BLOCK, b"\0") + text.ljust(BLOCK * blocks, b"\0")
 
@@ -124,6 +129,8 @@ def _parameters(markers: Markers, data_block: int) -> bytes:
         "X_SCREEN": _texts([right]),
         "Y_SCREEN": _texts([up]),
     }
+    if frames > MAX_COUNT:
+        point["LONG_FRAMES"] = _floats([frames])
     point.update(_numbered("LABELS", [_texts(n) for n in _chunks(markers.names)]))
     blank = [""] * count
     point.update(_numbered("DESCRIPTIONS", [_texts(n) for n in _chunks(blank)]))
@@ -206,7 +213,10 @@ def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
         part = _rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
         size += len(part)
         yield part
-    yield b"\0" * (-size % BLOCK)
+    # Readers take the size for the number of frames where the header has no room for
+    # it: zeros up to a full block would be frames.
+    if len(markers) < MAX_COUNT:
+        yield b"\0" * (-size % BLOCK)
 
 
 def _rows(markers: Markers, frames: slice) -> bytes:

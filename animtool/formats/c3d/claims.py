@@ -1,0 +1,189 @@
+"""What header and parameters of a C3D file state about where its points are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from animtool.formats.c3d.sections import BLOCK, Sections
+
+# Counts in 16 bits: a take may be longer where one of these is stated.
+FULL_COUNTS = (32767, 65535)
+WORD = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A value that a field of the file states.
+
+    Attributes:
+        source: The field, as a message names it.
+        value: What it states.
+        weight: What it costs to read the file against it; below 0.5 it is a hint that
+            nobody is told about.
+        full: The field can state no more than this.
+        wraps: The field has 16 bits, and longer takes begin again at 0.
+    """
+
+    source: str
+    value: int
+    weight: float
+    full: bool = False
+    wraps: bool = False
+
+    def cost(self, value: int) -> float:
+        """Return what it costs to read another value than this claim's."""
+        if value == self.value or (self.full and value > self.value):
+            return 0.0
+        if self.wraps and value >= WORD and value % WORD == self.value % WORD:
+            return 0.25
+        return self.weight
+
+
+@dataclass(frozen=True, slots=True)
+class Claims:
+    """All that is stated, by quantity; `others` are counts that nothing states.
+
+    Attributes:
+        begin: Byte of the first frame.
+        width: Bytes of a number: 2 for integers, 4 for floats.
+        points: Points of a frame.
+        analog: Analogue numbers of a frame, all samples of all channels.
+        frames: Frames.
+        others: Further numbers of analogue numbers that are tried.
+    """
+
+    begin: tuple[Claim, ...]
+    width: tuple[Claim, ...]
+    points: tuple[Claim, ...]
+    analog: tuple[Claim, ...]
+    frames: tuple[Claim, ...]
+    others: tuple[int, ...] = ()
+
+
+def claims_of(sections: Sections) -> Claims:
+    """Return what a file states about its layout."""
+    analog, others = _analog(sections)
+    return Claims(
+        tuple(_begin(sections)),
+        tuple(_width(sections)),
+        tuple(_points(sections)),
+        analog,
+        tuple(_frames(sections)),
+        others,
+    )
+
+
+def word_of(sections: Sections, group: str, name: str) -> int | None:
+    """Return an unsigned 16-bit number, or a larger one that is stored as a float."""
+    stated = sections.number(group, name)
+    if stated is None or not math.isfinite(stated):
+        return None
+    return int(stated) if stated >= WORD else int(stated) & (WORD - 1)
+
+
+def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
+    """Return the numbers of the first and the last frame of the trial."""
+    start, end = (
+        _long(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
+        for name in ("START", "END")
+    )
+    return start, end
+
+
+def _long(words: list[float]) -> int | None:
+    """Return a number that is stored as two 16-bit words, the low one first."""
+    if not words or not all(map(math.isfinite, words)):
+        return None
+    low, high = ([*words, 0.0])[:2]
+    return (int(low) & 0xFFFF) + ((int(high) & 0xFFFF) << 16)
+
+
+def _begin(sections: Sections) -> Iterable[Claim]:
+    stated = (
+        ("header word 9", sections.header.data_block, 1.0),
+        ("POINT:DATA_START", word_of(sections, "POINT", "DATA_START"), 0.75),
+        # Without parameters that is the end of the header.
+        ("the end of the parameters", sections.end_block, 0.25),
+    )
+    for source, block, weight in stated:
+        if block is not None and block >= 2:
+            yield Claim(source, BLOCK * (block - 1), weight)
+
+
+def _width(sections: Sections) -> Iterable[Claim]:
+    stated = (
+        ("header scale", sections.header.scale, 0.75),
+        ("POINT:SCALE", sections.number("POINT", "SCALE"), 1.0),
+    )
+    for source, scale, weight in stated:
+        if scale is not None and math.isfinite(scale) and scale != 0:
+            yield Claim(source, 4 if scale < 0 else 2, weight)
+
+
+def _points(sections: Sections) -> Iterable[Claim]:
+    yield Claim("header word 2", sections.header.points, 1.0)
+    used = word_of(sections, "POINT", "USED")
+    if used is not None:
+        yield Claim("POINT:USED", used, 1.0)
+    labels = sections.texts("POINT", "LABELS")
+    while labels and not labels[-1]:
+        labels.pop()
+    if labels:
+        # Many writers name the first 255 alone.
+        yield Claim("POINT:LABELS", len(labels), 0.25, full=len(labels) == 255)
+
+
+def _analog(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
+    """Return claims about analogue numbers of a frame, and what else is tried."""
+    stated, samples = sections.header.analog, sections.header.samples
+    claims = [Claim("header word 3", stated, 1.0)]
+    used = word_of(sections, "ANALOG", "USED")
+    rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
+    ratio = _ratio(rates[0], rates[1] or sections.header.rate)
+    if used == 0:
+        claims.append(Claim("ANALOG:USED", 0, 0.75))
+    elif used is not None:
+        of_word = "ANALOG:USED x header word 10"
+        of_rate = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
+        if samples:
+            claims.append(Claim(of_word, used * samples, 0.75))
+        if ratio:
+            claims.append(Claim(of_rate, used * ratio, 0.75))
+    channels = {used or 0, stated, len(sections.texts("ANALOG", "LABELS"))}
+    times = {1, samples, ratio or 0}
+    others = {0, *(a * b for a in channels for b in times)}
+    return tuple(claims), tuple(sorted(others - {claim.value for claim in claims}))
+
+
+def _ratio(analog: float | None, point: float | None) -> int | None:
+    """Return analogue samples a frame by the rates, where that is a whole number."""
+    if not analog or not point or not math.isfinite(analog) or not point > 0:
+        return None
+    ratio = analog / point
+    whole = math.isfinite(ratio) and 0.5 < ratio < WORD
+    return round(ratio) if whole and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+
+
+def _frames(sections: Sections) -> Iterable[Claim]:
+    header = sections.header
+    if not (header.first == 0 and header.last == 0):
+        count = (header.last - header.first + 1) % WORD
+        full = header.last in FULL_COUNTS or count in FULL_COUNTS
+        if count:
+            yield Claim("header words 4 and 5", count, 1.0, full, wraps=True)
+    start, end = trial_fields(sections)
+    if end is not None:
+        count = end - (header.first if start is None else start) + 1
+        full = end in FULL_COUNTS or count in FULL_COUNTS
+        if count > 0:
+            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, full)
+    longer = sections.number("POINT", "LONG_FRAMES")
+    if longer is not None and math.isfinite(longer) and longer >= 1:
+        count = int(longer)
+        yield Claim("POINT:LONG_FRAMES", count, 0.5, count in FULL_COUNTS)
+    stated = word_of(sections, "POINT", "FRAMES")
+    if stated:
+        full = stated in FULL_COUNTS
+        yield Claim("POINT:FRAMES", stated, 0.5, full, wraps=stated < WORD)
