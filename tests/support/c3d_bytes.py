@@ -59,6 +59,13 @@ class C3dFile:
     declared: int | None = None  # frames that the header claims
     used: int | None = None  # points that the header claims
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
+    analog: Any = None  # (F, A) numbers behind the points of a frame
+    samples: int = 0  # analogue samples of a channel in a frame
+    words: dict[int, int] = field(default_factory=dict)  # header words, from 1
+    header_scale: float | None = None
+    padded: bool = False  # zeros up to a full block
+    section: str = "whole"  # "empty" has a head alone, "none" not even that
+    gap: int = 0  # blocks between parameters and data
 
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Return groups of parameters: texts, float32 or 16-bit integers."""
@@ -75,7 +82,12 @@ class C3dFile:
             point[f"LABELS{suffix}"] = self.labels[k : k + 255]
         if self.units is not None:
             point["UNITS"] = [self.units]
-        groups = {"POINT": point, "ANALOG": {"USED": np.array([0], np.int64)}}
+        channels = 0 if self.analog is None else np.shape(self.analog)[1] // self.samples
+        analog: dict[str, Any] = {"USED": np.array([channels], np.int64)}
+        if channels:
+            analog["RATE"] = np.array([self.rate * self.samples], np.float32)
+            analog["LABELS"] = [f"A{i}" for i in range(channels)]
+        groups = {"POINT": point, "ANALOG": analog}
         for name, entries in self.groups.items():
             groups[name] = {**groups.get(name, {}), **entries}
         return {
@@ -86,28 +98,36 @@ class C3dFile:
     def build(self) -> bytes:
         """Return the bytes of the file."""
         body = self._parameter_section(0)
-        blocks = -(-(len(body) + 4) // 512)
-        start = 2 + blocks
-        body = self._parameter_section(start)
-        head = bytes([1, 80, blocks, self.processor])
-        section = (head + body).ljust(512 * blocks, b"\0")
-        return self._header(start) + section + self._data()
+        blocks = {"none": 0, "empty": 1}.get(self.section, -(-(len(body) + 4) // 512))
+        start = 2 + blocks + self.gap
+        body = self._parameter_section(start) if self.section == "whole" else b""
+        head = bytes([1, 80, blocks, self.processor]) if blocks else b""
+        section = (head + body).ljust(512 * (blocks + self.gap), b"\0")
+        data = self._header(start) + section + self._data()
+        return data + b"\0" * (-len(data) % 512 if self.padded else 0)
 
     def _header(self, start: int) -> bytes:
         frames, count = np.shape(self.points)[:2]
         last = self.first + (frames if self.declared is None else self.declared) - 1
         used = count if self.used is None else self.used
         p = self.processor
-        out = bytes([2, 80]) + words([used, 0, self.first, last, 10], p)
-        out += floats([self.scale], p) + words([start, 0], p)
+        analog = 0 if self.analog is None else np.shape(self.analog)[1]
+        pointer = 0 if self.section == "none" else 2
+        out = bytes([pointer, 80]) + words([used, analog, self.first, last, 10], p)
+        scale = self.scale if self.header_scale is None else self.header_scale
+        out += floats([scale], p) + words([start, self.samples], p)
         rate = self.rate if self.header_rate is None else self.header_rate
-        return (out + floats([rate], p)).ljust(512, b"\0")
+        head = bytearray((out + floats([rate], p)).ljust(512, b"\0"))
+        for number, value in self.words.items():
+            head[2 * number - 2 : 2 * number] = words([value], p)
+        return bytes(head)
 
     def _parameter_section(self, start: int) -> bytes:
         out = b""
         p = self.processor
         groups = self.parameters()
-        groups["POINT"]["DATA_START"] = np.array([start], np.int64)
+        if "DATA_START" not in self.groups.get("POINT", {}):
+            groups["POINT"]["DATA_START"] = np.array([start], np.int64)
         for number, (name, entries) in enumerate(groups.items(), 1):
             raw = name.encode()
             out += struct.pack("bb", len(raw), -number) + raw + words([3], p) + b"\0"
@@ -137,10 +157,13 @@ class C3dFile:
         masks = zero if self.masks is None else np.asarray(self.masks)
         word = np.where(seen, masks.astype(np.int64) * 256 + residual, -1)
         rows = np.where(seen[..., None], points, 0.0)
-        if self.scale > 0:
-            whole = np.round(rows / self.scale)
-            return words(np.concatenate([whole, word[..., None]], -1), self.processor)
-        return floats(np.concatenate([rows, word[..., None]], -1), self.processor)
+        whole = self.scale > 0
+        if whole:
+            rows = np.round(rows / self.scale)
+        table = np.concatenate([rows, word[..., None]], -1).reshape(len(points), -1)
+        if self.analog is not None:
+            table = np.concatenate([table, self.analog], 1)
+        return (words if whole else floats)(table, self.processor)
 
 
 def read_points(data: bytes) -> tuple[Any, float]:

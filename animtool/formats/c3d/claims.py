@@ -43,7 +43,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """All that is stated, by quantity; `others` are counts that nothing states.
+    """All that is stated, by quantity.
 
     Attributes:
         begin: Byte of the first frame.
@@ -52,6 +52,7 @@ class Claims:
         analog: Analogue numbers of a frame, all samples of all channels.
         frames: Frames.
         others: Further numbers of analogue numbers that are tried.
+        after: Byte behind the parameters; data lie nowhere between it and `begin`.
     """
 
     begin: tuple[Claim, ...]
@@ -60,6 +61,7 @@ class Claims:
     analog: tuple[Claim, ...]
     frames: tuple[Claim, ...]
     others: tuple[int, ...] = ()
+    after: int = 0
 
 
 def claims_of(sections: Sections) -> Claims:
@@ -72,6 +74,7 @@ def claims_of(sections: Sections) -> Claims:
         analog,
         tuple(_frames(sections)),
         others,
+        BLOCK * (sections.end_block - 1),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from animtool._types import FloatArray
@@ -20,7 +22,7 @@ MAX_WORD = 32768.0
 def judge(layout: Layout, data: bytes, processor: Processor) -> Evidence:
     """Return how much the numbers of a layout look like positions over frames."""
     if layout.points == 0:
-        return Evidence(0.0, 1.0)
+        return Evidence(0.0, math.nan)
     length = min(RUN_FRAMES, layout.frames)
     begins = np.linspace(0, layout.frames - length, RUNS).astype(np.int64)
     size = layout.width * layout.row
@@ -50,7 +52,7 @@ def _evidence(runs: FloatArray, width: int) -> Evidence:
     spread = float(np.sqrt(positions[seen].var(axis=0).sum()))
     both = seen[:, 1:] & seen[:, :-1]
     if not both.any() or spread == 0.0:
-        return Evidence(float(wrong.mean()), 0.0 if spread == 0.0 else 1.0)
+        return Evidence(float(wrong.mean()), math.nan)
     positions = np.where(seen[..., None], positions, 0.0)
     steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[both]
     return Evidence(float(wrong.mean()), float(steps.mean()) / spread)

@@ -6,13 +6,16 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from animtool.formats.c3d.claims import WORD, Claim, Claims
+from animtool.formats.c3d.claims import Claim, Claims
 from animtool.formats.c3d.sections import BLOCK
 
 # Costs, beside those of the claims that are contradicted: bytes behind the last frame
-# that are padding but not zero, bytes that are none, a count that nothing states, and
-# one that only the size of the file gives.
-DIRTY, REST, OTHER, SOLVED = 0.75, 2.5, 0.5, 1.5
+# that are padding but not zero, bytes there that are none, bytes before the first frame
+# that are not zero, a count that nothing states, a number of frames that only the size
+# of the file gives, and other counts that only it gives.
+DIRTY, REST, SKIPPED, OTHER, HELD, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
+# Evidence of positions: fraction of odd points, and steps of smooth ones and of noise.
+MAX_ODD, SMOOTH, NOISE = 0.1, 0.25, 0.5
 # What decides for one combination against another.
 DECISIVE = 0.2
 # Combinations whose numbers are looked at.
@@ -34,6 +37,7 @@ class Layout:
         rest: Bytes behind the last frame, but for zeros up to a full block.
         cost: What is contradicted, summed.
         proof: It is read only where its numbers look like positions.
+        solved: One of its counts is stated nowhere.
     """
 
     begin: int
@@ -44,6 +48,7 @@ class Layout:
     rest: int = 0
     cost: float = 0.0
     proof: bool = False
+    solved: bool = False
 
     @property
     def row(self) -> int:
@@ -70,7 +75,8 @@ class Evidence:
 
     Attributes:
         odd: Fraction of points that can be no positions.
-        rough: Mean step from frame to frame over the spread of all positions.
+        rough: Mean step from frame to frame over the spread of all positions; NaN where
+            nothing moves or no two frames follow each other.
     """
 
     odd: float
@@ -108,12 +114,14 @@ def choose_layout(
     """
     held: dict[tuple[int, ...], Layout] = {}
     short: Layout | None = None
-    for layout in _combinations(claims, ends[-1]):
+    tail = _tail(data)
+    for layout in _combinations(claims, ends[-1], tail):
         if layout.end > ends[-1] or layout.begin > ends[-1]:
-            if not layout.proof and (short is None or layout.cost < short.cost):
+            if not layout.solved and (short is None or layout.cost < short.cost):
                 short = layout
             continue
         found = min((_filled(layout, data, end) for end in ends), key=_order)
+        found = _skipping(found, claims.after, data)
         key = (found.begin, found.width, found.points, found.analog, found.frames)
         if key not in held or found.cost < held[key].cost:
             held[key] = found
@@ -121,7 +129,7 @@ def choose_layout(
     if short is not None and short.cost < TOLD:
         # What the file says with one voice, and has no room for, is cut short, unless
         # something else that it says fills it.
-        ranked = [each for each in ranked if each.rest == 0 and not each.proof]
+        ranked = [each for each in ranked if each.rest == 0 and not each.solved]
     if not ranked:
         return Outcome(None, short)
     if ranked[0].cost < TOLD:
@@ -132,21 +140,15 @@ def choose_layout(
         return outcome
     if best.rest and short is not None and short.cost < best.cost - REST:
         return Outcome(None, short)
-    return Outcome(_trimmed(claims, best, data))
+    return outcome
 
 
-def _trimmed(claims: Claims, layout: Layout, data: bytes) -> Layout:
-    """Return a layout without frames that are padding, where only the size has them."""
-    size = layout.width * layout.row
-    stated = {claim.value for claim in claims.frames}
-    padded = layout.end % BLOCK == 0 and layout.end == len(data)
-    frames = layout.frames
-    while padded and frames > 1 and frames not in stated:
-        begin = layout.begin + size * (frames - 1)
-        if len(data) - begin >= BLOCK or data.count(b"\0", begin, begin + size) < size:
-            break
-        frames -= 1
-    return replace(layout, frames=frames)
+def _tail(data: bytes) -> int:
+    """Return how many zeros the last block ends in, where it is a full one."""
+    if len(data) % BLOCK:
+        return 0
+    last = data[-BLOCK:]
+    return min(BLOCK - 1, len(last) - len(last.rstrip(b"\0")))
 
 
 def contradicted(claims: Claims, layout: Layout) -> list[tuple[str, int, list[Claim]]]:
@@ -174,36 +176,50 @@ def _order(layout: Layout) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _combinations(claims: Claims, size: int) -> Iterable[Layout]:
-    """Yield combinations of what is stated, and of what the size gives for one."""
+def _combinations(claims: Claims, size: int, tail: int) -> Iterable[Layout]:
+    """Yield combinations of what is stated, and of what the size gives for one.
+
+    size, tail: Of the file, and of the zeros that it ends in [byte].
+    """
     widths = _priced(claims.width, (2, 4))
-    for (begin, at), (width, of) in itertools.product(_priced(claims.begin), widths):
-        room, flipped = (size - begin) // width, of >= TOLD and _agreed(claims.width)
-        points = _priced(claims.points)
-        analog = _priced(claims.analog, claims.others)
-        frames = _priced(claims.frames)
+    for (begin, by_b), (width, by_w) in itertools.product(
+        _priced(claims.begin), widths
+    ):
+        flipped = by_w >= TOLD and _agreed(claims.width)
+        room = ((size - begin) // width, (size - begin - tail) // width)
+        for p, a, f, counts, solved in _counts(claims, *room):
+            cost, proof = by_b + by_w + counts, flipped or solved
+            yield Layout(begin, width, p, a, f, 0, cost, proof, solved)
 
-        def layout(
-            p: int, a: int, f: int, cost: float, proof: bool, at: int = begin,
-            width: int = width, base: float = at + of, flipped: bool = flipped,
-        ) -> Layout:  # fmt: skip
-            return Layout(at, width, p, a, f, 0, base + cost, proof or flipped)
 
-        for (p, by_p), (a, by_a) in itertools.product(points, analog):
-            for f, by_f in [*frames, *_held(claims, room, 4 * p + a)]:
-                yield layout(p, a, f, by_p + by_a + by_f, proof=False)
+def _counts(
+    claims: Claims, room: int, least: int
+) -> Iterable[tuple[int, int, int, float, bool]]:
+    """Yield points, analogue numbers and frames, what they cost, and if one is solved.
+
+    room, least: Numbers for which there is room, with and without zeros at the end.
+    """
+    points, frames = _priced(claims.points), _priced(claims.frames)
+    analog = _priced(claims.analog, claims.others)
+    stated = {claim.value for claim in claims.analog}
+    for (p, by_p), (a, by_a) in itertools.product(points, analog):
+        row, tried = 4 * p + a, a not in stated
         for f, by_f in frames:
-            numbers = room // f
-            for p, by_p in points if _open(claims.analog) else ():
-                a = numbers - 4 * p
-                if a >= 0:
-                    cost = by_p + by_f + _cost(claims.analog, a) + SOLVED
-                    yield layout(p, a, f, cost, proof=True)
-            for a, by_a in analog if _open(claims.points) else ():
-                p, more = divmod(numbers - a, 4)
-                if p > 0 and more == 0:
-                    cost = by_a + by_f + _cost(claims.points, p) + SOLVED
-                    yield layout(p, a, f, cost, proof=True)
+            yield p, a, f, by_p + by_a + by_f, tried
+        held = _held(claims, -(-least // row)) if row and least > 0 else ()
+        for f, by_f, solved in held:
+            yield p, a, f, by_p + by_a + by_f, tried or solved
+    for f, by_f in frames:
+        for p, by_p in points if _open(claims.analog) else ():
+            a = room // f - 4 * p
+            if a >= 0:
+                cost = by_p + by_f + _cost(claims.analog, a) + SOLVED
+                yield p, a, f, cost, True
+        for a, by_a in analog if _open(claims.points) else ():
+            p, more = divmod(room // f - a, 4)
+            if p > 0 and more == 0:
+                cost = by_a + by_f + _cost(claims.points, p) + SOLVED
+                yield p, a, f, cost, True
 
 
 def _priced(
@@ -232,27 +248,31 @@ def _open(claims: Sequence[Claim]) -> bool:
     return len(told) < 2 or not _agreed(claims)
 
 
-def _held(claims: Claims, room: int, row: int) -> list[tuple[int, float]]:
-    """Return how many frames there is room for, where the stated counts leave it open.
+def _held(claims: Claims, held: int) -> list[tuple[int, float, bool]]:
+    """Return numbers of frames by the size, what they cost, and if they are solved.
 
-    That is where one of them ends at 16 bits, begins again at 0 there, or where
+    That is where stated counts end at 16 bits, begin again at 0 there, differ, or where
     nothing is stated.
+
+    held: Frames for which there is room.
     """
-    held = room // row if row else 0
-    if held <= 0:
+    frames = claims.frames
+    if any(claim.value == held for claim in frames):
         return []
-    full = [claim.value for claim in claims.frames if claim.full]
-    if not claims.frames or any(held > value for value in full):
-        return [(held, _cost(claims.frames, held) + OTHER)]
-    wrapped = {
-        claim.value + WORD * ((held - claim.value) // WORD)
-        for claim in claims.frames
-        if claim.wraps and held >= WORD
-    }
-    return [
-        (count, _cost(claims.frames, count))
-        for count in sorted(wrapped - {claim.value for claim in claims.frames})
-    ]
+    cost = _cost(frames, held)
+    if not frames or any(claim.full and held > claim.value for claim in frames):
+        return [(held, cost + OTHER, False)]
+    if any(claim.wraps and claim.cost(held) < claim.weight for claim in frames):
+        return [(held, cost, False)]
+    return [] if _agreed(frames) else [(held, cost + HELD, True)]
+
+
+def _skipping(layout: Layout, after: int, data: bytes) -> Layout:
+    """Return a layout with the cost of bytes before it that are not zero."""
+    gap = layout.begin - after
+    if gap <= 0 or data.count(b"\0", after, layout.begin) == gap:
+        return layout
+    return replace(layout, cost=layout.cost + SKIPPED)
 
 
 def _filled(layout: Layout, data: bytes, end: int) -> Layout:
@@ -260,10 +280,14 @@ def _filled(layout: Layout, data: bytes, end: int) -> Layout:
     rest = end - layout.end
     if rest < 0:
         return replace(layout, rest=-rest, cost=layout.cost + REST)
-    if rest == 0:
-        return layout
     padding = rest < BLOCK and end % BLOCK == 0
+    size = layout.width * layout.row
     if padding and data.count(b"\0", layout.end, end) == rest:
+        # A last frame of zeros is rather padding, too.
+        last = layout.end - size
+        zeros = 0 < size < BLOCK - rest and data.count(b"\0", last, layout.end) == size
+        return replace(layout, cost=layout.cost + DIRTY) if zeros else layout
+    if rest == 0:
         return layout
     return replace(layout, rest=rest, cost=layout.cost + (DIRTY if padding else REST))
 
@@ -276,16 +300,20 @@ def _decide(
     """Return the best of several, after a look at their numbers."""
     seen = [(layout, judge(layout)) for layout in ranked]
     odd = min(evidence.odd for _, evidence in seen)
-    rough = min(evidence.rough for _, evidence in seen)
+    rough = min((e.rough for _, e in seen if e.rough >= 0), default=0.0)
     scored = []
     for layout, evidence in seen:
-        if layout.proof and (evidence.odd > 0.1 or evidence.rough > 0.25):
+        if layout.solved and layout.rest:
+            continue
+        if layout.proof and not (evidence.odd <= MAX_ODD and evidence.rough <= SMOOTH):
+            continue
+        if layout.rest >= BLOCK and _no_positions(layout, evidence):
             continue
         penalty = 4.0 * (evidence.odd > odd + 0.02)
         penalty += 4.0 * (evidence.rough > 3.0 * rough + 0.02)
         scored.append(replace(layout, cost=layout.cost + penalty))
     if not scored:
-        return Outcome(None, short, tuple(ranked[:3]))
+        return Outcome(None, short, () if short else tuple(ranked[:3]))
     scored.sort(key=_order)
     best = scored[0]
     rivals = [
@@ -296,6 +324,11 @@ def _decide(
     if rivals:
         return Outcome(None, short, (best, *rivals[:2]))
     return Outcome(best, short)
+
+
+def _no_positions(layout: Layout, evidence: Evidence) -> bool:
+    """Return whether numbers look like none; one static point is all noise."""
+    return evidence.odd > MAX_ODD or (layout.points > 1 and evidence.rough > NOISE)
 
 
 def _rows(layout: Layout) -> tuple[int, ...]:

@@ -139,6 +139,11 @@ def _ends(sections: Sections, size: int) -> list[int]:
 
 def _without_layout(file: MarkerFile, outcome: Outcome, size: int) -> FormatError:
     """Return the error of a file in which no combination of counts fits."""
+    if len(outcome.rivals) == 1:
+        (alone,) = outcome.rivals
+        message = f"its counts do not fit its size of {size} bytes: {alone} end at "
+        message += f"{alone.end}, and are no positions"
+        return file.error("C3D003", message, "export it again")
     if outcome.rivals:
         message = "its header, parameters and size disagree, and nothing decides "
         message += f"between {' or '.join(map(str, outcome.rivals))}"

@@ -66,7 +66,9 @@ class Processor(IntEnum):
             return self.floats(pairs.tobytes()).reshape(-1, kept)
         kind = f"{self.order}{'f4' if width == 4 else 'i2'}"
         numbers = np.frombuffer(data, kind).reshape(-1, row)
-        return numbers[:, :kept].astype(np.float64)
+        # Of other bytes than floats some are signalling NaNs.
+        with np.errstate(invalid="ignore"):
+            return numbers[:, :kept].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +140,18 @@ def read_sections(data: bytes) -> Sections:
     found = data[0] >= 2 and start + 4 <= len(data)
     kind = data[start + 3] if found else 0
     known = kind in {int(p) for p in Processor}
+    if known:
+        processor = Processor(kind)
+        sections = Sections(_header(data, processor), processor)
+    else:
+        sections = Sections(*_lone_header(data, kind), stated=False)
     if found:
-        processor = Processor(kind) if known else _lone_header(data, kind)[1]
-        sections = Sections(_header(data, processor), processor, stated=known)
         _read_parameters(sections, data, start + 4)
-        if sections.groups:
-            sections.end_block = data[0] + data[start + 2]
-            return sections
-    return Sections(*_lone_header(data, kind), stated=known)
+    if not sections.groups:
+        sections = Sections(*_lone_header(data, kind), stated=known)
+    if known or sections.groups:
+        sections.end_block = data[0] + data[start + 2]
+    return sections
 
 
 def _header(data: bytes, processor: Processor) -> Header:
@@ -175,7 +181,7 @@ def _possible(header: Header, size: int) -> bool:
     return (
         header.points > 0
         and header.last >= header.first
-        and 2 <= header.data_block <= 1 + size // BLOCK
+        and header.data_block <= max(255, 1 + size // BLOCK)
         and MIN_SCALE < abs(scale) < MAX_SCALE
         and MIN_RATE < rate < MAX_RATE
     )
