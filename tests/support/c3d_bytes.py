@@ -82,7 +82,9 @@ class C3dFile:
             point[f"LABELS{suffix}"] = self.labels[k : k + 255]
         if self.units is not None:
             point["UNITS"] = [self.units]
-        channels = 0 if self.analog is None else np.shape(self.analog)[1] // self.samples
+        channels = (
+            0 if self.analog is None else np.shape(self.analog)[1] // self.samples
+        )
         analog: dict[str, Any] = {"USED": np.array([channels], np.int64)}
         if channels:
             analog["RATE"] = np.array([self.rate * self.samples], np.float32)
@@ -160,7 +162,8 @@ class C3dFile:
         whole = self.scale > 0
         if whole:
             rows = np.round(rows / self.scale)
-        table = np.concatenate([rows, word[..., None]], -1).reshape(len(points), -1)
+        table = np.concatenate([rows, word[..., None]], -1)
+        table = table.reshape(len(points), 4 * points.shape[1])
         if self.analog is not None:
             table = np.concatenate([table, self.analog], 1)
         return (words if whole else floats)(table, self.processor)

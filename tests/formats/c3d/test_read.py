@@ -13,6 +13,8 @@ from animtool.errors import AnimtoolError, FormatError
 from animtool.formats.c3d import read_c3d
 from animtool.units import UpAxis
 
+FRAMES_TOO = {"groups": {"POINT": {"FRAMES": np.array([60_000])}}}
+
 
 @pytest.fixture
 def points() -> Any:
@@ -83,6 +85,68 @@ def test_what_it_states_and_what_options_say(tmp_path: Path, points: Any) -> Non
     assert read_c3d(path, fps="59.94").clock.rate.denominator == 1001
 
 
+@pytest.mark.parametrize(
+    ("stated", "up", "turned"),
+    [
+        ("+Y", UpAxis.Y, (1.0, 2.0, 3.0)),
+        ("z", UpAxis.Z, (1.0, 2.0, 3.0)),
+        ("-Y", UpAxis.Y, (1.0, -2.0, -3.0)),
+        ("-Z", UpAxis.Z, (1.0, -2.0, -3.0)),
+        ("+X", UpAxis.Y, (-2.0, 1.0, 3.0)),
+        ("-x", UpAxis.Y, (2.0, -1.0, 3.0)),
+    ],
+)
+def test_six_axes_point_up(
+    tmp_path: Path, stated: str, up: UpAxis, turned: tuple[float, ...]
+) -> None:
+    values = np.broadcast_to([1.0, 2.0, 3.0], (2, 1, 3))
+    groups = {"POINT": {"X_SCREEN": [""], "Y_SCREEN": [stated]}}
+    path = written(tmp_path, C3dFile(values, ["A"], units="m", groups=groups))
+    markers = read_c3d(path)
+    assert (markers.up, tuple(markers.positions[0, 0])) == (up, turned)
+    codes = [notice.code for notice in markers.notices]
+    assert codes == (["C3D106"] if turned != (1.0, 2.0, 3.0) else [])
+    kept = read_c3d(path, up=UpAxis.Z)
+    assert (kept.up, tuple(kept.positions[0, 0])) == (UpAxis.Z, (1.0, 2.0, 3.0))
+    assert not kept.notices
+
+
+@pytest.mark.parametrize(
+    ("right", "stated", "up", "code"),
+    [
+        ("+Z", "-Z", UpAxis.Z, "C3D105"),
+        ("+Y", "+Y", UpAxis.Y, "C3D105"),
+        ("+X", "up", UpAxis.Y, "C3D105"),
+        ("+Y", "", UpAxis.Z, "MKR103"),
+        ("-X", "", UpAxis.Y, "MKR103"),
+    ],
+)
+def test_axes_that_contradict(
+    tmp_path: Path, right: str, stated: str, up: UpAxis, code: str
+) -> None:
+    groups = {"POINT": {"X_SCREEN": [right], "Y_SCREEN": [stated]}}
+    file = C3dFile(np.ones((2, 1, 3)), ["A"], groups=groups)
+    markers = read_c3d(written(tmp_path, file))
+    assert markers.up is up
+    assert code in {notice.code for notice in markers.notices}
+
+
+@pytest.mark.parametrize(
+    ("stated", "meters"),
+    [
+        *(("mete", 1.0), ("Meters", 1.0), ("METRE", 1.0), ("m.", 1.0)),
+        *(("cm", 0.01), ("centimet", 0.01), ("mill", 0.001), ("MM", 0.001)),
+        *(("inches", 0.0254), ("in", 0.0254), ("", 0.001), ("   ", 0.001)),
+    ],
+)
+def test_units(tmp_path: Path, stated: str, meters: float) -> None:
+    file = C3dFile(np.ones((2, 1, 3)), ["A"], units=stated)
+    markers = read_c3d(written(tmp_path, file))
+    np.testing.assert_allclose(markers.positions, meters)
+    codes = {notice.code for notice in markers.notices}
+    assert ("MKR104" in codes) == (not stated.strip())
+
+
 def test_a_long_take_has_its_length_in_the_trial(tmp_path: Path) -> None:
     values = np.ones((70_000, 1, 3), np.float32)
     groups = {
@@ -101,17 +165,19 @@ def test_a_long_take_has_its_length_in_the_trial(tmp_path: Path) -> None:
         ("MKR010", {"rate": 0.0}),
         ("MKR010", {"rate": float("nan"), "header_rate": float("inf")}),
         ("MKR011", {"units": "furlong"}),
-        ("C3D002", {"declared": 60_000}),
-        ("C3D002", {"used": 60_000}),
-        ("MKR013", {"used": 0}),
-        ("MKR013", {"declared": 0}),
+        ("C3D002", {"declared": 60_000, **FRAMES_TOO}),
+        ("C3D002", {"used": 60_000, "labels": []}),
+        ("MKR013", {"used": 0, "labels": [], "points": np.zeros((6, 0, 3))}),
+        ("MKR013", {"points": np.zeros((0, 4, 3))}),
     ],
 )
 def test_what_cannot_be_read(
     tmp_path: Path, points: Any, code: str, changes: dict[str, Any]
 ) -> None:
+    file = C3dFile(**{"points": points, "labels": list("ABCD"), **changes})
+    path = written(tmp_path, file)
     with pytest.raises(AnimtoolError) as caught:
-        read_c3d(written(tmp_path, C3dFile(points, list("ABCD"), **changes)))
+        read_c3d(path)
     assert caught.value.code == code
     assert isinstance(caught.value, FormatError)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from fractions import Fraction
 from pathlib import Path
 
@@ -44,24 +45,69 @@ def test_there_and_back(tmp_path: Path) -> None:
     assert not back.notices
 
 
+def stored(markers: Markers) -> np.ndarray:
+    """Return positions as floats of the file [mm]."""
+    return (markers.positions * 1000.0).astype(np.float32)
+
+
+def long_take(frames: int, start: int = 1, count: int = 1) -> Markers:
+    clock = Clock(Fraction(240), Fraction(start), Fraction(1), frames)
+    positions = np.random.default_rng(2).normal(size=(frames, count, 3))
+    return Markers(tuple(f"M{i}" for i in range(count)), clock, positions)
+
+
+# One frame more than a full block of padding holds would be read of the second.
+LONG = [(65_535, 1, 1), (66_000, 1, 1), (66_048, 1, 2), (70_000, 101, 1)]
+
+
 def test_ezc3d_reads_the_same(tmp_path: Path) -> None:
-    ezc3d = pytest.importorskip("ezc3d")
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed")
     markers, path = made(count=300), tmp_path / "take.c3d"
     write_c3d(markers, path)
     found = ezc3d.c3d(str(path))
-    positions = found["data"]["points"][:3].transpose(2, 1, 0) / 1000.0
-    np.testing.assert_allclose(positions, markers.positions, atol=1e-6)
+    positions = found["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_array_equal(positions.astype(np.float32), stored(markers))
     parameters = found["parameters"]["POINT"]
     labels = [*parameters["LABELS"]["value"], *parameters["LABELS2"]["value"]]
     assert tuple(labels) == markers.names
     assert found["header"]["points"]["first_frame"] == 6
 
 
-def test_a_long_take(tmp_path: Path) -> None:
-    clock = Clock(Fraction(240), Fraction(1), Fraction(1), 70_000)
-    path = tmp_path / "long.c3d"
-    write_c3d(Markers(("A",), clock, np.ones((70_000, 1, 3))), path)
-    assert read_c3d(path).clock == clock
+@pytest.mark.parametrize(("frames", "start", "count"), LONG)
+def test_ezc3d_reads_as_many_frames(
+    tmp_path: Path, frames: int, start: int, count: int
+) -> None:
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed")
+    markers, path = long_take(frames, start, count), tmp_path / "take.c3d"
+    write_c3d(markers, path)
+    positions = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_array_equal(positions.astype(np.float32), stored(markers))
+
+
+@pytest.mark.parametrize(("frames", "start", "count"), [(20, 7, 3), LONG[0], LONG[3]])
+@pytest.mark.filterwarnings("ignore:No analog data")
+def test_py_c3d_reads_the_same(
+    tmp_path: Path, frames: int, start: int, count: int
+) -> None:
+    c3d = pytest.importorskip("c3d", reason="c3d (py-c3d) is not installed")
+    markers, path = long_take(frames, start, count), tmp_path / "take.c3d"
+    write_c3d(markers, path)
+    with path.open("rb") as opened:
+        reader = c3d.Reader(opened)
+        assert (reader.first_frame, reader.frame_count) == (start, frames)
+        # It reads frame by frame, slowly.
+        some = itertools.islice(reader.read_frames(), 500)
+        rows = [points[:, :3].copy() for _, points, _ in some]
+    np.testing.assert_array_equal(np.array(rows), stored(markers)[:500])
+
+
+@pytest.mark.parametrize(("frames", "start", "count"), [*LONG, (1000, 70_000, 1)])
+def test_a_long_take(tmp_path: Path, frames: int, start: int, count: int) -> None:
+    markers, path = long_take(frames, start, count), tmp_path / "long.c3d"
+    write_c3d(markers, path)
+    back = read_c3d(path)
+    assert back.clock == markers.clock
+    assert not [each for each in back.notices if each.code.startswith("C3D")]
 
 
 def test_what_does_not_fit(tmp_path: Path) -> None:
