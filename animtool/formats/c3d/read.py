@@ -121,7 +121,9 @@ def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     if told:
         message = "its header, parameters and size disagree; what fills the file is "
         file.warn("C3D101", f"{message}read: {'; '.join(told)}")
-    if layout.rest >= BLOCK or (layout.rest and len(data) % BLOCK):
+    if layout.rest >= min(BLOCK, layout.width * layout.row) or (
+        layout.rest and len(data) % BLOCK
+    ):
         message = f"has {counted(layout.rest, 'byte')} behind the last of "
         message += f"{counted(layout.frames, 'frame')}, which are not read"
         file.warn("C3D108", message, "check the number of frames")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.c3d_bytes import DEC, INTEL, SGI, C3dFile, read_points
+from support.data import data_files
 
 from animtool.errors import AnimtoolError, FormatError
 from animtool.formats.c3d import read_c3d
@@ -190,3 +191,33 @@ def test_a_file_that_is_cut_short_anywhere(tmp_path: Path, points: Any) -> None:
         with pytest.raises(FormatError) as caught:
             read_c3d(path)
         assert caught.value.code in {"C3D001", "C3D002"}
+
+
+def beside_ezc3d(path: Path) -> None:
+    """Compare names and positions with those that ezc3d reads."""
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed")
+    other = ezc3d.c3d(str(path))
+    markers = read_c3d(path, up=UpAxis.Z)
+    unit = {"mm": 0.001, "m": 1.0}[other["parameters"]["POINT"]["UNITS"]["value"][0]]
+    positions = other["data"]["points"][:3].transpose(2, 1, 0) * unit
+    # It turns residuals below 0 into NaN, and leaves points at the origin.
+    positions[(positions == 0).all(axis=-1)] = np.nan
+    assert markers.positions.shape == positions.shape
+    np.testing.assert_allclose(markers.positions, positions, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("path", data_files("mocap", "**/*.c3d"))
+def test_captures_beside_ezc3d(path: Path) -> None:
+    beside_ezc3d(path)
+
+
+@pytest.mark.parametrize("processor", [INTEL, DEC, SGI])
+@pytest.mark.parametrize("scale", [-0.1, 0.1])
+def test_processors_beside_ezc3d(
+    tmp_path: Path, points: Any, processor: int, scale: float
+) -> None:
+    groups = {"ANALOG": {"RATE": np.array([600.0], np.float32)}}
+    numbers = {"analog": np.ones((6, 10)), "samples": 5, "padded": True}
+    file = C3dFile(points, list("ABCD"), scale=scale, processor=processor,
+                   groups=groups, **numbers)  # fmt: skip
+    beside_ezc3d(written(tmp_path, file))
