@@ -73,8 +73,9 @@ def read_c3d(
     except MalformedError as error:
         raise file.error("C3D001", str(error)) from None
     if not sections.groups:
-        message = "has no parameters: names, unit and up axis are not stated"
-        file.warn("C3D107", message)
+        message = "has no parameters: names, unit and up axis are not stated, and "
+        message += "nothing confirms the counts of its header"
+        file.warn("C3D107", message, "check the number of points and frames")
     layout = _layout(file, sections, data)
     _check_scale(file, sections, layout)
     length = file.unit(_unit(sections), unit, LengthUnit.MM)

@@ -193,8 +193,8 @@ def test_a_file_that_is_cut_short_anywhere(tmp_path: Path, points: Any) -> None:
         assert caught.value.code in {"C3D001", "C3D002"}
 
 
-def beside_ezc3d(path: Path) -> None:
-    """Compare names and positions with those that ezc3d reads."""
+@pytest.mark.parametrize("path", data_files("mocap", "**/*.c3d"))
+def test_captures_beside_ezc3d(path: Path) -> None:
     ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed")
     other = ezc3d.c3d(str(path))
     markers = read_c3d(path, up=UpAxis.Z)
@@ -204,20 +204,3 @@ def beside_ezc3d(path: Path) -> None:
     positions[(positions == 0).all(axis=-1)] = np.nan
     assert markers.positions.shape == positions.shape
     np.testing.assert_allclose(markers.positions, positions, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("path", data_files("mocap", "**/*.c3d"))
-def test_captures_beside_ezc3d(path: Path) -> None:
-    beside_ezc3d(path)
-
-
-@pytest.mark.parametrize("processor", [INTEL, DEC, SGI])
-@pytest.mark.parametrize("scale", [-0.1, 0.1])
-def test_processors_beside_ezc3d(
-    tmp_path: Path, points: Any, processor: int, scale: float
-) -> None:
-    groups = {"ANALOG": {"RATE": np.array([600.0], np.float32)}}
-    numbers = {"analog": np.ones((6, 10)), "samples": 5, "padded": True}
-    file = C3dFile(points, list("ABCD"), scale=scale, processor=processor,
-                   groups=groups, **numbers)  # fmt: skip
-    beside_ezc3d(written(tmp_path, file))
