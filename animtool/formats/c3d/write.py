@@ -10,9 +10,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.formats.c3d.read import OWN_GROUP
 from animtool.formats.c3d.sections import BLOCK, MAGIC, Processor
+from animtool.formats.trajectories import FLOAT32_MAX
 from animtool.markers import Markers
 from animtool.units import LengthUnit
 
@@ -109,7 +110,8 @@ def _scale(markers: Markers) -> float:
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
-    largest = np.nanmax(np.abs(markers.positions), initial=0.0) * 1000.0
+    sizes = np.abs(markers.positions) * 1000.0
+    largest = np.nanmax(np.where(sizes <= FLOAT32_MAX, sizes, 0.0), initial=0.0)
     return -max(float(largest), 1.0) / INTEGER_RANGE
 
 
@@ -221,7 +223,7 @@ def _parts(markers: Markers, head: bytes) -> Iterator[bytes]:
 
 def _rows(markers: Markers, frames: slice) -> bytes:
     positions = markers.positions[frames] * 1000.0
-    seen = np.asarray(np.isfinite(positions).all(axis=-1))
+    seen = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
     words = np.zeros(seen.shape, np.int64)
     if markers.residuals is not None:
         steps = markers.residuals[frames] * 1000.0 / abs(_scale(markers))
@@ -245,6 +247,10 @@ def _lost(markers: Markers, path: str) -> list[Fault]:
         lost.append(f"more than {MAX_CAMERAS} cameras of a point")
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         lost.append(f"the first frame {markers.clock.start}")
+    beyond = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
+    if beyond.any():
+        count = counted(int(beyond.sum()), "position")
+        lost.append(f"{count} beyond float32 in mm, written as not seen")
     if not lost:
         return []
     message = f"a C3D cannot hold {' and '.join(lost)}"

@@ -117,3 +117,13 @@ def test_what_does_not_fit(tmp_path: Path) -> None:
         write_c3d(Markers(names, clock, np.ones((1, 600, 3))), tmp_path / "a.c3d")
     assert caught.value.code == "C3D010"
     assert not list(tmp_path.iterdir())
+
+
+def test_positions_beyond_float32_are_not_written(tmp_path: Path) -> None:
+    markers, path = long_take(4, count=2), tmp_path / "far.c3d"
+    markers.positions[1, 0] = 1e37
+    (fault,) = write_c3d(markers, path)
+    assert fault.code == "C3D104"
+    back = read_c3d(path)
+    assert back.seen.sum() == 7
+    np.testing.assert_allclose(back.positions[0], markers.positions[0], rtol=1e-6)
