@@ -16,7 +16,7 @@ from support.cli import Done
 from support.normalise import normalise
 from support.printed import ROOT, files_in
 
-_CODE = re.compile(r"(?<!\w)[A-Z]{2,5}\d{3}(?!\w)")
+_CODE = re.compile(r"(?<!\w)(?:[A-Z]{2,5}|C3D)\d{3}(?!\w)")
 # Every code has a page; names of joints and files may look like one.
 _PAGES = ROOT / "animtool/docs/rules"
 
