@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.timecodes import timecode_label
 
-from animtool.clock import (
+from animtool.timecode import (
     count_rate,
     day_frames,
     parse_timecode,
