@@ -10,6 +10,15 @@ _DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
+def is_timecode(text: object) -> bool:
+    """Return whether a text is a label of some rate.
+
+    >>> is_timecode("01:00:00;02"), is_timecode("1 h")
+    (True, False)
+    """
+    return isinstance(text, str) and _LABEL.fullmatch(text.strip()) is not None
+
+
 def count_rate(rate: Fraction) -> int:
     """Return how many labels a second has: the rate, or what is 1001/1000 of it.
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from support.timelines import clip, span, timeline
 
-from animtool.batch.cuts import CutOptions, read_cut, read_cuts
+from animtool.batch.cut_frames import CutOptions
+from animtool.batch.cuts import read_cut, read_cuts
 from animtool.errors import AnimtoolError
 from animtool.files import MatchedFile
 from fuzz.mutations import spoil, spoil_values
