@@ -187,7 +187,7 @@ class _Reader:
             edl = read_edl(self.path)
             if not edl.events:
                 return None
-            self.fps, self.drop = edl_rate(edl, self.options.fps), edl.drop
+            self.fps, self.drop = edl_rate(edl, self.options.fps), edl.only_drop
             timeline, notices = edl_timeline(edl, self.fps)
         self.cuts.notices += notices
         return timeline

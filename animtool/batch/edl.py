@@ -77,6 +77,12 @@ class Edl:
         return any(";" in time for event in self.events for time in event.times)
 
     @property
+    def only_drop(self) -> bool:
+        """Whether all time codes are drop-frame."""
+        times = (time for event in self.events for time in event.times)
+        return self.drop and all(";" in time for time in times)
+
+    @property
     def last_label(self) -> int:
         """The highest number of a frame within a second."""
         times = (time for event in self.events for time in event.times if ":" in time)

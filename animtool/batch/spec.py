@@ -170,8 +170,8 @@ class BatchSpec:
         roots: Folders that outputs may be in, as a batch file is of a project; empty is
             any.
         overrides: Other values of ``variables`` for some inputs; the last counts.
-        fps: Rate of a timeline's shots where it states none, of the command line; None
-            is as the scene or the options say.
+        fps: Rate of the outputs, and of a timeline's shots where it states none, as
+            the command line says; None is as the scene or the options say.
         cut_start: First frame of each cut of a timeline; None is as that says.
         first_timecode: Of a timeline's media; None is as that says.
     """

@@ -36,8 +36,8 @@ cut_options = stacked(
         "--fps",
         type=RATE,
         metavar="RATE",
-        help="Of a timeline that states no rate, such as an EDL: what its time codes "
-        "and shots count, such as 24, 25 or 30000/1001.",
+        help="Frames a second of the outputs; of a timeline that states no rate, such "
+        "as an EDL, what its time codes and shots count: 24, 25, 30000/1001.",
     ),
     *TIMECODE_OPTIONS,
 )

@@ -6,6 +6,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
+from support.batch import take_files
+from support.cli import animtool
 
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import CutList, read_cuts
@@ -156,3 +158,30 @@ def test_black_sound_and_names_of_files(folder: Path) -> None:
     cuts = read(folder, HEAD + text)
     assert [stem for stem, *_ in shown(cuts)] == ["run", "walk"]
     assert {n.code for n in cuts.notices} <= {"BAT043", "BAT046"}
+
+
+def test_options_of_timelines_are_refused_without_one(folder: Path) -> None:
+    for words in (["--cut-start", 1], ["--first-timecode", "01:00:00:00"]):
+        done = animtool("batch", "walk.bvh", *words, "-n", cwd=folder)
+        assert (done.code, "for a timeline" in done.stderr) == (2, True)
+    done = animtool("batch", "walk.bvh", "--first-timecode", "an hour", cwd=folder)
+    assert (done.code, "01:00:00:00" in done.stderr) == (2, True)
+
+
+def test_a_scene_and_the_command_line_have_one_rate(folder: Path) -> None:
+    (folder / "a.edl").write_text(HEAD + event(1, "00:00:01:00 00:00:02:00") + NAME)
+    scene = 'scene: animtool/1\nfps: 25\nsource: {file: "${input}"}\n'
+    (folder / "a.scene.yaml").write_text(scene)
+    words = ["a.edl", "walk.bvh", "--scene", "a.scene.yaml", "-o", "{shot}.usda", "-n"]
+    done = animtool("batch", *words, "--fps", 24, cwd=folder)
+    assert (done.code, "BAT051" in done.stderr) == (2, True)
+    for more in ([], ["--fps", 25]):
+        assert animtool("batch", *words, *more, cwd=folder).code == 0
+
+
+def test_the_rate_of_the_command_line_is_that_of_takes(tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 1, frames=31)
+    words = ["takes", "-o", "{stem}.usda", "--executor", "serial", "--fps", 60]
+    done = animtool("batch", *words, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "timeCodesPerSecond = 60" in (tmp_path / "take000.usda").read_text()
