@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -16,6 +17,8 @@ from animtool.batch.timeline import (
 )
 from animtool.errors import excerpt
 
+# What systems call effects that are no `TimeEffect` and change times all the same.
+_OF_TIME = re.compile(r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE)
 # Begin and end [s]; None is whatever there is.
 Window: TypeAlias = tuple[Fraction, Fraction] | None
 
@@ -115,19 +118,17 @@ def speed_of(item: Any) -> Fraction:
 
 
 def is_time_effect(effect: Any) -> bool:
-    """Return whether an effect changes times."""
+    """Return whether an effect changes times, by its kind or by its name."""
     import opentimelineio as otio
 
     if isinstance(effect, otio.schema.TimeEffect):
         return True
-    kind = getattr(effect, "original_schema_name", "")
-    return isinstance(effect, otio.core.UnknownSchema) and "Time" in str(kind)
+    return _OF_TIME.search(str(effect.effect_name or "")) is not None
 
 
 def _effect_name(effect: Any) -> str:
-    name = getattr(effect, "effect_name", "") or getattr(effect, "name", "")
-    kind = getattr(effect, "original_schema_name", "") or type(effect).__name__
-    return f"effect {excerpt(str(name or kind))}"
+    name = effect.effect_name or effect.name or type(effect).__name__
+    return f"effect {excerpt(str(name))}"
 
 
 def transition_sides(shown: Shown) -> tuple[Any, Any]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.batch import take_files
 from support.cli import animtool
+from support.timelines import span
 
 from animtool.batch.cut_frames import CutOptions
 from animtool.batch.cuts import CutList, read_cuts
@@ -185,3 +187,42 @@ def test_the_rate_of_the_command_line_is_that_of_takes(tmp_path: Path) -> None:
     done = animtool("batch", *words, cwd=tmp_path)
     assert done.code == 0, done.stderr
     assert "timeCodesPerSecond = 60" in (tmp_path / "take000.usda").read_text()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_events_are_those_of_the_adapter(folder: Path, seed: int) -> None:
+    """EDLs that the adapter of OpenTimelineIO writes, read by both."""
+    pytest.importorskip("otio_cmx3600_adapter", reason="no adapter for EDL")
+    import opentimelineio as otio
+
+    rng = np.random.default_rng(seed)
+    rate = float(rng.choice([24, 25, 30]))
+    track = otio.schema.Track("V", kind="Video")
+    for _ in range(rng.integers(1, 7)):
+        first, count = int(rng.integers(0, 9000)), 12 * int(rng.integers(1, 12))
+        made = otio.schema.Clip("walk", None, span(first, count, rate))
+        if rng.random() < 0.3:
+            speed = float(rng.choice([0.5, 2.0, 1.5]))
+            made.effects.append(otio.schema.LinearTimeWarp(time_scalar=speed))
+        track.append(made)
+        if rng.random() < 0.3:
+            track.append(otio.schema.Gap(source_range=span(0, 24, rate)))
+    made = otio.schema.Timeline("edit")
+    made.tracks.append(track)
+    text = otio.adapters.write_to_string(made, "cmx_3600", rate=rate)
+    theirs = otio.adapters.read_from_string(text, "cmx_3600", rate=rate)
+    expected = []
+    for item in theirs.find_clips():
+        shown = item.source_range
+        speed = Fraction(item.effects[0].time_scalar) if item.effects else Fraction(1)
+        speed = speed.limit_denominator(1000)
+        expected.append(("walk", shown.start_time.value, shown.duration.value, speed))
+    found = shown_near(read(folder, text, Fraction(rate)))
+    assert found == expected
+
+
+def shown_near(cuts: CutList) -> list[tuple[str, float, float, Fraction]]:
+    return [
+        (stem, float(first), float(count), speed.limit_denominator(1000))
+        for stem, first, count, speed in shown(cuts)
+    ]

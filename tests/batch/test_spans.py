@@ -220,6 +220,21 @@ def test_effects_that_are_off_do_nothing_and_time_curves_are_named(
     assert "'b'" in found.notices[0].message
 
 
+@pytest.mark.parametrize(
+    ("name", "left_out"),
+    [("Time Remap", True), ("Variable Speed", True), ("Blur", False)],
+)
+def test_effects_of_other_kinds_count_by_their_names(
+    folder: Path, name: str, left_out: bool
+) -> None:
+    made = clip("a", "take.bvh", (24, 48))
+    made.effects.append(otio.schema.Effect(effect_name=name))
+    path = timeline(folder / "a.otio", made, rate=24)
+    assert shots(path).keys() == (set() if left_out else {"a"})
+    codes = [notice.code for notice in read_cuts(path).notices]
+    assert codes == ["BAT044"] * left_out
+
+
 def test_what_is_disabled_or_trimmed_away_is_named(folder: Path) -> None:
     gone, kept = clip("gone", "take.bvh", (0, 24)), clip("kept", "take.bvh", (0, 24))
     off = clip("off", "none.bvh", (0, 24))
