@@ -410,7 +410,7 @@ def source_options_record(
 TIMECODE_OPTIONS = (
     click.option(
         "--cut-start",
-        type=int,
+        type=click.IntRange(-(10**9), 10**9),
         metavar="FRAME",
         help="Of a timeline: first frame of the cut, behind its handles.  [default: as "
         "the timeline says, else the handles begin at 1001]",

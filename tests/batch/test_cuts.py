@@ -514,6 +514,29 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
     assert (done.code, "is for motion of a timeline" in done.stderr) == (2, True)
 
 
+def test_a_shot_that_is_disabled_is_named_as_such(takes: Path) -> None:
+    off = clip("off", "takes/take000.bvh", (4, 8))
+    off.enabled = False
+    path = timeline(takes / "a.otio", off, clip("on", "takes/take000.bvh", (4, 8)))
+    done = animtool("bake", path, "--shot", "off", cwd=takes)
+    assert (done.code, "is disabled" in done.stderr) == (2, True), done.stderr
+    assert animtool("bake", path, cwd=takes).code == 0
+
+
+def test_a_batch_file_states_where_cuts_and_takes_begin(takes: Path) -> None:
+    timeline(takes / "a.otio", clip("a", "takes/take000.bvh", (3600 * 24, 8), None))
+    text = "batch: animtool/1\ninputs: [a.otio]\ncut_start: 51\nhandles: 2\n"
+    text += "output: '{shot}.usda'\nfirst_timecode: "
+    job = takes / "a.batch.yaml"
+    job.write_text(text + '"01:00:00:00"\n')
+    done = animtool("batch", job, "--executor", "serial", cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "startTimeCode = 49\n" in (takes / "a.usda").read_text()
+    job.write_text(text + "an hour\n")
+    done = animtool("batch", job, cwd=takes)
+    assert (done.code, "BAT001" in done.stderr) == (3, True), done.stderr
+
+
 def test_the_only_shot_needs_no_name(takes: Path) -> None:
     made = clip("only", "takes/take000.bvh", (4, 8))
     timeline(takes / "edit.otio", made, rate=24)
