@@ -11,7 +11,8 @@ from typing import Any
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import MAX_TEXT_BYTES, note_input, read_input
-from animtool.rates import LARGEST_FRAME
+from animtool.rates import LARGEST_FRAME, parse_rate
+from animtool.timecode import is_timecode
 from animtool.toml_text import parse_toml
 
 # What tools of version control keep at the top of a checkout.
@@ -20,6 +21,15 @@ VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
 
 # A petabyte.
 MAX_ARRAY_MB = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class TimelineConfig:
+    """What a project sets for timelines that do not state it."""
+
+    fps: Fraction | None = None  # rate of the shots, and of an EDL's time codes
+    cut_start: int | None = None  # first frame of each cut; None begins shots at start
+    first_timecode: str | None = None  # of each take, such as 01:00:00:00
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +46,7 @@ class Config:
     # The most that is read of one archive of arrays [MB]; None is 1000.
     max_array_mb: int | None = None
     path: Path | None = None  # the file that says so; None where there is none
+    timeline: TimelineConfig = TimelineConfig()
 
 
 def find_config(path: Path) -> Config:
@@ -107,7 +118,37 @@ def _config(path: Path, table: Any) -> Config:
         message = f"max_array_mb is {most!r}, not a whole number from 1 to "
         raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
     begin = None if start is None else Fraction(start)
-    return Config(begin, folders, validate, most, path)
+    timeline = _timeline(path, table.get("timeline", {}))
+    return Config(begin, folders, validate, most, path, timeline)
+
+
+def _timeline(path: Path, table: Any) -> TimelineConfig:
+    """Return the settings of timelines."""
+    if not isinstance(table, dict):
+        message = f"timeline is {excerpt(str(table))}, not a table of settings"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    names = [entry.name for entry in fields(TimelineConfig)]
+    values: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in names:
+            message, hint = f"unknown setting timeline.{name}", f"allowed: {names}"
+            raise OptionError(Fault("CFG002", message, str(path), (), hint))
+        shown = f"timeline.{name} is {excerpt(str(value))}, not "
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if name == "fps":
+            try:
+                values[name] = parse_rate(value)
+            except ValueError as error:
+                message = f"timeline.fps: {error}"
+                raise OptionError(Fault("CFG003", message, str(path))) from error
+        elif name == "cut_start" and not (whole and abs(value) <= LARGEST_FRAME):
+            message = f"{shown}a whole number from {-LARGEST_FRAME} to {LARGEST_FRAME}"
+            raise OptionError(Fault("CFG003", message, str(path)))
+        elif name == "first_timecode" and not is_timecode(value):
+            message = f"{shown}a time code such as '01:00:00:00'"
+            raise OptionError(Fault("CFG003", message, str(path)))
+        values.setdefault(name, value)
+    return TimelineConfig(**values)
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:

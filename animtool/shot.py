@@ -13,11 +13,40 @@ from fractions import Fraction
 from typing import Any
 
 from animtool.rates import NO_FRACTION, OptionalFraction, rate_label, rate_option
+from animtool.timecode import timecode_label
 
 # The number of a shot's first frame where nothing states another.
 SHOT_START = 1001
 # Timelines store times as floats: this near to a frame, the frame is meant [frame].
 ON_FRAME = Fraction(1, 10_000)
+
+
+@dataclass(frozen=True, slots=True)
+class MediaTimecode:
+    """How a timeline counts time codes of a shot's media.
+
+    Attributes:
+        rate: Labels count frames at this rate.
+        first: Time of the media's first frame [s].
+        drop: Whether labels are drop-frame.
+    """
+
+    rate: Fraction
+    first: Fraction = Fraction(0)
+    drop: bool = False
+
+    def label(self, seconds: Fraction) -> str:
+        """Return the time code of a time of the media [s]; without labels the seconds.
+
+        >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
+        '01:00:00:12'
+        """
+        time = self.first + seconds
+        try:
+            frame = math.floor(time * self.rate + ON_FRAME)
+            return timecode_label(frame, self.rate, drop=self.drop)
+        except ValueError:
+            return f"{float(time):.7g} s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +63,9 @@ class Shot:
             rate of the output.
         media_in: Time of the media that ``cut_in`` shows, 0 at its first frame [s];
             None where the shot does not place its media.
-        speed: How many times as fast as its media the shot plays, above 0.
+        speed: How many times as fast as its media the shot plays; below 0 it plays
+            backwards, and 0 holds the pose at ``media_in``.
+        timecode: How its timeline counts time codes of the media; None is unknown.
 
     Raises:
         OptionError: fps is no rate (SCN022).
@@ -52,6 +83,7 @@ class Shot:
     fps: OptionalFraction = NO_FRACTION
     media_in: Fraction | None = None
     speed: Fraction = Fraction(1)
+    timecode: MediaTimecode | None = None
 
     def __post_init__(self) -> None:
         """Take the rate as it is written; timelines may have any fraction."""
@@ -81,6 +113,8 @@ class Shot:
 
     def frame_at(self, seconds: Fraction | int) -> Fraction:
         """Return the frame, or part of one, that shows a time of the media [s].
+
+        A shot that holds a pose has no such frame.
 
         >>> shot = Shot(1001, 1024, fps=Fraction(24), media_in=Fraction(2))
         >>> shot.frame_at(Fraction(5, 2))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.config import Config, find_config, project_roots
+from animtool.config import Config, TimelineConfig, find_config, project_roots
 from animtool.errors import OptionError
 
 
@@ -47,6 +47,12 @@ def test_no_settings(tmp_path: Path) -> None:
         pytest.param(f"{'.'.join('a' * 20_000)} = 1", "CFG001", id="long key"),
         ("roots = '../library'", "CFG003"),
         ("roots = [1]", "CFG003"),
+        ("timeline = 24", "CFG003"),
+        ("[timeline]\nrate = 24", "CFG002"),
+        ("[timeline]\nfps = 'fast'", "CFG003"),
+        ("[timeline]\nfps = true", "CFG003"),
+        ("[timeline]\ncut_start = 1.5", "CFG003"),
+        ("[timeline]\nfirst_timecode = 3600", "CFG003"),
     ],
 )
 def test_malformed_settings(tmp_path: Path, text: str, code: str) -> None:
@@ -54,6 +60,14 @@ def test_malformed_settings(tmp_path: Path, text: str, code: str) -> None:
     with pytest.raises(OptionError) as caught:
         find_config(tmp_path / "take.bvh")
     assert caught.value.code == code
+
+
+def test_settings_of_timelines(tmp_path: Path) -> None:
+    (tmp_path / "animtool.toml").write_text(
+        "[timeline]\nfps = 29.97\ncut_start = 1001\nfirst_timecode = '01:00:00;00'\n"
+    )
+    found = find_config(tmp_path / "cut.edl").timeline
+    assert found == TimelineConfig(Fraction(30000, 1001), 1001, "01:00:00;00")
 
 
 def test_settings_that_are_no_table(tmp_path: Path) -> None:

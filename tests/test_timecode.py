@@ -9,11 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.timecodes import timecode_label
 
-from animtool.clock import (
+from animtool.timecode import (
     count_rate,
     day_frames,
     parse_timecode,
     seconds_between,
+)
+from animtool.timecode import (
+    timecode_label as written,
 )
 
 NTSC, FAST = Fraction(30000, 1001), Fraction(60000, 1001)
@@ -22,6 +25,14 @@ BROADCAST = st.sampled_from([24, 30, 60, 120]).map(lambda n: Fraction(n * 1000, 
 RATES = st.one_of(WHOLE, BROADCAST)
 DROPS = st.sampled_from([NTSC, FAST])
 PARTS = st.integers(0, 999_999).map(lambda n: Fraction(n, 1_000_000))
+
+
+@given(st.integers(0, 10**7), RATES)
+def test_labels_are_those_of_another_count(frame: int, rate: Fraction) -> None:
+    assert written(frame, rate) == timecode_label(Fraction(frame), rate)
+    if rate in {NTSC, FAST}:
+        label = written(frame, rate, drop=True)
+        assert label == timecode_label(Fraction(frame), rate, drop=True)
 
 
 @given(RATES, st.integers(0, 10**9), PARTS)

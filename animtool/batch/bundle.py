@@ -52,8 +52,7 @@ class Cuts:
     """What the command line says of shots, on top of a batch file."""
 
     path: Path | None = None  # the timeline; None is that of the batch file
-    # Frames before and after each cut; None is as the batch says.
-    handles: int | None = None
+    words: tuple[str, ...] = ()  # options of its shots, in place of the batch's
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +142,7 @@ def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> B
 
 def _cut_words(cuts: Cuts) -> list[str]:
     words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
-    return words if cuts.handles is None else [*words, "--handles", str(cuts.handles)]
+    return [*words, *cuts.words]
 
 
 def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:

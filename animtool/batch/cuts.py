@@ -3,28 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from math import ceil, floor
+from math import ceil
 from pathlib import Path
 from typing import Any
 
-from animtool.batch.timeline import (
-    NEAR,
-    CutMetadata,
-    cut_metadata,
-    exact_rate,
-    is_remote,
-    media_path,
-    picture_rates,
-    read_timeline,
-    seconds_of,
-    shown_span,
-    speed_of,
+from animtool.batch.cut_frames import (
+    CutContext,
+    CutOptions,
+    media_names,
+    played_notices,
+    shot_of,
+)
+from animtool.batch.cut_metadata import CutMetadata, cut_metadata
+from animtool.batch.edl import edl_timeline, read_edl
+from animtool.batch.spans import (
+    Shown,
+    Span,
+    UnsupportedTimeError,
+    Walk,
+    span_of,
     transition_sides,
 )
+from animtool.batch.timeline import (
+    NEAR,
+    exact_rate,
+    is_edl,
+    is_remote,
+    library,
+    media_path,
+    read_timeline,
+    seconds_of,
+)
+from animtool.batch.timeline_rate import edl_rate, timeline_rate
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import (
@@ -37,38 +50,15 @@ from animtool.errors import (
     listed,
 )
 from animtool.files import MatchedFile
-from animtool.rates import rate_label
 from animtool.scene.sources import source_stem
-from animtool.shot import SHOT_START, Shot, frames_within
+from animtool.shot import Shot
 
-SHOT_NAMES = (
-    *("shot", "clip", "track", "first", "last", "begin", "end", "head", "tail"),
-    *("handles", "fps", "speed", "media_in", "media_out", "media_first"),
-    *("media_last", "media_fps"),
-)
 # What names of files and of variables' users may hold everywhere.
 # What a person reads of a timeline of thousands of clips.
 MAX_FAULTS, MAX_NAMED = 100, 100
 # With what else a file's name has, within what disks allow.
 MAX_NAME = 120
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
-
-
-@dataclass(frozen=True, slots=True)
-class CutOptions:
-    """What a timeline's shots have that its metadata need not say.
-
-    Attributes:
-        handles: Shot frames before and after each cut; None is as clips and timeline
-            say, else 0.
-        start: First frame of each shot; None is as clips and timeline say, else the
-            project's, else 1001.
-        fps: Rate of the shots where the timeline states none.
-    """
-
-    handles: int | None = None
-    start: int | None = None
-    fps: Fraction | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +98,17 @@ def read_cuts(
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
     """Return the shot of a name, or the only one (else BAT048); see `read_cuts`."""
-    return _Reader(path, (), options).read(lambda found: _named(found, name, path))
+    return _Reader(path, (), options).read_one(name)
 
 
-def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Entry]:
+def _named(
+    entries: Sequence[Shown], name: str | None, path: Path, skipped: Mapping[str, str]
+) -> list[Shown]:
     """Return the clip that is the shot of a name; without one the only clip."""
     names = [entry.name for entry in entries]
+    if name is not None and name not in names and name in skipped:
+        message = f"has no shot {excerpt(name)}: {skipped[name]}"
+        raise OptionError(Fault("BAT048", message, str(path)))
     if not names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
@@ -131,16 +126,6 @@ def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Ent
     return [entry for entry in entries if entry.name == name]
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A clip on a track."""
-
-    clip: Any
-    track: str  # name of the track
-    named: str  # what the clip is called in messages
-    name: str  # of its shot
-
-
 class _Reader:
     """Reads a timeline."""
 
@@ -153,36 +138,63 @@ class _Reader:
     ) -> None:
         self.path, self.options, self.left_out = path, options, left_out
         self.cuts = CutList()
-        self.entries: list[_Entry] = []
         self.faults: list[Fault] = []
         # Names of shots, and up to which number each has others behind it.
         self.taken: dict[str, int] = {}
-        self.gaps = 0
         self.own = CutMetadata()
-        self.fps = Fraction(24)
+        self.fps = Fraction(0)
+        self.tree: Any = None  # the timeline; without it clips have no parents
+        self.drop = False  # whether time codes of media are drop-frame
         self.media: dict[str, MatchedFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
-    def read(
-        self, choose: Callable[[Sequence[_Entry]], Sequence[_Entry]] = list
-    ) -> CutList:
-        """Return its shots, or those of the clips that are chosen."""
-        timeline = read_timeline(self.path)
-        self.own = self.metadata(timeline, "the timeline", rate=True)
-        self.fps = self.rate(timeline)
-        for number, track in enumerate(timeline.tracks, 1):
-            name, kind = (
-                track.name or f"track {number}",
-                getattr(track, "kind", "Video"),
-            )
-            if kind == "Video":
-                self.track(track, name)
-            else:
-                self.note("BAT043", f"{name}, of {kind}, is left out")
-        if self.gaps:
-            self.note("BAT043", f"left out gaps: {self.gaps}")
-        for entry in choose(self.entries):
+    def read(self) -> CutList:
+        """Return its shots."""
+        return self.taken_from(self.clips().clips)
+
+    def read_one(self, name: str | None) -> CutList:
+        """Return the shot of a name."""
+        walk = self.clips()
+        return self.taken_from(_named(walk.clips, name, self.path, walk.skipped))
+
+    def clips(self) -> Walk:
+        """Return the clips that it shows, with the names of their shots."""
+        walk = Walk(self.say)
+        timeline = self.tree = self.timeline()
+        if timeline is None:
+            return walk
+        try:
+            walk.timeline(timeline.tracks)
+        except (ValueError, library().exceptions.OTIOError) as error:
+            message = f"a range in it cannot be used: {excerpt(str(error), 120)}"
+            raise FormatError(Fault("BAT041", message, str(self.path))) from error
+        if walk.gaps:
+            self.note("BAT043", f"left out gaps: {walk.gaps}")
+        walk.clips[:] = [self.entry(shown) for shown in walk.clips]
+        return walk
+
+    def timeline(self) -> Any:
+        """Return the timeline, its rate and what it states known; None of no event."""
+        library()
+        if not is_edl(self.path):
+            timeline = read_timeline(self.path)
+            self.own = self.metadata(timeline, "the timeline", rate=True)
+            asked = self.options.fps
+            rate = timeline_rate(timeline, self.path, self.own.fps, asked)
+            self.fps, notices = rate
+        else:
+            edl = read_edl(self.path)
+            if not edl.events:
+                return None
+            self.fps, self.drop = edl_rate(edl, self.options.fps), edl.only_drop
+            timeline, notices = edl_timeline(edl, self.fps)
+        self.cuts.notices += notices
+        return timeline
+
+    def taken_from(self, entries: Sequence[Shown]) -> CutList:
+        """Return the shots of clips."""
+        for entry in entries:
             self.clip(entry)
         if len(self.faults) > MAX_FAULTS:
             rest = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
@@ -191,6 +203,10 @@ class _Reader:
         if self.faults:
             raise FormatError(self.faults)
         return self.cuts
+
+    def say(self, code: str, message: str, warn: bool) -> None:
+        """Say what was left out of the timeline, or changed."""
+        self.note(code, message, Severity.WARNING if warn else Severity.NOTE)
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
         """Say something about the timeline."""
@@ -208,58 +224,13 @@ class _Reader:
             self.fault("BAT047", message, hint)
         return metadata
 
-    def rate(self, timeline: Any) -> Fraction:
-        """Return the rate of its shots: stated, asked for, or that of most clips."""
-        stated = self.own.fps
-        begin = timeline.global_start_time
-        if stated is None and begin is not None and begin.rate > 0:
-            try:
-                stated = exact_rate(begin.rate)
-            except ValueError as error:
-                self.fault("BAT041", f"its global start time: {error}")
-                return self.fps
-        asked = self.options.fps
-        if stated is not None:
-            if asked not in {None, stated}:
-                assert asked is not None
-                message = f"has {rate_label(stated)}, and {rate_label(asked)} is asked"
-                hint = "shots are written at the rate of their timeline"
-                raise OptionError(Fault("BAT051", message, str(self.path), (), hint))
-            return stated
-        if asked is not None:
-            return asked
-        rates = Counter(picture_rates(timeline.tracks))
-        if not rates:
-            return self.fps
-        chosen = rates.most_common(1)[0][0]
-        if len(rates) > 1:
-            message = "states no rate, and its clips have several: "
-            message += f"{rate_label(chosen)}, that of most, is taken"
-            self.note("BAT049", message)
-        return chosen
-
-    def track(self, track: Any, name: str) -> None:
-        """Take the clips of a track, those of stacks and tracks in it too."""
-        import opentimelineio as otio
-
-        for child in track:
-            if isinstance(child, otio.schema.Gap):
-                self.gaps += 1
-            elif isinstance(child, otio.schema.Clip):
-                self.entries.append(self.entry(child, name))
-            elif isinstance(child, otio.core.Composition):
-                where = f"{name}/{child.name}" if child.name else name
-                self.note("BAT043", f"{where} is nested; its clips are shots, as whole")
-                self.track(child, where)
-
-    def entry(self, clip: Any, track: str) -> _Entry:
+    def entry(self, shown: Shown) -> Shown:
         """Return a clip with the name of its shot."""
-        named = f"clip {excerpt(clip.name or '')} of {track}"
-        path = self.referred(clip)
-        name = clip.name or ("" if path is None else source_stem(path))
-        return _Entry(clip, track, named, self.name(name, named))
+        path = self.referred(shown.clip)
+        name = shown.clip.name or ("" if path is None else source_stem(path))
+        return replace(shown, name=self.name(name, shown.named))
 
-    def clip(self, entry: _Entry) -> None:
+    def clip(self, entry: Shown) -> None:
         """Take a clip."""
         # It imports numpy, and a batch of files is planned without.
         from animtool.clock import MAX_FRAMES
@@ -268,67 +239,47 @@ class _Reader:
         medium = self.medium(clip, named)
         if medium is None:
             return
+        own, settings = self.metadata(clip, named), find_config(self.path)
+        context = CutContext(self.options, own, self.own, settings)
+        for message in context.cut_in()[1]:
+            self.fault("BAT047", f"{named}: {message}", "state one of them")
+        there = clip.media_reference.available_range
         try:
-            start, seconds, media_fps = shown_span(clip)
-            transitions = self.overlaps(clip, named)
-            speed = speed_of(clip)
+            span = span_of(entry)
+            begin, media_fps = None, span.rate
+            if there is not None:
+                begin = seconds_of(there.start_time)
+                media_fps = exact_rate(there.start_time.rate)
+            first = context.first_timecode(begin, span.rate, drop=self.drop)
+            transitions = self.overlaps(entry, span)
+        except UnsupportedTimeError as error:
+            message = f"{named}: {error}; it is left out"
+            self.note("BAT044", message, Severity.WARNING)
+            return
         except Exception as error:
             message = f"the range of {named} cannot be used: {excerpt(str(error), 120)}"
             self.fault("BAT041", message)
             return
-        if seconds <= 0:
+        if span.seconds <= 0:
             self.fault("BAT041", f"{named} shows no frame of its media")
             return
-        shot = self.shot(entry, start, seconds, transitions, speed)
-        if shot.speed <= 0:
-            message = f"{named} plays at {float(shot.speed):g} times its speed"
-            hint = "only forward motion is baked: render the clip's media as it plays, "
-            hint += f"or leave it out with --exclude {medium.path}"
-            self.fault("BAT044", message, hint)
-            return
+        shot = shot_of(
+            entry.name, span, self.fps, context, first, transitions, drop=self.drop
+        )
         if shot.end - shot.start >= MAX_FRAMES:
             message = f"{named} has too many frames: {shot.end - shot.start + 1}"
             self.fault("BAT041", message, f"a shot has up to {MAX_FRAMES}")
             return
+        for notice in played_notices(shot, span, self.fps, named):
+            self.say(*notice)
         names = {
             "shot": shot.name,
             "clip": clip.name or "",
             "track": entry.track,
             **shot.names(),
-            **_media_names(shot, media_fps),
+            **media_names(shot, media_fps),
         }
         self.cuts.shots.append(Cut(medium, names, shot))
-
-    def shot(
-        self,
-        entry: _Entry,
-        start: Fraction,
-        seconds: Fraction,
-        transitions: tuple[int, int],
-        speed: Fraction,
-    ) -> Shot:
-        """Return the frames of a clip: ``start`` [s], ``seconds`` [s]."""
-        own, given = self.metadata(entry.clip, entry.named), self.options
-        handles = _first(given.handles, own.handles, self.own.handles, 0)
-        begin = _first(given.start, own.start_frame, self.own.start_frame, self.project)
-        before, after = transitions
-        count = frames_within(seconds, self.fps) + before + after
-        return Shot(
-            begin + handles,
-            begin + handles + count - 1,
-            handles,
-            handles,
-            entry.name,
-            self.fps,
-            start - before * speed / self.fps,
-            speed,
-        )
-
-    @property
-    def project(self) -> int:
-        """First frame of a shot where the timeline states none."""
-        start = find_config(self.path).start
-        return SHOT_START if start is None else int(start)
 
     def referred(self, clip: Any) -> Path | None:
         """Return the file that a clip refers to, which may be missing."""
@@ -343,7 +294,9 @@ class _Reader:
             return None
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
-        for stem in (clip.name, None if path is None else source_stem(path)):
+        # Some systems name clips after the whole file.
+        names = (clip.name, None if path is None else source_stem(path))
+        for stem in (*names, source_stem(Path(clip.name or ""))):
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
@@ -358,15 +311,20 @@ class _Reader:
             self.note("BAT043", message, Severity.WARNING)
         return None
 
-    def overlaps(self, clip: Any, named: str) -> tuple[int, int]:
+    def overlaps(self, entry: Shown, span: Span) -> tuple[int, int]:
         """Return the frames that transitions show before and after a clip's cut."""
+        sides = zip(transition_sides(entry), (span.head, span.tail), strict=True)
         before, after = (
-            0 if side is None else ceil(seconds_of(side) * self.fps - NEAR)
-            for side in transition_sides(clip)
+            ceil(seconds_of(side) / entry.speed * self.fps - NEAR)
+            if side is not None and there
+            else 0
+            for side, there in sides
         )
         if before or after:
             more = f"{before} frames before its cut and {after} after it"
-            self.note("BAT043", f"{named} is in transitions: {more} are taken too")
+            self.note(
+                "BAT043", f"{entry.named} is in transitions: {more} are taken too"
+            )
         return before, after
 
     def name(self, shot: str, named: str) -> str:
@@ -390,19 +348,3 @@ def _is_file(path: Path) -> bool | None:
     except (OSError, ValueError):
         # A name that no disk can have.
         return None
-
-
-def _first(*start: int | None) -> int:
-    """Return the first that is stated."""
-    return next(value for value in start if value is not None)
-
-
-def _media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
-    """Return the frames of its media that a cut shows, from 1 at the first."""
-    shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
-    first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
-    return {
-        "media_first": str(first),
-        "media_last": str(last),
-        "media_fps": str(media_fps),
-    }

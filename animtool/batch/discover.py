@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool.batch.cuts import SHOT_NAMES, Cut, CutList, CutOptions, read_cuts
+from animtool.batch.cut_frames import SHOT_NAMES, CutOptions
+from animtool.batch.cuts import Cut, CutList, read_cuts
 from animtool.batch.item import (
     INPUT_NAMES,
     Item,
@@ -35,6 +36,7 @@ from animtool.errors import (
 )
 from animtool.files import MatchedFile, Places, files_meant, nearest_file
 from animtool.output import inside
+from animtool.rates import rate_label
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_timeline, source_stem
 from animtool.usd.jobs import check_suffix
@@ -166,7 +168,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     Raises:
         StrictError: Warnings are errors, and there is one of the batch itself.
     """
-    spec = _with_timeline(spec)
+    spec = _with_rate(_with_timeline(spec))
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
         pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
@@ -362,13 +364,40 @@ def _cuts(spec: BatchSpec) -> CutList:
         from animtool.scene.file import stated_rate
 
         start, fps = None, stated_rate(spec.scene)
+    if None not in {fps, spec.fps} and fps != spec.fps:
+        assert fps is not None
+        assert spec.fps is not None
+        message = f"--fps is {rate_label(spec.fps)}, and the scene has "
+        raise OptionError(Fault("BAT051", f"{message}{rate_label(fps)}"))
     if start is not None and start.denominator != 1:
         message = f"start is {float(start):g}, and shots begin at a whole frame"
         raise OptionError(Fault("CLI002", message))
     first = None if start is None else int(start)
-    given = CutOptions(spec.handles, first, fps)
+    given = CutOptions(
+        spec.handles, first, spec.fps or fps, spec.cut_start, spec.first_timecode
+    )
     listed_cuts = read_cuts(spec.cuts, cuts, given, left_out)
     return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
+
+
+def _with_rate(spec: BatchSpec) -> BatchSpec:
+    """Return a batch whose options have the rate of the command line.
+
+    Raises:
+        OptionError: What is for timelines is given without one (CLI002).
+    """
+    flags = []
+    if spec.cuts is None:
+        flags = [] if spec.cut_start is None else ["cut_start (--cut-start)"]
+        flags += [] if spec.first_timecode is None else ["first_timecode"]
+        if spec.fps is not None and spec.scene is not None:
+            flags.append("--fps beside a scene")
+    if flags:
+        message = f"{listed(flags)}: for a timeline, and there is none"
+        raise OptionError(Fault("CLI002", message))
+    if spec.fps is None or spec.scene is not None:
+        return spec
+    return replace(spec, options=replace(spec.options, fps=spec.fps))
 
 
 def _with_timeline(spec: BatchSpec) -> BatchSpec:

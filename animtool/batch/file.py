@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from animtool.batch.cuts import SHOT_NAMES
+from animtool.batch.cut_frames import SHOT_NAMES
 from animtool.batch.item import INPUT_NAMES, unknown_names
 from animtool.batch.overrides import Override
 from animtool.batch.spec import MAX_SECONDS, BatchSpec, Limits, parse_bytes
@@ -32,9 +32,11 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Whole, WholeFrame, key
 from animtool.documents.names import is_variable_name
 from animtool.documents.references import referred_input
+from animtool.errors import excerpt
 from animtool.scene.options import BakeOptions
 from animtool.scene.output_fields import KeyReader, option_keys, with_keys
 from animtool.scene.sources import SourceOptions, is_timeline
+from animtool.timecode import is_timecode
 
 Value = str | Real | bool
 
@@ -169,6 +171,18 @@ class BatchModel(FileModel):
         "Shot frames before and after each cut of the timeline. Not "
         "given: as its `metadata.animtool` says, else 0.",
         8,
+        default=None,
+    )
+    cut_start: WholeFrame | None = key(
+        "First frame of each cut of the timeline, the handles before it. Not given: as "
+        "its `metadata.animtool` says, else shots begin at `start`.",
+        1001,
+        default=None,
+    )
+    first_timecode: str | None = key(
+        "Time code of the first frame of each take, as ranges of the timeline count. "
+        "Not given: as the timeline says.",
+        "01:00:00:00",
         default=None,
     )
     variables: dict[str, Value] = key(
@@ -372,11 +386,22 @@ class _BatchReader:
             overrides_of_document(
                 self.document, model.overrides, {*self._taken(), *columns}
             ),
+            None,
+            None if model.cut_start is None else int(model.cut_start),
+            self._first_timecode(),
         )
 
     def _taken(self) -> set[str]:
         """Return the names that an input or a shot gives a value."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
+
+    def _first_timecode(self) -> str | None:
+        text = self.model.first_timecode
+        if text is not None and not is_timecode(text):
+            message = f"{excerpt(text)} is no time code"
+            hint = "write one such as 01:00:00:00, or 01:00:00;02 of drop-frame"
+            self.document.add("BAT001", ("first_timecode",), message, hint)
+        return text
 
     def _variants(self) -> Variants | None:
         """Return the table of values; None where there is none, or it is faulty."""

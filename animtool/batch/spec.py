@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cache
 from pathlib import Path, PurePosixPath
 
@@ -169,6 +170,10 @@ class BatchSpec:
         roots: Folders that outputs may be in, as a batch file is of a project; empty is
             any.
         overrides: Other values of ``variables`` for some inputs; the last counts.
+        fps: Rate of the outputs, and of a timeline's shots where it states none, as
+            the command line says; None is as the scene or the options say.
+        cut_start: First frame of each cut of a timeline; None is as that says.
+        first_timecode: Of a timeline's media; None is as that says.
     """
 
     inputs: tuple[str, ...]
@@ -187,6 +192,9 @@ class BatchSpec:
     variants: Variants | None = None
     roots: tuple[Path, ...] = ()
     overrides: tuple[Override, ...] = ()
+    fps: Fraction | None = None
+    cut_start: int | None = None
+    first_timecode: str | None = None
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:

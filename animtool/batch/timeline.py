@@ -9,20 +9,17 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from fractions import Fraction
 from itertools import accumulate
-from math import isfinite
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile
 
-from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import FileState, open_input
-from animtool.rates import LARGEST_FRAME, parse_rate, rate_from_float
+from animtool.rates import rate_from_float
 
 # A feature film with all its metadata takes a fifth [bytes].
 MAX_BYTES = 100_000_000
@@ -31,6 +28,8 @@ MAX_NESTING = 300
 CONTENT = "content.otio"
 
 _STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
+# The library writes numbers so that are none, and reads them.
+_INFINITE = re.compile(_STRING.pattern + rb"|-?\bInf\b|-NaN\b", re.S)
 _BRACKETS = b"[]{}"
 _OTHERS = bytes(set(range(256)) - set(_BRACKETS))
 
@@ -69,6 +68,8 @@ def _problem(path: Path) -> str | None:
             return f"holds more than {MAX_BYTES // 1_000_000} MB"
     if nesting(text) > MAX_NESTING:
         return f"nests more than {MAX_NESTING} deep"
+    if b"Inf" in text or b"-NaN" in text:
+        text = _INFINITE.sub(lambda m: m[0] if m[0].startswith(b'"') else b"0", text)
     json.loads(text.decode("utf-8"))
     return None
 
@@ -83,60 +84,6 @@ def nesting(text: bytes) -> int:
     return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
 
 
-@dataclass(frozen=True, slots=True)
-class CutMetadata:
-    """What is stated of shots; None is not stated."""
-
-    start_frame: int | None = None  # first frame of the shot, that of its head handle
-    handles: int | None = None  # shot frames before and after the cut
-    fps: Fraction | None = None  # of a timeline: the rate of its shots
-
-
-def cut_metadata(
-    metadata: Mapping[str, Any], named: str, *, rate: bool = False
-) -> tuple[CutMetadata, list[tuple[str, str]]]:
-    """Return what metadata says, and what is wrong with it and what to do.
-
-    >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
-    8
-    >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
-    [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
-    """
-    given = metadata.get("animtool")
-    if given is None:
-        return CutMetadata(), []
-    where = f"metadata.animtool of {named}"
-    names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
-    if not isinstance(given, Mapping):
-        return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
-    values: dict[str, Any] = {}
-    faults = []
-    for key, value in given.items():
-        if key not in names:
-            faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
-            continue
-        try:
-            values[key] = parse_rate(value) if key == "fps" else _whole(key, value)
-        except (TypeError, ValueError) as error:
-            hint = f"write a number such as {EXAMPLES[key]}"
-            faults.append((f"{where}: {key}: {error}", hint))
-    return CutMetadata(**values), faults
-
-
-EXAMPLES = {"start_frame": "1001", "handles": "8", "fps": "24 or 24000/1001"}
-
-
-def _whole(key: str, value: object) -> int:
-    shown = excerpt(str(value))
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{shown} is not a whole number")
-    if abs(value) > LARGEST_FRAME or value != int(value):
-        raise ValueError(f"{shown} is not a whole number up to {LARGEST_FRAME}")
-    if key == "handles" and value < 0:
-        raise ValueError(f"{shown} is below 0")
-    return int(value)
-
-
 # Times are floats in timelines: this near to a frame, it is meant [frame].
 NEAR = Fraction(1, 1_000_000)
 # Of parts of a frame; two rates that are used have a smaller one in common.
@@ -149,14 +96,25 @@ FASTEST = 10**6
 LOCAL = ("", "localhost")
 
 
-def read_timeline(path: Path) -> Any:
-    """Return a timeline as OpenTimelineIO has it."""
+def library() -> Any:
+    """Return OpenTimelineIO (IO005 where it is not installed)."""
     try:
         import opentimelineio as otio
     except ModuleNotFoundError as error:
         message = "cut lists need the package OpenTimelineIO"
         hint = "pip install 'animtool[otio]'"
         raise OptionError(Fault("IO005", message, hint=hint)) from error
+    return otio
+
+
+def is_edl(path: Path) -> bool:
+    """Return whether a file is an edit decision list, by its name."""
+    return path.suffix.lower() == ".edl"
+
+
+def read_timeline(path: Path) -> Any:
+    """Return a timeline as OpenTimelineIO has it; an EDL is read by `read_edl`."""
+    otio = library()
     check_text(path)
     try:
         timeline = otio.adapters.read_from_file(str(path))
@@ -226,58 +184,3 @@ def seconds_of(time: Any) -> Fraction:
     if abs(exact - whole) > NEAR:
         whole = exact.limit_denominator(LARGEST_DENOMINATOR)
     return whole / rate
-
-
-def shown_span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
-    """Return what a clip shows of its media.
-
-    Returns time of its first frame, 0 at the media's first [s], how long it is shown
-    [s], and frames a second of the media, as far as the timeline knows.
-    """
-    span = clip.trimmed_range()
-    start, rate = seconds_of(span.start_time), span.start_time.rate
-    if clip.media_reference.available_range is not None:
-        there = clip.media_reference.available_range
-        start -= seconds_of(there.start_time)
-        rate = there.start_time.rate
-    return start, seconds_of(span.duration), exact_rate(rate)
-
-
-def picture_rates(composition: Any) -> Iterator[Fraction]:
-    """Yield the rate of every clip and gap on tracks of pictures."""
-    for child in composition:
-        if hasattr(child, "find_children"):
-            if getattr(child, "kind", "Video") == "Video":
-                yield from picture_rates(child)
-            continue
-        span = getattr(child, "source_range", None)
-        if span is not None and LOWEST_RATE <= span.start_time.rate <= HIGHEST_RATE:
-            yield rate_from_float(span.start_time.rate)
-
-
-def speed_of(clip: Any) -> Fraction:
-    """Return how many times as fast as its media a clip plays."""
-    speed = Fraction(1)
-    for effect in clip.effects:
-        scalar = float(getattr(effect, "time_scalar", 1.0))
-        if not isfinite(scalar):
-            return Fraction(0)
-        speed *= Fraction(scalar).limit_denominator(LARGEST_DENOMINATOR)
-        if abs(speed) > FASTEST:
-            raise ValueError(f"it plays at {scalar:g} times its speed")
-    return speed
-
-
-def transition_sides(clip: Any) -> tuple[Any, Any]:
-    """Return how far transitions reach beyond the cuts of a clip; None for none."""
-    import opentimelineio as otio
-
-    kind = otio.schema.Transition
-    track = clip.parent()
-    if not isinstance(track, otio.schema.Track):
-        return None, None
-    before, behind = track.neighbors_of(clip)
-    return (
-        before.in_offset if isinstance(before, kind) else None,
-        behind.out_offset if isinstance(behind, kind) else None,
-    )

@@ -11,6 +11,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    TIMECODE_OPTIONS,
     Command,
     bake_option,
     read_values,
@@ -94,6 +95,7 @@ SHOT_OPTIONS = (
         help="Of a timeline: frames before and after the cut, at its rate.  [default: "
         "as the timeline says, else 0]",
     ),
+    *TIMECODE_OPTIONS,
 )
 # As ``--help`` lists them; what records declare and this leaves out comes last.
 _ORDER: tuple[str | Callable[[Command], Command], ...] = (
@@ -147,18 +149,26 @@ def timeline_shot(
     from animtool.scene.sources import is_timeline
 
     if path is None or not is_timeline(path):
-        for name in ("shot", "handles"):
+        for name in ("shot", "handles", "cut_start", "first_timecode"):
             if params[name] is not None:
-                message = f"--{name} is for motion of a timeline, such as edit.otio."
+                flag = name.replace("_", "-")
+                message = f"--{flag} is for motion of a timeline, such as edit.otio."
                 raise click.UsageError(message)
         return None
     if params["table"]:
         raise click.UsageError("--table measures a take: name the media, not the cut.")
     if start is not None and start.denominator != 1:
         raise click.UsageError(f"--start {start}: a shot begins at a whole frame.")
-    from animtool.batch.cuts import CutOptions, read_cut
+    from animtool.batch.cut_frames import CutOptions
+    from animtool.batch.cuts import read_cut
 
-    options = CutOptions(params["handles"], None if start is None else int(start), fps)
+    options = CutOptions(
+        params["handles"],
+        None if start is None else int(start),
+        fps,
+        params["cut_start"],
+        params["first_timecode"],
+    )
     cuts = read_cut(path, params["shot"], options)
     console.faults(cuts.notices)
     if not cuts.shots:

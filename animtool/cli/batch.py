@@ -12,6 +12,7 @@ import click
 
 from animtool.cli.batch_options import (
     cut_options,
+    cut_words,
     variant_options,
     variant_words,
     with_cuts,
@@ -354,8 +355,7 @@ class _Repeat:
         words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
         if given["cuts"] is not None:
             words += ["--cut", str(given["cuts"])]
-        if given["handles"] is not None:
-            words += ["--handles", str(given["handles"])]
+        words += cut_words(given)
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]
         words += variant_words(given)

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.options import FILE, stacked
+from animtool.cli.options import FILE, RATE, TIMECODE_OPTIONS, stacked
 
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
+# Of shots, by the names of `BatchSpec`.
+CUT_OPTIONS = ("handles", "fps", "cut_start", "first_timecode")
 
 cut_options = stacked(
     click.option(
@@ -30,6 +32,14 @@ cut_options = stacked(
         help="Of a timeline: frames before and after each cut, at its rate.  [default: "
         "as the batch file or the timeline says, else 0]",
     ),
+    click.option(
+        "--fps",
+        type=RATE,
+        metavar="RATE",
+        help="Frames a second of the outputs; of a timeline that states no rate, such "
+        "as an EDL, what its time codes and shots count: 24, 25, 30000/1001.",
+    ),
+    *TIMECODE_OPTIONS,
 )
 variant_options = stacked(
     click.option(
@@ -54,9 +64,17 @@ def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the cut list that a command line names, if it names one."""
     if params["cuts"] is not None:
         spec = replace(spec, cuts=params["cuts"])
-    if params["handles"] is not None:
-        spec = replace(spec, handles=params["handles"])
-    return spec
+    given = {name: params[name] for name in CUT_OPTIONS if params[name] is not None}
+    return replace(spec, **given)
+
+
+def cut_words(params: Mapping[str, Any]) -> list[str]:
+    """Return the options of shots as they were given."""
+    words = []
+    for name in CUT_OPTIONS:
+        if params[name] is not None:
+            words += [f"--{name.replace('_', '-')}", str(params[name])]
+    return words
 
 
 def variant_words(params: Mapping[str, Any]) -> list[str]:

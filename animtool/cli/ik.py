@@ -15,6 +15,7 @@ from animtool.cli.options import (
     INPUT,
     LENGTH,
     OUTPUT,
+    RATE,
     TOLERANCE,
     Parsed,
     names_of,
@@ -93,6 +94,13 @@ Examples:
     "frame stays near its pose there.  [default: the rest pose]",
 )
 @stacked(*SHOT_OPTIONS)
+@click.option(
+    "--fps",
+    type=RATE,
+    metavar="RATE",
+    help="Of a timeline that states no rate, such as an EDL: what its time codes and "
+    "shots count, such as 24, 25 or 30000/1001.",
+)
 @click.option(
     "--match",
     is_flag=True,
@@ -181,7 +189,9 @@ def ik(console: Console, /, **params: Any) -> None:
         _match(console, params, _source(params))
         return
     _check(params)
-    cut = timeline_shot(console, params["start"], params, params["first_code"])
+    cut = timeline_shot(
+        console, params["start"], params, params["first_code"], params["fps"]
+    )
     if cut is not None:
         params |= {"start": cut.media.path, "shot": cut.shot, "first_code": None}
     as_json = params["report_format"] == "json"

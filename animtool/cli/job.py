@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from animtool.cli.batch_options import cut_options, with_cuts
+from animtool.cli.batch_options import cut_options, cut_words, with_cuts
 from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
@@ -91,7 +91,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     seconds = None if costs is None else mean_seconds(costs)
     count = len(found_batch.items)
     chunk = params["chunk"] or chunk_size(count, seconds, params["task_seconds"])
-    cuts = Cuts(params["cuts"], params["handles"])
+    cuts = Cuts(params["cuts"], tuple(cut_words(params)))
     bundle = batch_bundle(found_batch, batch_file, min(chunk, count), cuts)
     files = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
     values = [f"{name}={value}" for name, value in bundle.values.items()]

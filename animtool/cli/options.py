@@ -46,6 +46,14 @@ def _rate(text: str) -> Any:
     return parse_rate(text)
 
 
+def _timecode(text: str) -> str:
+    from animtool.timecode import is_timecode
+
+    if not is_timecode(text):
+        raise ValueError(f"{text!r} is no time code such as 01:00:00:00 or 01:00:00;02")
+    return text.strip()
+
+
 def _tolerance(text: str) -> float:
     value = float(text)
     # Nothing is within a tolerance that is no number.
@@ -396,3 +404,22 @@ def source_options_record(
         if name in {"unit", "up", "fps", *names}
     }
     return SourceOptions(**read, **values)
+
+
+# Of a timeline: where its cuts begin, and the time codes of its media.
+TIMECODE_OPTIONS = (
+    click.option(
+        "--cut-start",
+        type=click.IntRange(-(10**9), 10**9),
+        metavar="FRAME",
+        help="Of a timeline: first frame of the cut, behind its handles.  [default: as "
+        "the timeline says, else the handles begin at 1001]",
+    ),
+    click.option(
+        "--first-timecode",
+        type=Parsed("timecode", _timecode),
+        metavar="HH:MM:SS:FF",
+        help="Of a timeline: time code of the first frame of each take.  [default: as "
+        "the timeline says, else 00:00:00:00]",
+    ),
+)

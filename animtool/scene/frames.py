@@ -24,6 +24,7 @@ from animtool.edit.travel import Places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
+from animtool.scene.away import no_frames
 from animtool.scene.first_frame import start_notice, whole_frames
 from animtool.scene.options import BakeOptions
 from animtool.shot import FrameRange, Shot, frame_spans
@@ -151,12 +152,23 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     asked = range(frame_range.first, frame_range.last + 1, frame_range.step)
     step = plan.fps / clock.rate
     last = plan.start + (clock.count - 1) * step
-    missing = [n for n in asked if not plan.start <= n < last + step]
+    # Played backwards, it lasts as long before.
+    before, behind = (step, Fraction(0)) if shot.speed < 0 else (Fraction(0), step)
+    missing = [
+        n
+        for n in asked
+        if not (plan.start - before < n < last + behind or n in {plan.start, last})
+    ]
     if not missing:
         return []
     named = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
     if len(missing) == len(asked):
+        # Where passes have moved the take, its times say nothing of its media.
+        whole = last if shot.speed < 0 else plan.start
+        if shot.places_media and shot.frame_at(0) == whole:
+            length = clock.count / clock.rate * abs(shot.speed)
+            raise no_frames(shot, asked[0], asked[-1], length, where)
         message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
         at = None if shot.places_media else "shot.cut"
         raise OptionError(Fault("SCN042", message, where, (), hint, where=at))

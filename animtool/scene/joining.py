@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clock import seconds_between, time_codes
+from animtool.clock import time_codes
 from animtool.documents.names import nearest
 from animtool.edit.combine import other_frames
 from animtool.edit.travel import nearby_places
@@ -29,6 +29,7 @@ from animtool.scene.tracks import (
     with_tracks,
 )
 from animtool.take import Take, TakeStream
+from animtool.timecode import seconds_between
 
 MAX_NAMED = 6
 

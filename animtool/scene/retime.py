@@ -10,7 +10,10 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.edit.between import Between
+from animtool.edit.travel import nearby_places
 from animtool.motion import Motion
+from animtool.scene.away import no_frames
 from animtool.shot import Shot
 from animtool.take import TakeStream
 
@@ -83,18 +86,33 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
     """Return a take whose time codes are shot frames, each sample at its own time.
 
     Nothing is resampled or left out; a shot that does not place its media leaves the
-    take as it is.
+    take as it is. One that holds a pose has that of each of its frames.
+
+    Raises:
+        OptionError: The shot holds a pose from before or after the take (SCN042).
     """
     if shot is None or shot.fps is None or not shot.places_media:
         return stream
-    start = shot.frame_at(0)
+    if shot.speed == 0:
+        return _held(stream, shot)
+    if shot.speed < 0:
+        return _backwards(stream, shot)
     step = stream.step / stream.fps * shot.fps / shot.speed
-    ratio = stream.step / step
+    return _moved(stream, shot, shot.frame_at(0), step)
+
+
+def _moved(
+    stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
+) -> TakeStream:
+    """Return a take with its samples at other frames, its curves at their times."""
+    assert shot.fps is not None
+    ratio = stream.fps * shot.speed / shot.fps
     curve, first = stream.curve, float(1 if stream.start is None else stream.start)
+    origin = float(shot.frame_at(0))
 
     def shifted(times: FloatArray) -> Motion:
         assert curve is not None
-        return curve(first + (times - float(start)) * float(ratio))
+        return curve(first + (times - origin) * float(ratio))
 
     return replace(
         stream,
@@ -103,7 +121,41 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
         step=step,
         curve=None if curve is None else shifted,
         control_curves={
-            name: curves.retimed(first, float(1 / ratio), float(start))
+            name: curves.retimed(first, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
+            if ratio > 0
         },
+    )
+
+
+def _backwards(stream: TakeStream, shot: Shot) -> TakeStream:
+    """Return a take whose last sample comes first; it is read whole."""
+    assert shot.fps is not None
+    motion = stream.collect().motion
+    between = stream.step / stream.fps
+    start = shot.frame_at((motion.frames - 1) * between)
+    last_first = motion.select(np.arange(motion.frames)[::-1])
+    step = between * shot.fps / -shot.speed
+    return _moved(replace(stream, blocks=iter([last_first])), shot, start, step)
+
+
+def _held(stream: TakeStream, shot: Shot) -> TakeStream:
+    """Return one pose of a take in every frame of a shot; the take is read whole."""
+    assert shot.fps is not None
+    assert shot.media_in is not None
+    take, count = stream.collect(), shot.end - shot.start + 1
+    place = shot.media_in * stream.fps / stream.step
+    if not 0 <= place < take.clock.count:
+        raise no_frames(shot, shot.start, shot.end, take.clock.count / take.clock.rate)
+    pose = Between.of(take).at(nearby_places([float(place)], take.clock.count))
+    held = pose.select(np.zeros(count, np.int64))
+    return replace(
+        stream,
+        fps=shot.fps,
+        start=Fraction(shot.start),
+        step=Fraction(1),
+        blocks=iter([held]),
+        curve=None,
+        count=0,
+        control_curves={},
     )

@@ -215,12 +215,13 @@ def test_a_batch_file_has_a_cut_list(edit: Path) -> None:
 
 
 def test_handles_of_the_command_line_go_into_the_job(edit: Path) -> None:
-    words = ("shots.batch.yaml", "-o", "j", "--handles", 4)
+    words = ("shots.batch.yaml", "-o", "j", "--handles", 4, "--cut-start", 51)
     assert animtool("job", *words, cwd=edit).code == 0
     template = yaml.safe_load((edit / "j/template.yaml").read_text())
     for step in template["steps"]:
         args = step["script"]["actions"]["onRun"]["args"]
         assert args[args.index("--handles") + 1] == "4"
+        assert args[args.index("--cut-start") + 1] == "51"
         assert "--cut" not in args
 
 

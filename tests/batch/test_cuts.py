@@ -15,7 +15,8 @@ from support.batch import take_files, whole_outputs
 from support.cli import animtool
 
 from animtool import open_source
-from animtool.batch.cuts import SHOT_NAMES, CutOptions, read_cuts
+from animtool.batch.cut_frames import SHOT_NAMES, CutOptions
+from animtool.batch.cuts import read_cuts
 from animtool.errors import FormatError, OptionError
 from animtool.files import MatchedFile
 from animtool.rates import rate_from_float
@@ -109,7 +110,18 @@ def test_the_rate_is_that_of_most_clips_where_none_is_stated(takes: Path) -> Non
     path = timeline(takes / "a.otio", *made)
     assert {shot.fps for shot in shots_of(path)} == {24}
     assert codes(path) == {"BAT049"}
+    (said,) = read_cuts(path).notices
+    assert (said.severity.value, "2 at 24 fps, 1 at 30 fps" in said.message) == (
+        "warning",
+        True,
+    )
     assert {shot.fps for shot in shots_of(path, fps=Fraction(25))} == {25}
+    with pytest.raises(OptionError, match="BAT054"):
+        shots_of(timeline(takes / "c.otio", *made[:2]))
+    assert {s.fps for s in shots_of(takes / "c.otio", fps=Fraction(25))} == {25}
+    (takes / "animtool.toml").write_text("[timeline]\nfps = 30\n")
+    assert {s.fps for s in shots_of(takes / "c.otio")} == {30}
+    (takes / "animtool.toml").unlink()
     stated = timeline(takes / "b.otio", *made[:0], clip("a", url, (0, 4)), rate=24)
     with pytest.raises(OptionError, match="BAT051"):
         shots_of(stated, fps=Fraction(25))
@@ -140,6 +152,73 @@ def test_start_and_handles(
     (shot,) = shots_of(path, **given)
     assert (shot.start, shot.head, shot.tail) == (found[0], found[1], found[1])
     assert shot.cut_in == found[0] + found[1]
+
+
+@pytest.mark.parametrize(
+    ("whole", "own", "given", "found"),
+    [
+        ({"cut_start": 1001, "handles": 8}, {}, {}, (1001, 8)),
+        ({"cut_start": 1001, "handles": 8}, {"start_frame": 1001}, {}, (1009, 8)),
+        ({"handles": 4}, {"cut_start": 51}, {}, (51, 4)),
+        ({"cut_start": 51}, {}, {"cut_start": 1, "handles": 2}, (1, 2)),
+        ({"cut_start": 51}, {}, {"start": 1, "handles": 2}, (3, 2)),
+        ({"cut_start": 1009, "start_frame": 1001, "handles": 8}, {}, {}, (1009, 8)),
+    ],
+)
+def test_where_cuts_start(
+    takes: Path,
+    whole: dict[str, int],
+    own: dict[str, int],
+    given: dict[str, int],
+    found: tuple[int, int],
+) -> None:
+    made = clip("a", "takes/take000.bvh", (10, 10))
+    made.metadata["animtool"] = own
+    (shot,) = shots_of(timeline(takes / "a.otio", made, metadata=whole), **given)
+    assert (shot.cut_in, shot.head) == found
+
+
+def test_starts_that_contradict_each_other(takes: Path) -> None:
+    made = clip("a", "takes/take000.bvh", (10, 10))
+    made.metadata["animtool"] = {"cut_start": 1001, "start_frame": 1001, "handles": 8}
+    with pytest.raises(FormatError, match="BAT047"):
+        shots_of(timeline(takes / "a.otio", made))
+
+
+@pytest.mark.parametrize(
+    ("own", "given", "project", "seconds"),
+    [
+        ({}, None, None, 3601),
+        ({}, "01:00:00:00", None, 1),
+        ({"first_timecode": "01:00:00:12"}, None, None, Fraction(1, 2)),
+        ({}, None, "00:59:00:00", 61),
+        ({}, "01:00:00:00", "00:59:00:00", 1),
+    ],
+)
+def test_the_first_timecode_of_takes(
+    takes: Path,
+    own: dict[str, str],
+    given: str | None,
+    project: str | None,
+    seconds: Fraction,
+) -> None:
+    made = clip("a", "takes/take000.bvh", (3601 * 24, 10), None)
+    made.metadata["animtool"] = own
+    path = timeline(takes / "a.otio", made)
+    if project is not None:
+        text = f'[timeline]\nfirst_timecode = "{project}"\n'
+        (takes / "animtool.toml").write_text(text)
+    (shot,) = shots_of(path, first_timecode=given)
+    assert shot.media_in == seconds
+
+
+def test_clips_shorter_than_a_frame_are_named(takes: Path) -> None:
+    path = timeline(
+        takes / "a.otio", clip("a", "takes/take000.bvh", span(10, 2, 120)), rate=24
+    )
+    (shot,) = shots_of(path)
+    assert shot.cut_in == shot.cut_out
+    assert codes(path) == {"BAT043"}
 
 
 def test_the_start_of_a_project(takes: Path) -> None:
@@ -220,14 +299,17 @@ def test_speed_is_that_of_the_edit(takes: Path) -> None:
     assert codes(path) == set()
 
 
-def test_motion_that_does_not_go_forward_is_refused(takes: Path) -> None:
+def test_motion_that_does_not_go_forward_is_named(takes: Path) -> None:
     back = clip("a", "takes/take000.bvh", (6, 10))
     back.effects.append(otio.schema.LinearTimeWarp("back", time_scalar=-1.0))
     still = clip("b", "takes/take000.bvh", (6, 10))
     still.effects.append(otio.schema.FreezeFrame("still"))
-    with pytest.raises(FormatError) as error:
-        read_cuts(timeline(takes / "a.otio", back, still))
-    assert [fault.code for fault in error.value.faults] == ["BAT044", "BAT044"]
+    found = read_cuts(timeline(takes / "a.otio", back, still))
+    assert [cut.shot.speed for cut in found.shots if cut.shot] == [-1, 0]
+    assert [(n.code, n.severity.value) for n in found.notices] == [
+        ("BAT044", "warning"),
+        ("BAT044", "note"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -326,14 +408,13 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_an_edl(takes: Path) -> None:
-    pytest.importorskip("otio_cmx3600_adapter", reason="no adapter for EDL")
     (takes / "a.edl").write_text(
         "TITLE: edit\nFCM: NON-DROP FRAME\n\n"
         "001  AX       V     C        00:00:00:00 00:00:00:08 01:00:00:00 01:00:00:08\n"
         "* FROM CLIP NAME: take001\n"
     )
     media = [MatchedFile(path, path.parent) for path in (takes / "takes").iterdir()]
-    (shot,) = read_cuts(takes / "a.edl", media).shots
+    (shot,) = read_cuts(takes / "a.edl", media, CutOptions(fps=Fraction(24))).shots
     assert shot.media.path.stem == "take001"
     assert (shot.names["media_first"], shot.names["media_last"]) == ("1", "8")
 
@@ -431,6 +512,29 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
         assert (done.code, said in done.stderr) == (2, True), done.stderr
     done = animtool("bake", "takes/take000.bvh", "--shot", "sh010", cwd=takes)
     assert (done.code, "is for motion of a timeline" in done.stderr) == (2, True)
+
+
+def test_a_shot_that_is_disabled_is_named_as_such(takes: Path) -> None:
+    off = clip("off", "takes/take000.bvh", (4, 8))
+    off.enabled = False
+    path = timeline(takes / "a.otio", off, clip("on", "takes/take000.bvh", (4, 8)))
+    done = animtool("bake", path, "--shot", "off", cwd=takes)
+    assert (done.code, "is disabled" in done.stderr) == (2, True), done.stderr
+    assert animtool("bake", path, cwd=takes).code == 0
+
+
+def test_a_batch_file_states_where_cuts_and_takes_begin(takes: Path) -> None:
+    timeline(takes / "a.otio", clip("a", "takes/take000.bvh", (3600 * 24, 8), None))
+    text = "batch: animtool/1\ninputs: [a.otio]\ncut_start: 51\nhandles: 2\n"
+    text += "output: '{shot}.usda'\nfirst_timecode: "
+    job = takes / "a.batch.yaml"
+    job.write_text(text + '"01:00:00:00"\n')
+    done = animtool("batch", job, "--executor", "serial", cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "startTimeCode = 49\n" in (takes / "a.usda").read_text()
+    job.write_text(text + "an hour\n")
+    done = animtool("batch", job, cwd=takes)
+    assert (done.code, "BAT001" in done.stderr) == (3, True), done.stderr
 
 
 def test_the_only_shot_needs_no_name(takes: Path) -> None:

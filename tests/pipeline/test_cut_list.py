@@ -207,3 +207,103 @@ def test_a_source_in_a_shot_has_its_frames(tmp_path: Path) -> None:
     assert (take.clock.start, take.clock.count) == (1001 - 12, 25)
     found = take.world().positions[:, 0, 0]
     np.testing.assert_allclose(found, np.arange(25) / 24, atol=1e-6)
+
+
+KEYED = """clip: animtool/1
+name: slide
+rig: hips.rig.yaml
+fps: 24
+range: [1, 97]
+channels:
+- target: joint/hips.translation
+  keys: [{t: 1, v: [0, 0, 0], interp: linear}, {t: 97, v: [4, 0, 0]}]
+"""
+# Name, first frame at 24 fps, frames, speed, and the seconds of the first and the last.
+PLAYED = [
+    ("back", 24, 48, -1.0, (71 / 24, 24 / 24)),
+    ("fast", 12, 24, -2.0, (58 / 24, 12 / 24)),
+    ("held", 30, 24, 0.0, (30 / 24, 30 / 24)),
+    ("slow", 24, 24, 0.5, (24 / 24, 35.5 / 24)),
+]
+
+
+@pytest.mark.parametrize("kind", ["24 fps", "30 fps", "keys", "scene"])
+def test_shots_that_play_otherwise_show_their_seconds(
+    tmp_path: Path, kind: str
+) -> None:
+    take = "take.bvh"
+    if kind == "keys":
+        take = "take.clip.yaml"
+        (tmp_path / "hips.rig.yaml").write_text(
+            "rig: animtool/1\nname: hips\nunits: {length: m, angle: deg}\n"
+            "joints:\n- {name: hips, type: free}\n"
+        )
+        (tmp_path / take).write_text(KEYED)
+    else:
+        rate = 30 if kind == "30 fps" else 24
+        capture(tmp_path / take, rate, 4 * rate + 1)
+    clips = []
+    for name, first, count, speed, _ in PLAYED:
+        made = clip(name, take, (first, count), None)
+        made.effects.append(otio.schema.LinearTimeWarp(time_scalar=speed))
+        clips.append(made)
+    timeline(tmp_path / "cut.otio", *clips, rate=24, metadata={"handles": 4})
+    words = ["cut.otio", "-o", "out/{shot}.usdc", "--executor", "serial"]
+    if kind == "scene":
+        (tmp_path / "shot.scene.yaml").write_text(TRIM, "utf-8")
+        words += ["--scene", "shot.scene.yaml"]
+    done = animtool("batch", *words, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "SCN074" not in done.stderr
+    assert "SCN106" not in done.stderr
+    for name, _, count, speed, (begin, end) in PLAYED:
+        found = open_source(tmp_path / f"out/{name}.usdc").collect()
+        assert (found.clock.start, found.clock.count) == (1001, count + 8)
+        x = found.world().positions[:, 0, 0]
+        shown = begin + speed * np.arange(-4, count + 4) / 24
+        assert shown[4 + count - 1] == pytest.approx(end)
+        np.testing.assert_allclose(x, shown, atol=1e-6)
+
+
+EDL = """TITLE: HOUR
+FCM: NON-DROP FRAME
+
+001  AX       V     C        {0} 01:00:00:00 01:00:02:00
+* FROM CLIP NAME: take
+"""
+
+
+def test_an_edl_asks_for_its_rate_and_says_how_far_a_range_is_away(
+    tmp_path: Path,
+) -> None:
+    capture(tmp_path / "take.bvh", 25, 251)
+    (tmp_path / "a.edl").write_text(EDL.format("10:00:01:00 10:00:03:00"))
+    words = ["a.edl", "take.bvh", "-o", "{shot}.usda", "--executor", "serial"]
+    done = animtool("batch", *words, cwd=tmp_path)
+    assert (done.code, "BAT054" in done.stderr) == (2, True)
+    done = animtool("batch", *words, "--fps", 25, cwd=tmp_path)
+    assert done.code == 1
+    for part in ("SCN042", "10:00:01:00 to 10:00:02:24", "00:00:00:00 to 00:00:10:00"):
+        assert part in done.stderr
+    assert "10 hours (36001 s)" in done.stderr
+    assert "--first-timecode 10:00:00:00" in done.stderr
+    words += ["--first-timecode", "10:00:00:00", "--cut-start", 1001, "--handles", 2]
+    done = animtool("batch", *words, "--fps", 25, "--overwrite", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    found = open_source(tmp_path / "take.usda").collect()
+    assert (found.clock.start, found.clock.fps) == (999, 25)
+    x = found.world().positions[:, 0, 0]
+    np.testing.assert_allclose(x, 1 + np.arange(-2, 52) / 25, atol=1e-6)
+    far = ["--fps", 25, "--first-timecode", "09:00:00:00", "--name", "far"]
+    done = animtool("batch", *words[:6], *far, "--overwrite", cwd=tmp_path)
+    assert "an hour (3601 s) after" in done.stderr
+
+
+def test_a_frame_that_is_held_is_one_of_the_take(tmp_path: Path) -> None:
+    capture(tmp_path / "take.bvh", 24, 48)
+    still = clip("a", "take.bvh", (3600 * 24, 12), None)
+    still.effects.append(otio.schema.FreezeFrame())
+    timeline(tmp_path / "cut.otio", still, rate=24)
+    done = animtool("bake", "cut.otio", "-o", "a.usda", cwd=tmp_path)
+    assert (done.code, "SCN042 shot a" in done.stderr) == (2, True), done.stderr
+    assert "an hour (3600 s) after" in done.stderr

@@ -1,10 +1,10 @@
-"""Labels of frames, which `animtool.clock` reads."""
+"""Labels of frames, which `animtool.timecode` reads."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 
-from animtool.clock import count_rate, day_frames
+from animtool.timecode import count_rate, day_frames
 
 __all__ = ["timecode_label"]
 

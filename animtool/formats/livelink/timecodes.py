@@ -10,9 +10,9 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clock import day_frames, parse_timecode
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.rates import rate_label
+from animtool.timecode import day_frames, parse_timecode
 
 # What clocks of recorders count, and the one that the app starts with.
 CLOCKS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)

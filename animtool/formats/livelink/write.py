@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clock import count_rate
 from animtool.errors import Fault, OptionError, Severity, naming
 from animtool.formats.livelink.columns import ANGLES, APP_SHAPES, COUNT, PARTS, TIMECODE
 from animtool.formats.take_text import TakeText, write_text
@@ -18,6 +17,7 @@ from animtool.maths.so3 import align_signs
 from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
 from animtool.rig.shapes import arkit_name
 from animtool.take import Take
+from animtool.timecode import count_rate, timecode_label
 
 # As the app prints them.
 PLACES = 10
@@ -115,15 +115,5 @@ def timecode(frame: int, rate: Fraction) -> str:
     >>> timecode(1800, Fraction(30000, 1001)), timecode(61, Fraction(60))
     ('00:01:00;02.000', '00:00:01:01.000')
     """
-    labels = count_rate(rate)
-    left_out = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}.get(rate, 0)
-    if left_out:
-        tens, rest = divmod(frame, 600 * labels - 9 * left_out)
-        minute = max(0, rest - left_out) // (60 * labels - left_out)
-        frame += left_out * (9 * tens + minute)
-    seconds, frames = divmod(frame, labels)
-    minutes, seconds = divmod(seconds, 60)
-    hours, minutes = divmod(minutes, 60)
-    sign = ";" if left_out else ":"
-    wide = max(2, len(str(labels - 1)))
-    return f"{hours % 24:02d}:{minutes:02d}:{seconds:02d}{sign}{frames:0{wide}d}.000"
+    drop = rate in {Fraction(30000, 1001), Fraction(60000, 1001)}
+    return f"{timecode_label(frame, rate, drop=drop)}.000"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from support.timelines import clip, span, timeline
 
-from animtool.batch.cuts import CutOptions, read_cut, read_cuts
+from animtool.batch.cut_frames import CutOptions
+from animtool.batch.cuts import read_cut, read_cuts
 from animtool.errors import AnimtoolError
 from animtool.files import MatchedFile
 from fuzz.mutations import spoil, spoil_values
@@ -27,7 +29,16 @@ FCM: NON-DROP FRAME
 M2   AX       048.0                00:00:00:00
 * FROM CLIP NAME: walk
 * TO CLIP NAME: run
+FCM: DROP FRAME
+003  AX       V     C        00:00:59;28 00:01:02;02 01:00:04;12 01:00:05;13
+* FROM CLIP NAME: walk
+M2   AX       -060.0               00:00:59;28
+* FREEZE FRAME
+004  BL       B     C        00:00:00;00 00:00:01;00 01:00:05;13 01:00:06;13
+* FPS: 29.97
 """
+RATES = [*[None] * 6, Fraction(24), Fraction(25), Fraction(30000, 1001), Fraction(30)]
+TIMECODES = [*[None] * 6, "01:00:00:00", "00:00:00;00", "23:59:59:24"]
 
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
@@ -40,8 +51,10 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
 
     def run(rng: np.random.Generator) -> str:
         path = _written(rng, folder, seeds)
-        fps = None if rng.integers(2) else CutOptions().fps
-        options = CutOptions(int(rng.integers(9)), None, fps)
+        fps = RATES[int(rng.integers(len(RATES)))]
+        cut_start = int(rng.integers(2000)) if rng.integers(2) else None
+        label = TIMECODES[int(rng.integers(len(TIMECODES)))]
+        options = CutOptions(int(rng.integers(9)), None, fps, cut_start, label)
         try:
             cuts = read_cuts(path, found if rng.integers(2) else (), options)
             for cut in cuts.shots:
@@ -73,12 +86,19 @@ def _whole(folder: Path) -> bytes:
     inner = otio.schema.Track("V2", kind="Video")
     inner.append(clip("walk", "walk.bvh", (0, 5)))
     nested.append(inner)
+    nested.source_range = span(1, 4)
+    nested.effects.append(otio.schema.LinearTimeWarp(time_scalar=2.0))
+    still = clip("run", "run.bvh", (3, 6))
+    still.effects.append(otio.schema.FreezeFrame())
+    still.metadata["animtool"] = {"cut_start": 9, "first_timecode": "00:00:00:01"}
+    off = otio.schema.Track("V3", children=[clip("walk", "walk.bvh", (0, 5))])
+    off.enabled = False
     gap = otio.schema.Gap(source_range=span(0, 12))
     sound = otio.schema.Track("A1", kind="Audio")
     metadata = {"fps": 24, "handles": 2}
     path = folder / "whole.otio"
-    items = (first, fade, second, gap, nested)
-    timeline(path, *items, more=(sound,), rate=24.0, metadata=metadata)
+    items = (first, fade, second, gap, nested, still)
+    timeline(path, *items, more=(sound, off), rate=24.0, metadata=metadata)
     return path.read_bytes()
 
 
@@ -125,7 +145,8 @@ URLS = [
 
 def _set(rng: np.random.Generator, values: object) -> None:
     """Set one of the values that count, wherever it is."""
-    chosen = str(rng.choice(["value", "rate", "time_scalar", "target_url", "name"]))
+    keys = ["value", "rate", "time_scalar", "target_url", "name", "enabled"]
+    chosen = str(rng.choice(keys))
     holders = [holder for holder in _tables(values) if chosen in holder]
     if not holders:
         return
@@ -133,6 +154,8 @@ def _set(rng: np.random.Generator, values: object) -> None:
     pool: list[Any] = NUMBERS
     if chosen in {"target_url", "name"}:
         pool = URLS
+    if chosen == "enabled":
+        pool = [True, False]
     holder[chosen] = pool[int(rng.integers(len(pool)))]
 
 

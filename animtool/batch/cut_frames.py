@@ -1,0 +1,176 @@
+"""The frames of a cut: where it begins, what it shows, what names stand for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from math import floor
+
+from animtool.batch.cut_metadata import CutMetadata
+from animtool.batch.spans import Span
+from animtool.batch.timeline import NEAR
+from animtool.config import Config
+from animtool.shot import SHOT_START, MediaTimecode, Shot, frames_within
+from animtool.timecode import parse_timecode
+
+SHOT_NAMES = (
+    *("shot", "clip", "track", "first", "last", "begin", "end", "head", "tail"),
+    *("handles", "fps", "speed", "media_in", "media_out", "media_first"),
+    *("media_last", "media_fps"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CutOptions:
+    """What a timeline's shots have that its metadata need not say.
+
+    Attributes:
+        handles: Shot frames before and after each cut; None is as clips and timeline
+            say, else 0.
+        start: First frame of each shot; None is as clips and timeline say, else the
+            project's, else 1001.
+        fps: Rate of the shots where the timeline states none.
+        cut_start: First frame of each cut, in place of ``start``.
+        first_timecode: Of the media, in place of what the timeline states.
+    """
+
+    handles: int | None = None
+    start: int | None = None
+    fps: Fraction | None = None
+    cut_start: int | None = None
+    first_timecode: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CutContext:
+    """What is stated of a clip: by options, itself, its timeline and the project."""
+
+    options: CutOptions
+    own: CutMetadata
+    timeline: CutMetadata
+    project: Config
+
+    @property
+    def handles(self) -> int:
+        """Shot frames before and after the cut."""
+        stated = (self.options.handles, self.own.handles, self.timeline.handles)
+        return next((count for count in stated if count is not None), 0)
+
+    def first_timecode(
+        self, default: Fraction | None, rate: Fraction, *, drop: bool = False
+    ) -> Fraction:
+        """Return the time code of the media's first frame [s].
+
+        Args:
+            default: What the timeline states of its media [s]; None states nothing.
+            rate: Frames a second that time codes count.
+            drop: Whether they are drop-frame.
+
+        Raises:
+            ValueError: What is stated is no time code of the rate.
+        """
+        texts = [one.first_timecode for one in (self.options, self.own, self.timeline)]
+        if default is None:
+            texts.append(self.project.timeline.first_timecode)
+        text = next((text for text in texts if text is not None), None)
+        if text is None:
+            return Fraction(0) if default is None else default
+        if drop and ";" not in text:
+            text = ";".join(text.rsplit(":", 1))
+        return parse_timecode(text, rate) / rate
+
+    def cut_in(self) -> tuple[int, list[str]]:
+        """Return the first frame of the cut, and which statements contradict it.
+
+        A start is that of the head handle. The project's is 1001 where it states none.
+        """
+        faults, settings = list[str](), self.project
+        levels = [
+            (self.options.start, self.options.cut_start, "options"),
+            (self.own.start_frame, self.own.cut_start, "its metadata"),
+            (self.timeline.start_frame, self.timeline.cut_start, "the timeline's"),
+            (None, settings.timeline.cut_start, "settings"),
+        ]
+        for begin, cut, where in levels:
+            if begin is not None and cut not in {None, begin + self.handles}:
+                message = f"{where}: start_frame {begin} with handles of "
+                message += f"{self.handles} begins the cut at {begin + self.handles}, "
+                faults.append(f"{message}and cut_start is {cut}")
+            if cut is not None:
+                return cut, faults
+            if begin is not None:
+                return begin + self.handles, faults
+        start = SHOT_START if settings.start is None else int(settings.start)
+        return start + self.handles, faults
+
+
+def shot_of(
+    name: str,
+    span: Span,
+    fps: Fraction,
+    context: CutContext,
+    first: Fraction,
+    transitions: tuple[int, int] = (0, 0),
+    *,
+    drop: bool = False,
+) -> Shot:
+    """Return the frames of a clip.
+
+    Args:
+        name: Of the shot.
+        span: What the clip shows.
+        fps: Rate of the shot.
+        context: What is stated of it.
+        first: Time of the media at its first frame, as the clip counts [s].
+        transitions: Frames that they show before and after the cut.
+        drop: Whether time codes of the media are drop-frame.
+    """
+    handles, (cut_in, _) = context.handles, context.cut_in()
+    before, after = transitions
+    count = frames_within(span.seconds, fps)
+    media_in = span.begin - first
+    if span.speed < 0:
+        media_in -= (count - 1) * span.speed / fps
+    count += before + after
+    return Shot(
+        cut_in,
+        cut_in + count - 1,
+        handles,
+        handles,
+        name,
+        fps,
+        media_in - before * span.speed / fps,
+        span.speed,
+        MediaTimecode(span.rate, first, drop),
+    )
+
+
+def played_notices(
+    shot: Shot, span: Span, fps: Fraction, named: str
+) -> Iterator[tuple[str, str, bool]]:
+    """Yield what a shot has that is seldom meant: code, message, whether a warning."""
+    first, last = (
+        f"{float(shot.seconds_at(frame)):.6g} s"
+        for frame in (shot.cut_in, shot.cut_out)
+    )
+    if shot.speed == 0:
+        yield "BAT044", f"{named} holds its media at {first}; so does the shot", False
+    elif shot.speed < 0:
+        how = f"from {first} of its media to {last}"
+        yield "BAT044", f"{named} plays backwards, {how}; so does the shot", True
+    frames = span.seconds * fps
+    if frames < 1 - NEAR:
+        message = f"{named} shows {float(frames):.3g} of a frame; the shot has one"
+        yield "BAT043", message, True
+
+
+def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
+    """Return the frames of its media that a cut shows, from 1 at the first."""
+    shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
+    first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
+    return {
+        "media_first": str(first),
+        "media_last": str(last),
+        "media_fps": str(media_fps),
+    }

@@ -1,0 +1,331 @@
+"""Edit decision lists (CMX 3600): events, as a timeline at a rate.
+
+References:
+    CMX 3600 edit decision lists; the channels, effects and comments that Avid, Premiere
+    and Resolve write into them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from animtool.batch.timeline import check_text
+from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.files import read_input
+from animtool.rates import parse_rate, rate_label
+from animtool.timecode import count_rate, parse_timecode
+
+# Events of a feature film, with all their comments, take a hundredth [bytes].
+MAX_BYTES = 100_000_000
+MAX_FAULTS = 100
+MAX_FRAME = 10**9
+# Reels that stand for black and bars.
+BLACK = {"BL", "BLACK", "BARS"}
+UNKNOWN_REEL = "AX"
+_LABEL = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
+_EVENT = re.compile(
+    r"(?P<number>\d+)\w?\s+(?P<reel>\S+)\s+(?P<channel>\S+)\s+(?P<edit>[A-Z]+\d*)\s+"
+    rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL})\s+){{3}}(?:{_LABEL}))\s*",
+    re.IGNORECASE,
+)
+_SPEED = re.compile(r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*")
+_RATE = re.compile(r"\*?\s*(?:FPS|FRAME\s?RATE)\s*[:=]?\s*(?P<rate>[\d./]+)", re.I)
+_COMMENTS = {
+    name: re.compile(rf"\*?\s*{text}\s*:\s*(?P<value>.*\S)", re.I)
+    for name, text in (
+        ("name", "FROM CLIP NAME"),
+        ("to", "TO CLIP NAME"),
+        ("file", "(?:FROM CLIP|FROM FILE|SOURCE FILE)"),
+    )
+}
+_FREEZE = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
+
+
+@dataclass(slots=True)
+class Event:
+    """An event of an EDL, as it is written."""
+
+    line: int
+    number: str
+    reel: str
+    channel: str
+    edit: str  # C is a cut, D a dissolve, W a wipe, K a key
+    length: int  # of a transition [frame]
+    times: tuple[str, str, str, str]  # source in and out, record in and out
+    speed: str | None = None  # of M2: frames of the source a second
+    freeze: bool = False
+    comments: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Edl:
+    """What an EDL says, before its rate is known."""
+
+    path: Path
+    title: str = ""
+    events: list[Event] = field(default_factory=list)
+    fps: Fraction | None = None  # that comments state
+
+    @property
+    def drop(self) -> bool:
+        """Whether there are drop-frame time codes."""
+        return any(";" in time for event in self.events for time in event.times)
+
+    @property
+    def only_drop(self) -> bool:
+        """Whether all time codes are drop-frame."""
+        times = (time for event in self.events for time in event.times)
+        return self.drop and all(";" in time for time in times)
+
+    @property
+    def last_label(self) -> int:
+        """The highest number of a frame within a second."""
+        times = (time for event in self.events for time in event.times if ":" in time)
+        return max((int(re.split("[:;]", time)[3]) for time in times), default=0)
+
+
+def read_edl(path: Path) -> Edl:
+    """Return the events of an EDL (else BAT041), drop-frame ones with semicolons."""
+    check_text(path)
+    text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
+    edl, drop, known = Edl(path), False, not text.strip()
+    faults = []
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.strip()
+        if line.startswith("TITLE:"):
+            edl.title, known = line[6:].strip(), True
+        elif line.startswith("FCM"):
+            drop, known = "NON" not in line.upper() and "DROP" in line.upper(), True
+        elif line[:1].isdigit():
+            match = _EVENT.fullmatch(line)
+            if match is None:
+                faults.append((f"{excerpt(line)} is no event of an EDL", number))
+            else:
+                edl.events.append(_event(match, number, drop=drop))
+        elif (stated := _RATE.fullmatch(line)) is not None and edl.fps is None:
+            edl.fps = _stated(stated["rate"])
+        elif edl.events:
+            _comment(edl.events[-1], line)
+    if not known and not edl.events and not faults:
+        faults.append(("has no event of an EDL", 1))
+    if faults:
+        kept = faults[:MAX_FAULTS]
+        raise FormatError(
+            [Fault("BAT041", message, str(path), (at,)) for message, at in kept]
+        )
+    return edl
+
+
+def _event(match: re.Match[str], line: int, *, drop: bool) -> Event:
+    times = [re.sub("[,.]", ";", time) for time in match["times"].split()]
+    if drop:
+        times = [re.sub(r":(\d+)$", r";\1", time) for time in times]
+    one, two, three, four = (f"0{t}" if t[1:2] == ":" else t for t in times)
+    return Event(
+        line,
+        match["number"].lstrip("0"),
+        match["reel"],
+        match["channel"].upper(),
+        match["edit"].upper(),
+        min(int(match["length"] or 0), MAX_FRAME),
+        (one, two, three, four),
+    )
+
+
+def _stated(text: str) -> Fraction | None:
+    try:
+        return parse_rate(text)
+    except ValueError:
+        return None
+
+
+def _comment(event: Event, line: str) -> None:
+    """Take what a line behind an event says of it."""
+    if (speed := _SPEED.fullmatch(line)) is not None:
+        event.speed = speed["speed"]
+    elif _FREEZE.match(line) is not None:
+        event.freeze = True
+    for name, pattern in _COMMENTS.items():
+        if (match := pattern.fullmatch(line)) is not None:
+            event.comments.setdefault(name, match["value"])
+            return
+
+
+def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
+    """Return an EDL as a timeline of OpenTimelineIO, and what was chosen in it.
+
+    Raises:
+        FormatError: Time codes are none of the rate (BAT041).
+    """
+    return _Builder(edl, rate).built()
+
+
+@dataclass(frozen=True, slots=True)
+class _Times:
+    """The times of an event [frame]."""
+
+    first: int
+    count: int
+    record: int
+    shown: int
+
+
+class _Builder:
+    def __init__(self, edl: Edl, rate: Fraction) -> None:
+        import opentimelineio as otio
+
+        self.otio, self.edl, self.rate = otio, edl, rate
+        self.tracks: dict[str, Any] = {}
+        self.ends: dict[str, int] = {}  # of tracks, in frames of the record
+        self.notices: list[Fault] = []
+        self.faults: list[Fault] = []
+
+    def built(self) -> tuple[Any, list[Fault]]:
+        """Return the timeline."""
+        timeline = self.otio.schema.Timeline(self.edl.title)
+        for event, later in _paired(self.edl.events):
+            times = self.times(event)
+            if times is not None:
+                self.add(timeline, event, times, later)
+        if self.faults:
+            raise FormatError(self.faults[:MAX_FAULTS])
+        return timeline, self.notices
+
+    def times(self, event: Event) -> _Times | None:
+        """Return the times of an event; None where they are none, which is a fault."""
+        try:
+            frames = [self.frame(text) for text in event.times]
+        except ValueError as error:
+            message = f"{error}, at {rate_label(self.rate)}"
+            hint = "state the rate that its time codes count: --fps 30000/1001, say"
+            place = str(self.edl.path), (event.line,)
+            self.faults.append(Fault("BAT041", message, *place, hint))
+            return None
+        # Of motion that goes backwards some write the last frame first.
+        first, last = sorted(frames[:2]) if _speed(event) < 0 else frames[:2]
+        return _Times(first, last - first, frames[2], frames[3] - frames[2])
+
+    def frame(self, text: str) -> int:
+        """Return the frame of a time code, or of a number of a frame."""
+        if ":" not in text:
+            if len(text) > len(str(MAX_FRAME)):
+                raise ValueError(f"{excerpt(text)} is no frame")
+            return int(text)
+        return int(parse_timecode(text, self.rate))
+
+    def add(self, timeline: Any, event: Event, times: _Times, later: bool) -> None:
+        """Put an event on its tracks."""
+        schema = self.otio.schema
+        for name in _tracks_of(event.channel):
+            if name not in self.tracks:
+                kind = "Audio" if name.startswith("A") else "Video"
+                self.tracks[name] = schema.Track(name, kind=kind)
+                timeline.tracks.append(self.tracks[name])
+            track = self.tracks[name]
+            gap = times.record - self.ends.get(name, times.record)
+            if gap > 0 and len(track):
+                track.append(schema.Gap(source_range=self.span(0, gap)))
+            shown = max(times.shown, 0) or times.count
+            self.ends[name] = times.record + shown
+            if event.edit != "C" and event.length and len(track):
+                track.append(self.transition(event))
+            if event.reel.upper() in BLACK:
+                if shown:
+                    track.append(schema.Gap(source_range=self.span(0, shown)))
+            elif not (later and times.count <= 0):
+                track.append(self.clip(event, times))
+
+    def transition(self, event: Event) -> Any:
+        """Return a transition, which begins where its second clip does."""
+        time = self.otio.opentime.RationalTime
+        ends = time(0, float(self.rate)), time(event.length, float(self.rate))
+        return self.otio.schema.Transition(event.edit, "SMPTE_Dissolve", *ends)
+
+    def clip(self, event: Event, times: _Times) -> Any:
+        """Return the clip of an event, with its speed."""
+        schema, comments = self.otio.schema, event.comments
+        url = comments.get("file")
+        name = comments.get("name")
+        if event.edit != "C":
+            name = comments.get("to") or name
+        if name is None:
+            reel = "" if event.reel.upper() == UNKNOWN_REEL else event.reel
+            stem = None if url is None else PurePosixPath(url.replace("\\", "/")).stem
+            name = stem or reel or event.number
+        reference = None if url is None else schema.ExternalReference(url)
+        speed, count = self.speed(event, times, name)
+        clip = schema.Clip(name, reference, self.span(times.first, count))
+        if speed != 1:
+            clip.effects.append(schema.LinearTimeWarp(time_scalar=float(speed)))
+        return clip
+
+    def speed(self, event: Event, times: _Times, name: str) -> tuple[Fraction, int]:
+        """Return how fast an event plays, and how many frames it shows."""
+        source, shown = max(times.count, 0), max(times.shown, 0)
+        if event.freeze:
+            return Fraction(0), shown or source
+        if event.speed is not None:
+            speed = _speed(event) / count_rate(self.rate)
+            if not shown or not source:
+                return speed, shown or source
+            # It is printed to a tenth of a frame; source and record are exact.
+            exact = Fraction(source, shown)
+            rounded = abs(exact - abs(speed)) * count_rate(self.rate)
+            if speed and rounded <= Fraction(1, 10):
+                speed = exact if speed > 0 else -exact
+            return speed, shown
+        if shown and source and shown != source:
+            message = f"clip {excerpt(name)}: its source has {source} frames, its "
+            message += f"record {shown}, and no speed (M2) is stated: the {source} "
+            message += "frames of its source are taken, at their own speed"
+            place = str(self.edl.path), (event.line,)
+            warning = Fault("BAT056", message, *place, severity=Severity.WARNING)
+            self.notices.append(warning)
+        return Fraction(1), source
+
+    def span(self, first: int, count: int) -> Any:
+        """Return a range of frames."""
+        time, rate = self.otio.opentime.RationalTime, float(self.rate)
+        return self.otio.opentime.TimeRange(time(first, rate), time(count, rate))
+
+
+def _speed(event: Event) -> Fraction:
+    return Fraction(1) if event.speed is None else Fraction(event.speed)
+
+
+def _paired(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
+    """Yield events, and whether the next one is the second part of the same.
+
+    Comments stand behind the second and are of both.
+    """
+    for i, event in enumerate(events):
+        behind = events[i + 1] if i + 1 < len(events) else None
+        pair = behind is not None and behind.number == event.number
+        pair = pair and behind is not None and behind.channel == event.channel
+        if pair and behind is not None:
+            event.comments = {**behind.comments, **event.comments}
+        yield event, pair
+
+
+# What stands for several tracks.
+CHANNELS = {
+    "B": ("V", "A1"),
+    "AA": ("A1", "A2"),
+    "A": ("A1",),
+    "A2/V": ("V", "A2"),
+    "AA/V": ("V", "A1", "A2"),
+}
+
+
+def _tracks_of(channel: str) -> tuple[str, ...]:
+    """Return the tracks of a channel.
+
+    >>> _tracks_of("B"), _tracks_of("V2")
+    (('V', 'A1'), ('V2',))
+    """
+    return CHANNELS.get(channel, (channel,))

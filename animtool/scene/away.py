@@ -1,0 +1,86 @@
+"""Shots whose media lies elsewhere: how far away, and what to state."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from animtool.errors import Fault, OptionError
+from animtool.shot import Shot
+from animtool.timecode import parse_timecode
+
+HOUR = 3600
+# A range this near to a whole number of hours from its take is said to be hours away.
+NEAR_HOUR = 600
+
+
+def no_frames(
+    shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
+) -> OptionError:
+    """Return the error of a shot whose take has none of its frames (SCN042).
+
+    Args:
+        shot: It places its media.
+        first: First of the frames.
+        last: Last of them.
+        length: How long the take is [s].
+        path: The take's file.
+    """
+    named = f"shot {shot.name}: " if shot.name else ""
+    message, hint = f"{named}the take has no frame from {first} to {last}", None
+    if shot.timecode is not None:
+        away, hint = range_away(shot, first, last, length)
+        message += f"; {away}"
+    return OptionError(Fault("SCN042", message, path, (), hint))
+
+
+def range_away(shot: Shot, first: int, last: int, length: Fraction) -> tuple[str, str]:
+    """Return how far shot frames are from a take they show nothing of, and what to do.
+
+    Args:
+        shot: It places its media.
+        first: First of the frames.
+        last: Last of them.
+        length: How long the take is [s].
+    """
+    clock = shot.timecode
+    assert clock is not None
+    shown = sorted(shot.seconds_at(frame) for frame in (first, last))
+    frame = 1 / clock.rate
+    here = f"{clock.label(shown[0])} to {clock.label(shown[1])}"
+    ends = Fraction(0), max(Fraction(0), length - frame)
+    there = f"{clock.label(ends[0])} to {clock.label(ends[1])}"
+    message = f"they show {here}, the take is {there}: the range is "
+    message += f"{_distance(shown[0])} {'after' if shown[0] > 0 else 'before'} it"
+    code = _first_label(shot, shown[0], length)
+    hint = f"if the take's first timecode is another, state it: --first-timecode {code}"
+    hint += ", or `first_timecode` under [timeline] in animtool.toml or in "
+    hint += "metadata.animtool of the clip"
+    return message, hint
+
+
+def _distance(seconds: Fraction) -> str:
+    """Return a time as people say it.
+
+    >>> _distance(Fraction(3601)), _distance(Fraction(-12))
+    ('about an hour (3601 s)', '12 s')
+    """
+    away = abs(seconds)
+    hours = round(away / HOUR)
+    text = f"{float(away):.7g} s"
+    if hours and abs(away - hours * HOUR) < NEAR_HOUR:
+        return f"about {'an hour' if hours == 1 else f'{hours} hours'} ({text})"
+    return text
+
+
+def _first_label(shot: Shot, shown: Fraction, length: Fraction) -> str:
+    """Return the hour that a take begins at if it has a time, else a pattern."""
+    clock = shot.timecode
+    assert clock is not None
+    label = clock.label(shown)
+    hour = f"{label[:2]}:00:00{';' if clock.drop else ':'}00"
+    try:
+        begin = parse_timecode(hour, clock.rate) / clock.rate
+    except ValueError:
+        return "HH:MM:SS:FF"
+    fits = begin <= clock.first + shown < begin + length and begin != clock.first
+    return hour if fits else "HH:MM:SS:FF"
