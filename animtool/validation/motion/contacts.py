@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.validation.motion.body import body, feet_of
@@ -25,6 +26,9 @@ LOWEST = 0.05
 # Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
 # or lies drags the feet. These are joints that rest so much above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
+# And so long before and after: the feet of who goes down or gets up leave or take the
+# weight [s].
+GOES_DOWN = 0.25
 # Share of the contacts of a foot that are at one height, where its ground is flat; and
 # at two heights, each with so many, where part of the take floats, or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
@@ -116,7 +120,7 @@ def _floor(heights: FloatArray, within: float) -> float:
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
-    """Return in which frames other joints than feet are at the ground ``(F,)``."""
+    """Return when other joints than feet are at the ground, or nearly so ``(F,)``."""
     parents = subject.take.rig.parents
     others = body(subject)
     leg = set(feet.tolist())
@@ -131,7 +135,9 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
         return np.zeros(subject.frames, bool)
     lowest = subject.heights[:, feet].min(axis=1)
     trunk = subject.heights[:, others].min(axis=1)
-    return np.asarray(trunk < lowest + LIES * subject.size)
+    reach = round(GOES_DOWN / subject.interval)
+    lies = np.pad(trunk < lowest + LIES * subject.size, reach)
+    return np.asarray(sliding_window_view(lies, 2 * reach + 1).any(axis=1))
 
 
 def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:
@@ -146,15 +152,14 @@ def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolA
 def moves_over(
     subject: MotionSubject, points: FloatArray, span: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return how far points ``(F, E, 3)`` go about each frame, and in how many frames.
+    """Return where points ``(F, E, 3)`` go about each frame, and in how many frames.
 
-    span: about how long [s]. Distances ``(F, E)`` [m] and frames ``(F,)``.
+    span: about how long [s]. Moves ``(F, E, 3)`` [m] and frames ``(F,)``.
     """
     count, reach = len(points), max(1, round(0.5 * span / subject.interval))
     before = np.clip(np.arange(count) - reach, 0, count - 1)
     behind = np.clip(np.arange(count) + reach, 0, count - 1)
-    moves = np.linalg.norm(points[behind] - points[before], axis=2)
-    return moves, behind - before
+    return points[behind] - points[before], behind - before
 
 
 def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
@@ -162,4 +167,5 @@ def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
     moves, frames = moves_over(subject, points, STILL_SECONDS)
     # At low rates a frame is longer than the time to look at.
     allowed = STILL * frames * subject.interval / STILL_SECONDS
-    return np.asarray(moves < allowed[:, None] * subject.size)
+    lengths = np.linalg.norm(moves, axis=2)
+    return np.asarray(lengths < allowed[:, None] * subject.size)

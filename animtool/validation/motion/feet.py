@@ -19,6 +19,7 @@ from animtool.validation.motion.contacts import (
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.motion.tread import travel_scale
 
 # A take that travels less is one on the spot, whose feet slide on purpose [size].
 TRAVEL = 0.2
@@ -26,10 +27,6 @@ TRAVEL = 0.2
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
 SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
-# Or it never stands: in four of five frames on the ground it moves at this speed
-# [size/s], which is twice that of the roughest capture, for so long in all [s]. Where
-# turning explains it in most frames, as in a spin, it is a fast one [size/s].
-SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.013, 0.2, 1.0, 0.08
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
@@ -93,7 +90,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
     if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
-        yield from _skating(subject, contacts, slowest, slides)
+        yield from _scaled_travel(subject, contacts)
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
@@ -159,27 +156,19 @@ def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> f
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _skating(
-    subject: MotionSubject, contacts: Contacts, slowest: FloatArray, slides: FloatArray
-) -> Iterator[Fault]:
-    """Yield that no foot ever stands still, though each slides a little alone."""
-    standing = np.flatnonzero(contacts.near.any(axis=1))
-    if len(standing) * subject.interval < SKATE_SECONDS:
+def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+    """Yield that feet slide all along, as the root goes too far for them or less."""
+    scale = travel_scale(subject, contacts)
+    if scale is None:
         return
-    speeds = slowest[standing]
-    turns = float(np.median(np.minimum(slides, slowest)[standing])) <= 0.0
-    least = SKATE_TURNING if turns else SKATE_SPEED
-    if np.quantile(speeds, SKATE_SHARE) < least * subject.size:
-        return
-    usual = float(np.median(speeds))
-    frame = int(standing[int(np.abs(speeds - usual).argmin())])
+    frame = int(contacts.near.any(axis=1).argmax())
     foot = int(contacts.feet[int(contacts.near[frame].argmax())])
+    how = "along with" if scale > 1.0 else "back against"
     message = (
-        f"no foot stands still on the ground: the slowest moves at {usual:.2g} m/s in "
-        f"the middle of {len(standing)} frames, such as "
-        f"{subject.take.rig.joints[foot].name!r} at frame {subject.at(frame)}"
+        f"feet slide {how} the body while they stand: it travels {scale:.2g} times as "
+        f"far as they tread, such as {subject.take.rig.joints[foot].name!r}"
     )
-    hint = "hold feet with IK while they stand"
+    hint = "scale the root's motion to the legs, or hold feet with IK while they stand"
     yield subject.fault("MOT208", foot, frame, message, hint)
 
 
