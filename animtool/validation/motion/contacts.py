@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.validation.motion.body import body, feet_of
 from animtool.validation.motion.subject import MotionSubject
+
+Scalar = TypeVar("Scalar", np.float64, np.bool_)
 
 # A foot stands that is this near to the lowest height it rests at, of the size [1].
 NEAR = 0.025
@@ -27,8 +31,9 @@ LOWEST = 0.05
 # or lies drags the feet. These are joints that rest so much above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
 # And so long before and after: the feet of who goes down or gets up leave or take the
-# weight [s].
-GOES_DOWN = 0.25
+# weight [s]. The ground is where feet are lowest within this time: in the air a knee
+# may be as low as they are.
+GOES_DOWN, STRIDE = 0.15, 0.3
 # Share of the contacts of a foot that are at one height, where its ground is flat; and
 # at two heights, each with so many, where part of the take floats, or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
@@ -135,9 +140,16 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
         return np.zeros(subject.frames, bool)
     lowest = subject.heights[:, feet].min(axis=1)
     trunk = subject.heights[:, others].min(axis=1)
-    reach = round(GOES_DOWN / subject.interval)
-    lies = np.pad(trunk < lowest + LIES * subject.size, reach)
-    return np.asarray(sliding_window_view(lies, 2 * reach + 1).any(axis=1))
+    ground = _windows(lowest, STRIDE / subject.interval).min(axis=1)
+    lies = trunk < ground + LIES * subject.size
+    return np.asarray(_windows(lies, GOES_DOWN / subject.interval).any(axis=1))
+
+
+def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
+    """Return the values of the frames about each, held at the ends ``(F, W)``."""
+    frames = round(reach)
+    padded = np.pad(values, frames, mode="edge")
+    return sliding_window_view(padded, 2 * frames + 1)
 
 
 def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:

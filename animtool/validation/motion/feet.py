@@ -33,6 +33,9 @@ SPEED_SECONDS = 0.1
 # Who lands slows down at least to this part of the speed [1] while falling by so much
 # [size], and who leaves the other way round.
 LANDS, LIFTS = 0.6, 0.005
+# Who lands from the air skids on for a moment, and slows down as well: it begins so soon
+# after, and lasts no longer than this [1], [s].
+SKIDS, SKID_SECONDS, SKID_LASTS = 0.75, 0.15, 0.25
 # What a foot goes by as it turns about a point under it, of the size a radian, and as
 # it rises or falls so many times as far, is no slide [1].
 LEVER, STEEP = 0.07, 2.0
@@ -85,6 +88,8 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     for first, last in runs(sliding):
         seconds = (last - first + 1) * subject.interval
         if _lands(slowest[first : last + 1], lowest[first : last + 1]):
+            continue
+        if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
             continue
         way = _way(subject, contacts, first, last)
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
@@ -144,6 +149,25 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
     return abs(rises) > LIFTS and slows and bool((changes >= 0.0).all())
 
 
+def _skids(
+    subject: MotionSubject,
+    contacts: Contacts,
+    speeds: FloatArray,
+    first: int,
+    last: int,
+) -> bool:
+    """Return whether feet slow down just after the air, or get faster just before it.
+
+    ``speeds`` of the slowest foot ``(F,)`` [m/s].
+    """
+    air = ~contacts.near.any(axis=1)
+    reach = max(1, round(SKID_SECONDS / subject.interval))
+    start, end = float(speeds[first]), float(speeds[last])
+    lands = bool(air[max(first - reach, 0) : first].any()) and end < SKIDS * start
+    leaves = bool(air[last + 1 :][:reach].any()) and start < SKIDS * end
+    return lands or leaves
+
+
 def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
     """Return the shortest way that a foot near to the ground goes over a run [m].
 
@@ -181,25 +205,30 @@ def _travel(subject: MotionSubject) -> float:
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return how fast feet go along the ground, and slide, ``(F, E)`` each [m/s].
 
-    Of their ways over a short time before and after each frame the shorter one counts;
-    they slide by what turning and lifting the foot leave of it.
+    Of how far they are away within a short time before and after each frame the lesser
+    one counts: a foot that turns back stands no more than one that goes on. They slide
+    by what turning and lifting the foot leave of it.
     """
     count = subject.frames
     reach = max(1, round(SPEED_SECONDS / subject.interval))
     level, heights = subject.level(feet), subject.heights[:, feet]
     rotations = subject.world.rotations[:, feet]
     speeds = np.full((2, count, len(feet)), np.inf)
-    for offset in (-reach, reach):
-        ends = np.clip(np.arange(count) + offset, 0, count - 1)
-        seconds = np.abs(ends - np.arange(count)) * subject.interval
-        way = np.linalg.norm(level[ends] - level, axis=2)
-        explained = STEEP * np.abs(heights[ends] - heights)
-        angles = so3.angle_between(rotations[ends], rotations)
-        explained += LEVER * subject.size * angles
+    for sign in (-1, 1):
+        ways = np.zeros((2, count, len(feet)))
+        for offset in range(1, reach + 1):
+            ends = np.clip(np.arange(count) + sign * offset, 0, count - 1)
+            way = np.linalg.norm(level[ends] - level, axis=2)
+            explained = STEEP * np.abs(heights[ends] - heights)
+            angles = so3.angle_between(rotations[ends], rotations)
+            explained += LEVER * subject.size * angles
+            ways = np.maximum(ways, np.stack([way, way - explained]))
         # The first frame has nothing before it, and the last one nothing after it.
+        seconds = np.abs(ends - np.arange(count)) * subject.interval
         known = seconds > 0.0
-        ways = np.stack([way, np.maximum(way - explained, 0.0)])[:, known]
-        speeds[:, known] = np.minimum(speeds[:, known], ways / seconds[known, None])
+        speeds[:, known] = np.minimum(
+            speeds[:, known], ways[:, known] / seconds[known, None]
+        )
     return speeds[0], speeds[1]
 
 

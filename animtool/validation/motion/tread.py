@@ -11,8 +11,9 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Velocities are over about this time [s].
 SPAN = 0.1
-# Slower hips [size/s] show no ratio, and nor do a shorter path [size] and time [s].
-SLOW, MIN_PATH, MIN_SECONDS = 0.1, 0.25, 0.4
+# Slower hips [size/s] show no ratio, and nor do a shorter time [s]; feet that slide less
+# in all are not seen to [size].
+SLOW, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
 # Where the travel is scaled, the foot that stands moves along with the hips or against
 # them, at a part of their speed that hardly changes. Over the path, the 15th percentile
 # of this ratio is above the first one here, or the median and the 75th below the others
@@ -30,7 +31,7 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
     """
     ratios, weights = _ratios(subject, contacts)
     path = float(weights.sum()) * subject.interval / subject.size
-    if len(ratios) * subject.interval < MIN_SECONDS or path < MIN_PATH:
+    if len(ratios) * subject.interval < MIN_SECONDS:
         return None
     order = np.argsort(ratios, kind="stable")
     totals = np.cumsum(weights[order]) / weights.sum()
@@ -39,7 +40,9 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
     along = low > ALONG and middle - low < EVEN_ALONG and middle < 1.0
     against = middle < AGAINST and high < MOSTLY_AGAINST
     against &= middle - low < EVEN_AGAINST * max(1.0, -middle)
-    return 1.0 / (1.0 - middle) if along or against else None
+    if path * abs(middle) < MIN_SLIDE or not (along or against):
+        return None
+    return 1.0 / (1.0 - middle)
 
 
 def _ratios(
