@@ -45,7 +45,9 @@ class Contacts:
 
     Attributes:
         feet: Indices of the joints ``(E,)``.
+        partners: Which one is that of the other side, or itself ``(E,)``.
         ground: Height at which each foot stands, from its contacts ``(E,)`` [m].
+        level: Whether most of its contacts are at that height ``(E,)``.
         flat: Whether a foot and that of the other side stand at one height ``(E,)``.
         floor: The lower one of two heights at which a foot stands often; else its
             ground; infinite where there are more than two ``(E,)`` [m].
@@ -55,7 +57,9 @@ class Contacts:
     """
 
     feet: IntArray
+    partners: IntArray
     ground: FloatArray
+    level: BoolArray
     flat: BoolArray
     floor: FloatArray
     carries: BoolArray
@@ -87,10 +91,12 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
             low = np.abs(heights[:, e] - ground[e]) < NEAR * subject.size
             flat[e] = low.mean() > MOSTLY_LOW
             floor[e] = ground[e] if flat[e] else np.inf
-    flat &= _agrees(subject, feet, ground)
-    floor[~_agrees(subject, feet, floor)] = np.inf
-    near = carries & flat & (np.abs(heights - ground) < NEAR * subject.size)
-    return Contacts(feet, ground, flat, floor, carries, near, still)
+    partners = _partners(subject, feet)
+    level, within = flat, NEAR * subject.size
+    flat = level & _agrees(ground, partners, within)
+    floor[~_agrees(floor, partners, within)] = np.inf
+    near = carries & flat & (np.abs(heights - ground) < within)
+    return Contacts(feet, partners, ground, level, flat, floor, carries, near, still)
 
 
 def _level(heights: FloatArray, within: float) -> tuple[float, float]:
@@ -152,13 +158,17 @@ def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
     return sliding_window_view(padded, 2 * frames + 1)
 
 
-def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:
-    """Return whether each foot stands as high as that of the other side ``(E,)``."""
+def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
+    """Return which foot is that of the other side, or itself without one ``(E,)``."""
     places = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
-    others = [places.get(joint, e) for e, joint in enumerate(partners)]
+    return np.array([places.get(joint, e) for e, joint in enumerate(partners)])
+
+
+def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
+    """Return whether each foot stands as high as that of the other side ``(E,)``."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
+        return np.asarray(np.abs(ground - ground[partners]) < within)
 
 
 def moves_over(

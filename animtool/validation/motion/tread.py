@@ -11,7 +11,7 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Velocities are over about this time [s].
 SPAN = 0.1
-# Slower hips [size/s] show no ratio, and nor do a shorter time [s]; feet that slide less
+# Slower hips [size/s] show no ratio, nor does a shorter time [s]. Feet that slide less
 # in all are not seen to [size].
 SLOW, MIN_SECONDS, MIN_SLIDE = 0.1, 0.2, 0.05
 # Where the travel is scaled, the foot that stands moves along with the hips or against
@@ -42,7 +42,7 @@ def travel_scale(subject: MotionSubject, contacts: Contacts) -> float | None:
     against &= middle - low < EVEN_AGAINST * max(1.0, -middle)
     if path * abs(middle) < MIN_SLIDE or not (along or against):
         return None
-    return 1.0 / (1.0 - middle)
+    return float(1.0 / (1.0 - middle))
 
 
 def _ratios(
