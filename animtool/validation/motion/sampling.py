@@ -88,7 +88,7 @@ MIN_JOINTS = 4
 # other steps of captures that joints agree in leave .45 and more [1].
 MAX_LOST, EXPLAINED = 6, 0.35
 # Where few joints move, all of them must show it, and no more than this be left [1].
-FEW_EXPLAINED, MIN_FEW = 0.02, 2
+FEW_EXPLAINED, MIN_FEW = 0.06, 2
 # The step is as many times further from what is predicted than others around it, within
 # blocks of so many frames, are mostly [1]. No joint goes more evenly than a part of its
 # usual step, which is text of few digits, or than this [rad].
@@ -102,13 +102,16 @@ GAP = 3
 # Of the usual step: less shows no loss, and is no motion that stops [1].
 MIN_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
-MAX_JOINTS = 0.55
+MAX_JOINTS = 0.5
 # Joints that go no more than this many steps contradict it: no more than a share of
 # them, by the squares of their steps, of which fast ones have more; and where these are
 # not few, no more of the difference may be left than this [1].
 GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
+# Where hardly anything of the difference is left, fast joints may contradict it, as a
+# foot that lands there does, and fewer may agree [1].
+SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
 # Few joints are at least this share of all that moves [1].
-FEW_PACE = 0.5
+FEW_PACE = 0.1
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
@@ -191,7 +194,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     pace = _squares(usual)
     noise = _usual_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
     shows = pace > SHOWS**2 * noise
-    shows &= pace > 0.02 * pace.max(axis=1, keepdims=True)
+    shows &= pace > 0.001 * pace.max(axis=1, keepdims=True)
     many = shows.sum(axis=1)
     total = (shows * off / noise).sum(axis=1)
     paces = np.sqrt(pace.sum(axis=1))
@@ -202,14 +205,15 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     against = (shows * on * pace).sum(axis=1) / np.maximum(
         (shows * pace).sum(axis=1), np.finfo(float).tiny
     )
-    possible &= against < MAX_ON
+    possible &= against < SURE_ON
     for frames in range(1, MAX_LOST + 1):
         left = _squares(c - _predicted(near, far, frames))
         rest = (shows * left / noise).sum(axis=1)
         further = shows & (left < 0.5 * off)
         joints = further.sum(axis=1)
         explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
-        found = (rest < explained) & (joints > MAX_JOINTS * many)
+        found = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
+        found |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
         few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
         found = possible & np.where(many >= MIN_JOINTS, found, few)
