@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import span_label
 from animtool.errors import Fault, counted
+from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.subject import MotionSubject
 
@@ -110,7 +111,7 @@ GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
 # Where hardly anything of the difference is left, fast joints may contradict it, as a
 # foot that lands there does, and fewer may agree [1].
 SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
-# Few joints are at least this share of all that moves [1].
+# Few joints are at least this share of all that moves, and of two limbs or more [1].
 FEW_PACE = 0.1
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
@@ -216,10 +217,24 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
         found |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
         few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
+        few &= _of_two_limbs(subject, further)
         found = possible & np.where(many >= MIN_JOINTS, found, few)
         ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
         lost[2:-2] |= found
     return ratios, lost
+
+
+def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
+    """Return in which rows joints of more than one limb are flagged ``(S,)``.
+
+    A finger that jumps with its hand is no loss. A trunk that both turns and moves as
+    far as in several steps counts as two. ``flags`` ``(S, N)`` of the columns.
+    """
+    limbs = limbs_of(subject.take.rig.parents)[_columns(subject)]
+    moves = np.arange(len(limbs)) >= len(subject.turning)
+    limbs = np.where(moves & (limbs < 0), -2, limbs)
+    where = [flags[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
+    return np.asarray(np.sum(where, axis=0) > 1)
 
 
 def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:
