@@ -76,7 +76,8 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     if -SUNK * subject.size < off < OFF_ZERO * subject.size:
         return
     lowest = subject.heights[:, contacts.feet].min(axis=1)
-    if off > 0.0 and float(np.percentile(lowest, 5)) < off:
+    slack = NEAR * subject.size if rests_at_zero else 0.0
+    if off > 0.0 and float(np.percentile(lowest, 5)) < off - slack:
         return
     if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
         return
