@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -11,36 +13,37 @@ from support.data import data_files
 from animtool.errors import Severity
 from animtool.validation.run import validate
 
-# Warnings in good files, each with the reason why it is right.
-KNOWN = {
-    "ad_jesse_dance.bvh": {
-        "MOT202": "RightToeBase turns by 28° within 20 ms, and stands before and after",
-    },
-    "ad_jumping_jacks.bvh": {
-        "MOT202": "RightToe turns by 22° and 26° in one frame at two landings",
-    },
-    "assimp_boxing_toes.bvh": {
-        "BVH101": "Frames says 3069, and there are 3070 rows",
-        "MOT202": "LeftAnkle and LeftKnee flip by 23° and 21° within 10 ms",
-    },
-    "assimp_cmu_01_03.bvh": {
-        "MOT202": "RThumb turns over 38 times, LeftToeBase by 60° in one frame",
-    },
-    "fm_pfnn_hierarchy.bvh": {"MOT201": "a hierarchy: 60 rows that are alike"},
-    "geno_bind.bvh": {"MOT201": "a bind pose: two rows that are alike"},
-    "mh_face_poseunits.bvh": {"MOT202": "no motion: each frame is a pose of its own"},
-    "mh_zombie.bvh": {"MOT203": "the root turns by 14° to 19° a frame, and stops at 4"},
-    "openperform_freya.bvh": {"MOT203": "the hips jump by 8 cm in 8 ms, three times"},
-}
+NOTE = Severity.NOTE
+# Captures have glitches of their own: no code warns of more than this share of them.
+LARGEST_SHARE = 0.25
+
+
+@cache
+def severities(path: Path) -> dict[str, Severity]:
+    """Return the codes found in a file, with how severe each is."""
+    return {fault.code: fault.severity for fault in validate(path)}
 
 
 @pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))
 def test_good_captures(path: Path) -> None:
-    found = validate(path)
-    warnings = {f.code for f in found if f.severity is Severity.WARNING}
-    assert not any(fault.severity is Severity.ERROR for fault in found)
-    assert warnings == set(KNOWN.get(path.name, {}))
+    found = severities(path)
+    assert Severity.ERROR not in found.values()
+    warnings = [code for code, severity in found.items() if severity is not NOTE]
     assert len(warnings) <= 2
+
+
+def test_few_captures_have_the_same_warning() -> None:
+    paths = [p.values[0] for p in data_files("bvh", "*.bvh") if not p.marks]
+    if not paths:
+        pytest.skip("no captures in ANIMTOOL_DATA")
+    often = Counter(
+        code
+        for path in paths
+        for code, severity in severities(path).items()
+        if severity is not NOTE
+    )
+    assert max(often.values(), default=0) <= LARGEST_SHARE * len(paths)
+    assert not {"MOT205", "MOT206", "MOT208", "MOT209", "MOT210", "MOT213"} & {*often}
 
 
 @pytest.mark.parametrize("path", data_files("bvh_hard", "*.bvh"))

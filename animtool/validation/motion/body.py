@@ -18,6 +18,8 @@ _FOOT = re.compile(
 # Share of the joints that hang from the one that carries the body; targets and props
 # beside it have less [1].
 BODY = 0.6
+# Share of them that hang from a joint of the trunk [1].
+TRUNK = 0.4
 
 
 def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
@@ -75,6 +77,22 @@ def _totals(parents: IntArray, values: BoolArray) -> IntArray:
         if parents[joint] >= 0:
             counts[parents[joint]] += counts[joint]
     return counts
+
+
+def limbs_of(parents: IntArray) -> IntArray:
+    """Return the first joint of each joint's limb; -1 for the trunk ``(J,)``.
+
+    >>> limbs_of(np.array([-1, 0, 1, 0, 3])).tolist()
+    [-1, 1, 1, 3, 3]
+    """
+    counts = _totals(parents, np.ones(len(parents), bool))
+    limbs = np.full(len(parents), -1)
+    for joint in range(len(parents)):
+        if counts[joint] <= TRUNK * len(parents):
+            above = int(parents[joint])
+            known = -1 if above < 0 else int(limbs[above])
+            limbs[joint] = joint if known < 0 else known
+    return limbs
 
 
 def placed(subject: MotionSubject) -> BoolArray:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.validation.motion.body import body, feet_of
 from animtool.validation.motion.subject import MotionSubject
+
+Scalar = TypeVar("Scalar", np.float64, np.bool_)
 
 # A foot stands that is this near to the lowest height it rests at, of the size [1].
 NEAR = 0.025
@@ -25,6 +30,10 @@ LOWEST = 0.05
 # Nor is there a hand, a knee or the trunk this near to the ground: who crawls, kneels
 # or lies drags the feet. These are joints that rest so much above the feet [size].
 LIES, ABOVE_FEET = 0.12, 0.15
+# And so long before and after: the feet of who goes down or gets up leave or take the
+# weight [s]. The ground is where feet are lowest within this time: in the air a knee
+# may be as low as they are.
+GOES_DOWN, STRIDE = 0.15, 0.3
 # Share of the contacts of a foot that are at one height, where its ground is flat; and
 # at two heights, each with so many, where part of the take floats, or is on a step [1].
 AT_ONE_HEIGHT, AT_TWO_HEIGHTS, AT_EACH = 0.5, 0.85, 0.2
@@ -36,7 +45,9 @@ class Contacts:
 
     Attributes:
         feet: Indices of the joints ``(E,)``.
+        partners: Which one is that of the other side, or itself ``(E,)``.
         ground: Height at which each foot stands, from its contacts ``(E,)`` [m].
+        level: Whether most of its contacts are at that height ``(E,)``.
         flat: Whether a foot and that of the other side stand at one height ``(E,)``.
         floor: The lower one of two heights at which a foot stands often; else its
             ground; infinite where there are more than two ``(E,)`` [m].
@@ -46,7 +57,9 @@ class Contacts:
     """
 
     feet: IntArray
+    partners: IntArray
     ground: FloatArray
+    level: BoolArray
     flat: BoolArray
     floor: FloatArray
     carries: BoolArray
@@ -78,10 +91,12 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
             low = np.abs(heights[:, e] - ground[e]) < NEAR * subject.size
             flat[e] = low.mean() > MOSTLY_LOW
             floor[e] = ground[e] if flat[e] else np.inf
-    flat &= _agrees(subject, feet, ground)
-    floor[~_agrees(subject, feet, floor)] = np.inf
-    near = carries & flat & (np.abs(heights - ground) < NEAR * subject.size)
-    return Contacts(feet, ground, flat, floor, carries, near, still)
+    partners = _partners(subject, feet)
+    level, within = flat, NEAR * subject.size
+    flat = level & _agrees(ground, partners, within)
+    floor[~_agrees(floor, partners, within)] = np.inf
+    near = carries & flat & (np.abs(heights - ground) < within)
+    return Contacts(feet, partners, ground, level, flat, floor, carries, near, still)
 
 
 def _level(heights: FloatArray, within: float) -> tuple[float, float]:
@@ -116,7 +131,7 @@ def _floor(heights: FloatArray, within: float) -> float:
 
 
 def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
-    """Return in which frames other joints than feet are at the ground ``(F,)``."""
+    """Return when other joints than feet are at the ground, or nearly so ``(F,)``."""
     parents = subject.take.rig.parents
     others = body(subject)
     leg = set(feet.tolist())
@@ -131,30 +146,42 @@ def _lies(subject: MotionSubject, feet: IntArray) -> BoolArray:
         return np.zeros(subject.frames, bool)
     lowest = subject.heights[:, feet].min(axis=1)
     trunk = subject.heights[:, others].min(axis=1)
-    return np.asarray(trunk < lowest + LIES * subject.size)
+    ground = _windows(lowest, STRIDE / subject.interval).min(axis=1)
+    lies = trunk < ground + LIES * subject.size
+    return np.asarray(_windows(lies, GOES_DOWN / subject.interval).any(axis=1))
 
 
-def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:
-    """Return whether each foot stands as high as that of the other side ``(E,)``."""
+def _windows(values: NDArray[Scalar], reach: float) -> NDArray[Scalar]:
+    """Return the values of the frames about each, held at the ends ``(F, W)``."""
+    frames = round(reach)
+    padded = np.pad(values, frames, mode="edge")
+    return sliding_window_view(padded, 2 * frames + 1)
+
+
+def _partners(subject: MotionSubject, feet: IntArray) -> IntArray:
+    """Return which foot is that of the other side, or itself without one ``(E,)``."""
     places = {int(joint): e for e, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
-    others = [places.get(joint, e) for e, joint in enumerate(partners)]
+    return np.array([places.get(joint, e) for e, joint in enumerate(partners)])
+
+
+def _agrees(ground: FloatArray, partners: IntArray, within: float) -> BoolArray:
+    """Return whether each foot stands as high as that of the other side ``(E,)``."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
+        return np.asarray(np.abs(ground - ground[partners]) < within)
 
 
 def moves_over(
     subject: MotionSubject, points: FloatArray, span: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return how far points ``(F, E, 3)`` go about each frame, and in how many frames.
+    """Return where points ``(F, E, 3)`` go about each frame, and in how many frames.
 
-    span: about how long [s]. Distances ``(F, E)`` [m] and frames ``(F,)``.
+    span: about how long [s]. Moves ``(F, E, 3)`` [m] and frames ``(F,)``.
     """
     count, reach = len(points), max(1, round(0.5 * span / subject.interval))
     before = np.clip(np.arange(count) - reach, 0, count - 1)
     behind = np.clip(np.arange(count) + reach, 0, count - 1)
-    moves = np.linalg.norm(points[behind] - points[before], axis=2)
-    return moves, behind - before
+    return points[behind] - points[before], behind - before
 
 
 def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
@@ -162,4 +189,5 @@ def _still(subject: MotionSubject, points: FloatArray) -> BoolArray:
     moves, frames = moves_over(subject, points, STILL_SECONDS)
     # At low rates a frame is longer than the time to look at.
     allowed = STILL * frames * subject.interval / STILL_SECONDS
-    return np.asarray(moves < allowed[:, None] * subject.size)
+    lengths = np.linalg.norm(moves, axis=2)
+    return np.asarray(lengths < allowed[:, None] * subject.size)

@@ -1,4 +1,4 @@
-"""Feet that slide while they carry the body, and feet below or above the ground."""
+"""Feet that slide while they carry the body."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
+from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.validation.motion.body import body, feet_of, hips_of
+from animtool.validation.motion.body import hips_of
 from animtool.validation.motion.contacts import (
-    MIN_CONTACTS,
-    NEAR,
     Contacts,
     contacts_of,
 )
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.motion.tread import travel_scale
 
 # A take that travels less is one on the spot, whose feet slide on purpose [size].
 TRAVEL = 0.2
@@ -26,41 +25,18 @@ TRAVEL = 0.2
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
 SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
-# Or it never stands: in four of five frames on the ground it moves at this speed
-# [size/s], which is twice that of the roughest capture, for so long in all [s]. Where
-# turning explains it in most frames, as in a spin, it is a fast one [size/s].
-SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS, SKATE_TURNING = 0.013, 0.2, 1.0, 0.08
 # The speed is the lower one of those over this time before and after [s]: a foot that
 # lands slows down at once, and one that leaves has just stood. Shorter, it is noise.
 SPEED_SECONDS = 0.1
 # Who lands slows down at least to this part of the speed [1] while falling by so much
 # [size], and who leaves the other way round.
 LANDS, LIFTS = 0.6, 0.005
+# Who lands from the air skids on for a moment, and slows down as well [1]: it begins so
+# soon after [s], and lasts no longer than this [s].
+SKIDS, SKID_SECONDS, SKID_LASTS = 0.75, 0.15, 0.25
 # What a foot goes by as it turns about a point under it, of the size a radian, and as
 # it rises or falls so many times as far, is no slide [1].
 LEVER, STEEP = 0.07, 2.0
-# A foot is sunk that is this far below its ground [size], for so long [s].
-SUNK, SUNK_SECONDS = 0.04, 0.05
-# Of a character as tall as a person, the longest jump [s] for a size of 2.2 m; of
-# others as the root of their size.
-LONGEST_JUMP, PERSON_SIZE = 1.2, 2.2
-# No foot, and no other joint, is nearer to the ground in the air [size].
-AIR = 0.05
-# On stairs one foot stands on a step within this time of the other on the ground [s],
-# and steps are so high at least [size].
-STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
-# Where the rig rests on 0 of the up axis, within this, its feet stand as high as at
-# rest [size]. Contacts this far above it are not on it; below it, those that are sunk.
-STANDS_AT_ZERO, OFF_ZERO = 0.06, 0.05
-# Elsewhere 0 is taken for the ground too, but contacts so far from it have another
-# origin, such as the hips [size].
-OTHER_ORIGIN = 0.25
-# A leg hangs at rest that reaches down by this share of its length; legs that are
-# spread show nothing of how high feet stand [1], and these then are no higher [size],
-# and no lower than this part of it [1].
-HANGS, ANKLE, TOE, FLAT = 0.85, 0.08, 0.03, 0.3
-# Fewer seconds of contacts do not show that a whole take is off the ground.
-SHOWN_SECONDS = 0.3
 
 
 def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
@@ -89,11 +65,13 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         seconds = (last - first + 1) * subject.interval
         if _lands(slowest[first : last + 1], lowest[first : last + 1]):
             continue
+        if seconds <= SKID_LASTS and _skids(subject, contacts, slowest, first, last):
+            continue
         way = _way(subject, contacts, first, last)
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
     if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
-        yield from _skating(subject, contacts, slowest, slides)
+        yield from _scaled_travel(subject, contacts)
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
@@ -147,6 +125,25 @@ def _lands(speeds: FloatArray, heights: FloatArray) -> bool:
     return abs(rises) > LIFTS and slows and bool((changes >= 0.0).all())
 
 
+def _skids(
+    subject: MotionSubject,
+    contacts: Contacts,
+    speeds: FloatArray,
+    first: int,
+    last: int,
+) -> bool:
+    """Return whether feet slow down just after the air, or get faster just before it.
+
+    ``speeds`` of the slowest foot ``(F,)`` [m/s].
+    """
+    air = ~np.asarray(contacts.near.any(axis=1))
+    reach = max(1, round(SKID_SECONDS / subject.interval))
+    start, end = float(speeds[first]), float(speeds[last])
+    lands = bool(air[max(first - reach, 0) : first].any()) and end < SKIDS * start
+    leaves = bool(air[last + 1 :][:reach].any()) and start < SKIDS * end
+    return lands or leaves
+
+
 def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> float:
     """Return the shortest way that a foot near to the ground goes over a run [m].
 
@@ -159,27 +156,19 @@ def _way(subject: MotionSubject, contacts: Contacts, first: int, last: int) -> f
     return float(np.linalg.norm(np.diff(level, axis=0), axis=2).sum(axis=0).min())
 
 
-def _skating(
-    subject: MotionSubject, contacts: Contacts, slowest: FloatArray, slides: FloatArray
-) -> Iterator[Fault]:
-    """Yield that no foot ever stands still, though each slides a little alone."""
-    standing = np.flatnonzero(contacts.near.any(axis=1))
-    if len(standing) * subject.interval < SKATE_SECONDS:
+def _scaled_travel(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
+    """Yield that feet slide all along, as the root goes too far for them or less."""
+    scale = travel_scale(subject, contacts)
+    if scale is None:
         return
-    speeds = slowest[standing]
-    turns = float(np.median(np.minimum(slides, slowest)[standing])) <= 0.0
-    least = SKATE_TURNING if turns else SKATE_SPEED
-    if np.quantile(speeds, SKATE_SHARE) < least * subject.size:
-        return
-    usual = float(np.median(speeds))
-    frame = int(standing[int(np.abs(speeds - usual).argmin())])
+    frame = int(contacts.near.any(axis=1).argmax())
     foot = int(contacts.feet[int(contacts.near[frame].argmax())])
+    how = "along with" if scale > 1.0 else "back against"
     message = (
-        f"no foot stands still on the ground: the slowest moves at {usual:.2g} m/s in "
-        f"the middle of {len(standing)} frames, such as "
-        f"{subject.take.rig.joints[foot].name!r} at frame {subject.at(frame)}"
+        f"feet slide {how} the body while they stand: it travels {scale:.2g} times as "
+        f"far as they tread, such as {subject.take.rig.joints[foot].name!r}"
     )
-    hint = "hold feet with IK while they stand"
+    hint = "scale the root's motion to the legs, or hold feet with IK while they stand"
     yield subject.fault("MOT208", foot, frame, message, hint)
 
 
@@ -192,190 +181,28 @@ def _travel(subject: MotionSubject) -> float:
 def _speeds(subject: MotionSubject, feet: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return how fast feet go along the ground, and slide, ``(F, E)`` each [m/s].
 
-    Of their ways over a short time before and after each frame the shorter one counts;
-    they slide by what turning and lifting the foot leave of it.
+    Of how far they are away within a short time before and after each frame the lesser
+    one counts: a foot that turns back stands no more than one that goes on. They slide
+    by what turning and lifting the foot leave of it.
     """
     count = subject.frames
     reach = max(1, round(SPEED_SECONDS / subject.interval))
     level, heights = subject.level(feet), subject.heights[:, feet]
     rotations = subject.world.rotations[:, feet]
     speeds = np.full((2, count, len(feet)), np.inf)
-    for offset in (-reach, reach):
-        ends = np.clip(np.arange(count) + offset, 0, count - 1)
-        seconds = np.abs(ends - np.arange(count)) * subject.interval
-        way = np.linalg.norm(level[ends] - level, axis=2)
-        explained = STEEP * np.abs(heights[ends] - heights)
-        angles = so3.angle_between(rotations[ends], rotations)
-        explained += LEVER * subject.size * angles
+    for sign in (-1, 1):
+        ways = np.zeros((2, count, len(feet)))
+        for offset in range(1, reach + 1):
+            ends = np.clip(np.arange(count) + sign * offset, 0, count - 1)
+            way = np.linalg.norm(level[ends] - level, axis=2)
+            explained = STEEP * np.abs(heights[ends] - heights)
+            angles = so3.angle_between(rotations[ends], rotations)
+            explained += LEVER * subject.size * angles
+            ways = np.maximum(ways, np.stack([way, way - explained]))
         # The first frame has nothing before it, and the last one nothing after it.
+        seconds = np.abs(ends - np.arange(count)) * subject.interval
         known = seconds > 0.0
-        ways = np.stack([way, np.maximum(way - explained, 0.0)])[:, known]
-        speeds[:, known] = np.minimum(speeds[:, known], ways / seconds[known, None])
-    return speeds[0], speeds[1]
-
-
-def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield feet that sink into the ground or float above it (MOT209).
-
-    The ground is 0 of the up axis where the rig rests standing on that, else the
-    height at which the feet stand most.
-    """
-    subject = subject.main
-    contacts = contacts_of(subject)
-    if contacts is None or body_axis(subject):
-        return
-    whole = list(_whole_take(subject, contacts))
-    yield from whole or [*_sunk(subject, contacts), *_floating(subject, contacts)]
-
-
-def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that all contacts are off 0 of the up axis, where that is the ground."""
-    if not subject.has_rest:
-        return
-    often = contacts.still.sum(axis=0)
-    fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
-    shown = np.flatnonzero((often >= fewest) & contacts.flat)
-    if not len(shown):
-        return
-    least, most, rests_at_zero = _clearances(subject, contacts.feet[shown])
-    ground = contacts.ground[shown]
-    offs = np.where(ground < least, ground - least, np.maximum(ground - most, 0.0))
-    # A heel may be up for good: the foot nearest to the ground counts. Where how high
-    # feet stand is not known, the lowest one shows it best.
-    nearest = int((np.abs(offs) if rests_at_zero else ground).argmin())
-    off = float(offs[nearest])
-    if -SUNK * subject.size < off < OFF_ZERO * subject.size:
-        return
-    lowest = subject.heights[:, contacts.feet].min(axis=1)
-    if off > 0.0 and float(np.percentile(lowest, 5)) < off:
-        return
-    if not rests_at_zero and abs(off) > OTHER_ORIGIN * subject.size:
-        return
-    foot = int(contacts.feet[shown[nearest]])
-    frame = int(np.flatnonzero(contacts.still[:, shown].any(axis=1))[0])
-    how = "below" if off < 0.0 else "above"
-    message = (
-        f"the feet stand {abs(off):.3g} m {how} the ground, 0 of the up axis; "
-        f"{subject.take.rig.joints[foot].name!r} is nearest to it"
-    )
-    hint = "lift or lower the root, or convert the take's units"
-    yield subject.fault("MOT209", foot, frame, message, hint)
-
-
-def _clearances(
-    subject: MotionSubject, feet: IntArray
-) -> tuple[FloatArray, FloatArray, bool]:
-    """Return how far foot joints are above the ground when they stand.
-
-    Least and most ``(E,)`` [m], and whether the rig rests on 0 of the up axis. Legs
-    that hang at rest show it; of others only that feet are flat is known.
-    """
-    rig, size = subject.take.rig, subject.rest_size
-    scale = subject.size / size
-    rest = subject.rest
-    heights = rest @ subject.up
-    lowest = float(heights.min())
-    parents, hips = rig.parents, hips_of(subject)
-    least = np.zeros(len(feet))
-    most = np.zeros(len(feet))
-    hangs = True
-    known = set(feet_of(rig.names).tolist())
-    for e, foot in enumerate(feet.tolist()):
-        is_toe = int(parents[foot]) in known
-        most[e] = (TOE if is_toe else ANKLE) * size
-        length, joint = 0.0, foot
-        while joint not in (-1, hips):
-            parent = int(parents[joint])
-            if parent >= 0:
-                length += float(np.linalg.norm(rest[joint] - rest[parent]))
-            joint = parent
-        if heights[hips] - heights[foot] > HANGS * length > 0.0:
-            least[e] = heights[foot] - lowest
-        else:
-            hangs = False
-    on_zero = hangs and -SUNK < 2.0 * lowest / size < 2.0 * STANDS_AT_ZERO
-    if on_zero:
-        least = most = heights[feet]
-    else:
-        least, most = np.maximum(least, FLAT * most), np.maximum(least, most)
-    return least * scale, most * scale, on_zero
-
-
-def _sunk(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield the foot that is furthest below the ground of its contacts."""
-    heights = subject.heights[:, contacts.feet]
-    below = (contacts.ground - heights) * contacts.flat
-    deep = below > SUNK * subject.size
-    fewest = max(2, round(SUNK_SECONDS / subject.interval))
-    sunk = []
-    for e in range(len(contacts.feet)):
-        for first, last in runs(deep[:, e]):
-            if last - first + 1 >= fewest:
-                depth = float(below[first : last + 1, e].max())
-                sunk.append((depth, e, first, last))
-    if not sunk:
-        return
-    depth, e, first, last = max(sunk)
-    foot = int(contacts.feet[e])
-    message = (
-        f"{subject.take.rig.joints[foot].name!r} is up to {depth:.3g} m below the "
-        f"ground from frame {subject.at(first)} to {subject.at(last)}; the ground is "
-        f"where it stands in other frames, {contacts.ground[e]:.3g} m"
-    )
-    hint = "lift the root there, or hold the foot with IK"
-    yield subject.fault("MOT209", foot, first, message, hint)
-
-
-def _floating(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
-    """Yield that no joint comes near to the ground for longer than a jump lasts."""
-    flat = np.isfinite(contacts.floor)
-    if not flat.any():
-        return
-    ground = float(contacts.floor[flat].min())
-    above = subject.heights[:, contacts.feet[flat]] - contacts.floor[flat]
-    lowest = subject.heights[:, body(subject)].min(axis=1) - ground
-    air = (above.min(axis=1) > AIR * subject.size) & (lowest > AIR * subject.size)
-    still = contacts.still[:, flat]
-    # A file without units may be of a person, whatever its numbers are.
-    tall = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
-    longest = LONGEST_JUMP * np.sqrt(tall / PERSON_SIZE)
-    for first, last in runs(air):
-        seconds = (last - first + 1) * subject.interval
-        if seconds <= longest or _climbs(subject, still, above, first, last):
-            continue
-        height = float(lowest[first : last + 1].min())
-        foot = int(contacts.feet[flat][above[first].argmin()])
-        message = (
-            f"no foot is nearer than {height:.3g} m to the ground from frame "
-            f"{subject.at(first)} to {subject.at(last)}, for {seconds:.2g} s; the "
-            f"ground is where they stand in other frames, {ground:.3g} m"
+        speeds[:, known] = np.minimum(
+            speeds[:, known], ways[:, known] / seconds[known, None]
         )
-        hint = "lower the root there; a jump does not last so long"
-        yield subject.fault("MOT209", foot, first, message, hint)
-        return
-
-
-def _climbs(
-    subject: MotionSubject, still: BoolArray, above: FloatArray, first: int, last: int
-) -> bool:
-    """Return whether the feet go up or down one by one, as on stairs and ladders.
-
-    Their first contacts in a run are at several heights, or their last ones; or one
-    stands high shortly before or after it, and the other one still on the ground.
-    ``still`` and ``above`` ``(F, E)`` [m].
-    """
-    size = subject.size
-    reach = max(1, round(STEP_SECONDS / subject.interval))
-    high, low = above > AIR * size, np.abs(above) < NEAR * size
-    steps = (still & high).any(axis=1) & (still & low).any(axis=1)
-    steps = np.asarray(steps)
-    if steps[max(first - reach, 0) : first].any() or steps[last + 1 :][:reach].any():
-        return True
-    within, heights = still[first : last + 1], above[first : last + 1]
-    stands = np.flatnonzero(within.any(axis=0))
-    for rows in (slice(None), slice(None, None, -1)):
-        at = np.argmax(within[rows], axis=0)
-        contacts = heights[rows][at, np.arange(within.shape[1])][stands]
-        if len(stands) and float(np.ptp(contacts)) > STEP_HEIGHT * size:
-            return True
-    return False
+    return speeds[0], speeds[1]

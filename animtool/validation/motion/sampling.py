@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clock import span_label
 from animtool.errors import Fault, counted
+from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.pops import runs
 from animtool.validation.motion.subject import MotionSubject
 
@@ -88,7 +89,7 @@ MIN_JOINTS = 4
 # other steps of captures that joints agree in leave .45 and more [1].
 MAX_LOST, EXPLAINED = 6, 0.35
 # Where few joints move, all of them must show it, and no more than this be left [1].
-FEW_EXPLAINED, MIN_FEW = 0.02, 2
+FEW_EXPLAINED, MIN_FEW = 0.06, 2
 # The step is as many times further from what is predicted than others around it, within
 # blocks of so many frames, are mostly [1]. No joint goes more evenly than a part of its
 # usual step, which is text of few digits, or than this [rad].
@@ -102,13 +103,16 @@ GAP = 3
 # Of the usual step: less shows no loss, and is no motion that stops [1].
 MIN_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
-MAX_JOINTS = 0.55
+MAX_JOINTS = 0.5
 # Joints that go no more than this many steps contradict it: no more than a share of
 # them, by the squares of their steps, of which fast ones have more; and where these are
 # not few, no more of the difference may be left than this [1].
 GOES_ON, FEW_ON, MAX_ON, WELL_EXPLAINED = 1.25, 0.15, 0.4, 0.2
-# Few joints are at least this share of all that moves [1].
-FEW_PACE = 0.5
+# Where hardly anything of the difference is left, fast joints may contradict it, as a
+# foot that lands there does, and fewer may agree [1].
+SURELY, SURE_ON, SURE_JOINTS = 0.04, 0.8, 0.4
+# Few joints are at least this share of all that moves, and of two limbs or more [1].
+FEW_PACE = 0.1
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
@@ -191,7 +195,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     pace = _squares(usual)
     noise = _usual_around(off) + (EVEN**2) * np.median(pace, axis=0) + NOISE**2
     shows = pace > SHOWS**2 * noise
-    shows &= pace > 0.02 * pace.max(axis=1, keepdims=True)
+    shows &= pace > 0.001 * pace.max(axis=1, keepdims=True)
     many = shows.sum(axis=1)
     total = (shows * off / noise).sum(axis=1)
     paces = np.sqrt(pace.sum(axis=1))
@@ -202,20 +206,35 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     against = (shows * on * pace).sum(axis=1) / np.maximum(
         (shows * pace).sum(axis=1), np.finfo(float).tiny
     )
-    possible &= against < MAX_ON
+    possible &= against < SURE_ON
     for frames in range(1, MAX_LOST + 1):
         left = _squares(c - _predicted(near, far, frames))
         rest = (shows * left / noise).sum(axis=1)
         further = shows & (left < 0.5 * off)
         joints = further.sum(axis=1)
         explained = np.where(against < FEW_ON, EXPLAINED, WELL_EXPLAINED) * total
-        found = (rest < explained) & (joints > MAX_JOINTS * many)
+        found = (rest < explained) & (joints > MAX_JOINTS * many) & (against < MAX_ON)
+        found |= (rest < SURELY * total) & (joints > SURE_JOINTS * many)
         few = (rest < FEW_EXPLAINED * total) & (joints == many)
         few &= (further * pace).sum(axis=1) > FEW_PACE * pace.sum(axis=1)
+        few &= _of_two_limbs(subject, further)
         found = possible & np.where(many >= MIN_JOINTS, found, few)
         ratios[2:-2][found & ~lost[2:-2]] = frames + 1.0
         lost[2:-2] |= found
     return ratios, lost
+
+
+def _of_two_limbs(subject: MotionSubject, flags: BoolArray) -> BoolArray:
+    """Return in which rows joints of more than one limb are flagged ``(S,)``.
+
+    A finger that jumps with its hand is no loss. A trunk that both turns and moves as
+    far as in several steps counts as two. ``flags`` ``(S, N)`` of the columns.
+    """
+    limbs = limbs_of(subject.take.rig.parents)[_columns(subject)]
+    moves = np.arange(len(limbs)) >= len(subject.turning)
+    limbs = np.where(moves & (limbs < 0), -2, limbs)
+    where = [flags[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
+    return np.asarray(np.sum(where, axis=0) > 1)
 
 
 def _predicted(near: FloatArray, far: FloatArray, lost: int) -> FloatArray:

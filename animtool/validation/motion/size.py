@@ -14,7 +14,7 @@ from animtool.mocap.retarget.anatomy import anatomy
 from animtool.mocap.standing import Stance, stance
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
-from animtool.validation.motion.body import feet_of, hips_of, placed
+from animtool.validation.motion.body import body, feet_of, hips_of, placed
 from animtool.validation.motion.subject import MotionSubject
 
 # Share of its length that a bone may change by, and of the rig's size below which a
@@ -25,6 +25,11 @@ FACTORS = (10.0, 100.0, 1000.0, 39.37)
 NEAR_FACTOR = 0.15
 # A root this many times as high as at rest is of another unit, whatever it does [1].
 HIGH = (25.0, 4000.0)
+# Or, in the unit that its numbers are of, the lowest joint is this near to 0 of the up
+# axis in most frames [size], [1]. Or it comes so near at times, as on stairs, and then
+# stands in so many frames [size], [size/s], [1].
+ON_ZERO, ON_ZERO_SHARE = 0.06, 0.5
+AT_TIMES, TREADS, TREADS_SHARE = 0.05, 0.12, 0.4
 # Of animated bones, the share that must have one such factor [1].
 MAX_BONES = 0.8
 # From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
@@ -160,11 +165,35 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         height = float(np.median(subject.heights[:, root]))
         ratio = height / (legs if at_hips else rest)
         # At 1/100 of its height a root is at 0, where one of another origin is, too.
-        factor = _unit_factor(np.array([ratio])) if ratio < 1.0 else _high(ratio)
-        if factor is None or abs(math.log10(factor)) < 1.5:
-            continue
-        if factor > 1.0 or not at_hips:
+        factor = _low_factor(subject, root) if ratio < 1.0 else _high(ratio)
+        if factor is None and not at_hips:
+            factor = _unit_factor(np.array([ratio]))
+        if factor is not None and abs(math.log10(factor)) > 1.5:
             return int(root), factor
+    return None
+
+
+def _low_factor(subject: MotionSubject, root: int) -> float | None:
+    """Return the part of a unit that a root's numbers are of, if its feet show that.
+
+    Multiplied back, its translation puts the lowest joint on the ground, however the
+    body crouches or crawls.
+    """
+    joints = subject.positions[:, body(subject)]
+    lowest = (joints @ subject.up).argmin(axis=1)
+    points = joints[np.arange(len(joints)), lowest]
+    for factor in FACTORS:
+        lift = (factor - 1.0) * subject.positions[:, root]
+        above = (points + lift) @ subject.up
+        if float((np.abs(above) < ON_ZERO * subject.size).mean()) > ON_ZERO_SHARE:
+            return 1.0 / factor
+        if abs(float(np.percentile(above, 5))) > AT_TIMES * subject.size:
+            continue
+        before = joints[np.arange(len(joints) - 1) + 1, lowest[:-1]]
+        steps = before + lift[1:] - points[:-1] - lift[:-1]
+        slow = np.linalg.norm(steps, axis=1) < TREADS * subject.size * subject.interval
+        if float(slow.mean()) > TREADS_SHARE:
+            return 1.0 / factor
     return None
 
 

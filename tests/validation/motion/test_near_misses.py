@@ -134,6 +134,46 @@ def test_a_freeze_is_said_with_how_many_there_are(
     assert fault.message.endswith(said)
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.03, []), (0.05, ["MOT209"])])
+def test_feet_are_sunk_from_four_percent_of_the_size(
+    walking: Take, share: float, found: list[str]
+) -> None:
+    assert codes(eased(-share, 1, 0.3, 0.6)(walking)) == found
+
+
+@pytest.mark.parametrize("higher", [1.0, 1.6])
+@pytest.mark.parametrize("factor", [0.01, 0.001])
+def test_a_root_in_a_smaller_unit_is_found_by_where_feet_stand(
+    walking: Take, factor: float, higher: float
+) -> None:
+    # Of a rig that rests so much higher the motion crouches.
+    joints = list(walking.rig.joints)
+    x, y, z = joints[0].translation
+    joints[0] = replace(joints[0], translation=(x, higher * y, z))
+    rig = replace(walking.rig, joints=tuple(joints))
+    places = walking.motion.translations.dense().copy()
+    take = replace(edited(walking, places), rig=rig)
+    assert "MOT213" not in codes(take)
+    places[:, 0] *= factor
+    assert "MOT213" in codes(replace(edited(walking, places), rig=rig))
+
+
+def lost_at(take: Take, names: tuple[str, ...], frame: int) -> Take:
+    """Let some joints go twice as far in one step, and on from there."""
+    turns = take.motion.rotations.dense().copy()
+    for j in (take.rig.index(name) for name in names):
+        turns[frame:-1, j] = turns[frame + 1 :, j]
+    return edited(take, rotations=turns)
+
+
+def test_a_limb_that_skips_a_frame_is_no_lost_frame(walking: Take) -> None:
+    every = tuple(walking.rig.names)
+    whole = [f for f in range(20, 40) if "MOT205" in codes(lost_at(walking, every, f))]
+    hand = ("LeftArm", "LeftForeArm")
+    limb = [f for f in range(20, 40) if "MOT205" in codes(lost_at(walking, hand, f))]
+    assert (len(whole) >= 15, limb) == (True, [])
+
+
 def test_a_jump_does_not_float(walking: Take) -> None:
     assert codes(eased(0.15, 1, 0.3, 0.7)(walking)) == []
 
