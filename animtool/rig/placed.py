@@ -134,11 +134,17 @@ def at_origin(rig: Rig) -> Rig:
 
 
 def standing_notice(
-    rig: Rig, where: str, *, kept: bool, over: Placement | None = None
+    rig: Rig,
+    where: str,
+    *,
+    kept: bool,
+    over: Placement | None = None,
+    stays: bool = False,
 ) -> list[Fault]:
     """Say what becomes of where a take's stage has its character stand (USD124).
 
-    over: where the rig stands that a layer is for.
+    over: where the rig stands that a layer is for; stays: whether it rode on what
+    moves, which its joints hold.
     """
     if rig.stands is None and not rig.rides:
         return []
@@ -148,5 +154,7 @@ def standing_notice(
     message += "which is kept" if kept else "which is dropped"
     if over is not None and not over.is_none:
         message += f"; the rig stands {over.described()}"
+    if stays:
+        message += "; what it rode on is in its joints, and stays"
     hint = f"--placement {'drop' if kept else 'keep'} does the other"
     return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

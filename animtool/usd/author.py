@@ -41,6 +41,7 @@ from animtool.usd.layers import (
     save_layer,
 )
 from animtool.usd.names import RigPaths, joint_names, legal_name, plain_text
+from animtool.usd.recorded_place import KEY, place_record
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_usd_warnings, without_version_warnings
 
@@ -163,10 +164,12 @@ def _author_take(
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
     if take.reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
+    if take.place:
+        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.place)
     return _Part(writer, written, take.curves)
 
 
-def _author_data(animation: Any, key: str, value: Mapping[str, str] | bool) -> None:
+def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
     """State something of a SkelAnimation that USD has no place for."""
     held = dict(animation.GetInfo("customData") or {})
     stated = value if isinstance(value, bool) else dict(value)
@@ -341,6 +344,7 @@ def _stage_job(
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
+        place=place_record(rig),
     )
     return job, written, [replace(n, path=str(path)) for n in names.notices]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, OptionError
 from animtool.files import is_there
@@ -173,6 +173,9 @@ class UsdTake:
     # Things beside the rig, gathered while the blocks are drawn; None is none.
     props: PropSamples | None = None
     reduced: bool = False  # whether samples are left out that others give back
+    # What the file records of where its joints stand; empty where they do not, or a
+    # rig layer does.
+    place: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

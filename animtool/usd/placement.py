@@ -270,16 +270,20 @@ NOWHERE = SkeletonPlacement(Placement.turn(so3.IDENTITY), Placement.turn(so3.IDE
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
     """Return a rig, as its numbers are, with its rest pose where its stage has it.
 
-    choice: ``drop`` leaves out where it stands; None keeps it.
+    choice: ``drop`` leaves out where the stage has it; None keeps it.
     """
+    sized = placed_rig(rig, placement.sized)
     if choice == DROP:
-        return placed_rig(rig, placement.sized)
+        return sized
     stands = placement.stands
     placed = placed_rig(rig, placement.rest)
+    if sized.stands is not None:
+        # Its numbers have it stand somewhere too.
+        stands = stands.after(sized.stands)
     return replace(
         placed,
         stands=None if stands.is_none else stands,
-        rides=placement.rides,
+        rides=placement.rides or rig.rides,
     )
 
 
