@@ -163,6 +163,7 @@ class _JointTake:
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
+            to_rig=None if mapping is None else mapping.to_rig,
             reduced=self._thinned is not None,
             place=place_record(plan.stream.rig) if mapping is None else {},
         )

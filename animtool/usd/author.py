@@ -140,11 +140,18 @@ def _author_take(
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written = _written(job, take, writer)
     if take.props is not None:
-        from animtool.usd.transform_writer import author_props, prop_placements
+        from animtool.usd.prop_placement import prop_placements
+        from animtool.usd.transform_writer import author_props
 
         rig_layer = None if authored.rig is layer else authored.rig
         places = prop_placements(
-            job.paths, job.target, rig_layer, job.meters_per_unit, job.rig.up, take.name
+            job.paths,
+            job.target,
+            rig_layer,
+            job.meters_per_unit,
+            job.rig.up,
+            take.name,
+            take.to_rig,
         )
         written.props, written.notices = author_props(
             layer, take.props, places, job.output

@@ -125,6 +125,15 @@ def _times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
     return [min(samples, default=0.0)]
 
 
+def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
+    """Return what a layer over the rig does not replace above a Skeleton's joints.
+
+    As pxr has it ``(F, 4, 4)``, at time codes.
+    """
+    whole = world_matrices(skeleton, np.array(codes))
+    return _without_root_motion(skeleton, codes, whole)
+
+
 def _without_root_motion(
     skeleton: Any, times: Sequence[float], whole: FloatArray
 ) -> FloatArray:

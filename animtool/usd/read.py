@@ -228,12 +228,14 @@ def _left_place(
     placement: SkeletonPlacement, held: Placement | None, prim: Any, rig: Rig
 ) -> Callable[[FloatArray], Placement]:
     """Return where a take without it stood, at time codes of its stage."""
+    stage: Any = None if prim is None else prim.GetStage()
 
     def stood(codes: FloatArray) -> Placement:
         own = placement
         if placement.rides:
-            # As long as the prim is, so is its stage.
-            own = skeleton_placement(prim, rig, codes.tolist())
+            # Named here, the stage lives as long as the function, and its prims.
+            skeleton = stage.GetPrimAtPath(prim.GetPath())
+            own = skeleton_placement(skeleton, rig, codes.tolist())
         stands, _ = own.fixed.split(rig.up)
         return stands if held is None else stands.after(held)
 

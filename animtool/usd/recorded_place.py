@@ -1,8 +1,8 @@
 """Where the joints of a written stage already stand, as its prims record it.
 
 A stage that is written from a placed source has that place in its joints, and no
-transform says so. ``customData`` of the SkelAnimation does, for its samples, and that of
-the Skeleton for the rest pose::
+transform says so. ``customData`` does: that of the SkelAnimation for its samples, that
+of the Skeleton for the rest pose::
 
     animtool = { dictionary stands = { double3 translate, quatd rotate, bool rides } }
 
