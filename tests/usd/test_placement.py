@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from pxr import Usd, UsdGeom, UsdSkel
+from support.cli import animtool
 from support.usd import joint_positions
 
 from animtool import open_source
@@ -459,6 +460,41 @@ def test_what_was_written_from_a_placed_source_rides_on_it_once(
     bake(written, layer, BakeOptions(rig_layer=source))
     found = composed(over(layer, source))
     np.testing.assert_allclose(found, composed(source), atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("command", "given"),
+    [
+        ("bake", ["-o"]),
+        ("convert", []),
+        ("loop", ["--first", "1", "--last", "4", "-o"]),
+        ("ik", ["--targets", "head.targets.yaml", "-o"]),
+    ],
+)
+def test_each_command_drops_a_place_and_says_so(
+    tmp_path: Path, command: str, given: list[str]
+) -> None:
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    source.write_text(stage_text("set", op_text("translate", False, 0.01)))
+    plain.write_text(stage_text())
+    # Where the head is, so that nothing needs to move.
+    goal = "{effector: Head, position: [0, 0, 0], weight: 1e-9}"
+    head = f"targets: animtool/1\nfps: 24\nunits: {{length: m}}\ngoals: [{goal}]\n"
+    (tmp_path / "head.targets.yaml").write_text(head)
+    outputs = []
+    for path, choice in ((source, ["--placement", "drop"]), (plain, [])):
+        named = [path.name]
+        if command == "ik":
+            named = [plain.name, "--clip", path.name]
+        output = f"{path.stem}-out.usda"
+        done = animtool(command, *named, *given, output, *choice, cwd=tmp_path)
+        assert done.code == 0, done.stderr
+        assert ("USD124" in done.stderr) == bool(choice)
+        assert ("which is dropped" in done.stderr) == bool(choice)
+        outputs.append(tmp_path / output)
+    codes = CODES[:3]
+    one, other = (composed(path, codes) for path in outputs)
+    np.testing.assert_allclose(one, other, atol=2e-6)
 
 
 @pytest.mark.parametrize("up", "YZ")
