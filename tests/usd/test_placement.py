@@ -334,6 +334,33 @@ def test_a_source_that_is_placed_goes_onto_a_rig_from_where_it_is(
     np.testing.assert_allclose(found[:, 0], truth[:, 0] / size, atol=2e-5)
 
 
+@pytest.mark.parametrize("where", PLACES)
+@pytest.mark.parametrize(
+    ("kind", "moves"), [("translate", False), ("all", False), ("translate", True)]
+)
+def test_a_retargeted_layer_rides_on_its_rig_once(
+    tmp_path: Path, where: str, kind: str, moves: bool
+) -> None:
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    ops = op_text(kind, moves, 0.01).replace("(90, 20, 10)", "(4, 20, 10)")
+    source.write_text(stage_text(where, ops))
+    plain.write_text(stage_text(size=2.0 if kind == "all" else 1.0))
+    for choice in (None, "keep", "drop"):
+        output = tmp_path / f"{choice}.usda"
+        options = BakeOptions(rig_layer=source, placement=choice)
+        run_retarget(RetargetJob(source, source, output=output, bake=options))
+        found = composed(over(output, source))
+        np.testing.assert_allclose(found, composed(source), atol=2e-5)
+    # What has no place does not ride, whatever its rig does.
+    report = run_retarget(
+        RetargetJob(plain, source, output=tmp_path / "plain-out.usda")
+    )
+    assert "USD124" not in [notice.code for notice in report.notices]
+    take = open_source(tmp_path / "plain-out.usda")
+    assert take.rig.stands is None
+    assert not take.rig.rides
+
+
 def test_a_placed_rig_takes_what_stands_elsewhere(tmp_path: Path) -> None:
     plain, rig = tmp_path / "plain.usda", tmp_path / "rig.usda"
     plain.write_text(stage_text())
