@@ -165,7 +165,7 @@ class _JointTake:
             props=self._run.props,
             to_rig=None if mapping is None else mapping.to_rig,
             reduced=self._thinned is not None,
-            place=place_record(plan.stream.rig) if mapping is None else {},
+            place=place_record(plan.stream.rig, rig) if mapping is None else {},
         )
         return take, blocks
 

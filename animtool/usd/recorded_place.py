@@ -28,9 +28,14 @@ from animtool.usd.rig_prims import stored_data
 KEY = "stands"
 
 
-def place_record(rig: Rig) -> dict[str, Any]:
-    """Return what a file records of where a rig stands; empty where it does not."""
-    if rig.stands is None and not rig.rides:
+def place_record(rig: Rig, resting: Rig | None = None) -> dict[str, Any]:
+    """Return what a file records of where a rig stands; empty where it does not.
+
+    resting: the rig whose rest pose the file has; None is the same. Where that stands
+    somewhere, so is recorded who does not.
+    """
+    others = (rig,) if resting is None else (rig, resting)
+    if all(one.stands is None and not one.rides for one in others):
         return {}
     stands = rig.stands or Placement.turn(so3.IDENTITY)
     record: dict[str, Any] = {

@@ -596,6 +596,31 @@ def test_a_place_that_a_file_records_can_be_dropped(
     assert open_source(tmp_path / "one.usda").rig.stands is None
 
 
+@pytest.mark.parametrize("up", "YZ")
+def test_each_take_of_a_library_has_its_own_place(tmp_path: Path, up: str) -> None:
+    source, plain, other = (tmp_path / f"{name}.usda" for name in ("s", "p", "o"))
+    ops = op_text("all", False, 0.01).replace("(90, 20, 10)", "(4, 20, 10)")
+    source.write_text(stage_text("set", ops, up=up))
+    plain.write_text(stage_text(up=up, size=2.0))
+    ops = ops.replace("(300.0, 100.0, 0)", "(-50, 20, 10)")
+    assert "(-50, 20, 10)" in ops
+    other.write_text(stage_text("char", ops, up=up))
+    library = tmp_path / "library.usda"
+    bake([source, plain, other], library, BakeOptions(form="library"))
+    for path in (source, plain, other):
+        reading = SourceOptions(take=path.stem)
+        for name, given, options in (
+            ("take", library, BakeOptions(source=reading, rig_layer=source)),
+            ("own", path, BakeOptions(rig_layer=source)),
+        ):
+            bake(given, tmp_path / f"{path.stem}-{name}.usda", options)
+        found, truth = (
+            composed(over(tmp_path / f"{path.stem}-{name}.usda", source))
+            for name in ("take", "own")
+        )
+        np.testing.assert_allclose(found, truth, atol=2e-6)
+
+
 def test_a_malformed_record_of_a_place_is_refused(tmp_path: Path) -> None:
     source, written = tmp_path / "source.usda", tmp_path / "written.usda"
     source.write_text(stage_text("set", op_text("translate", False, 0.01)))
