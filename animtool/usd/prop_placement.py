@@ -15,9 +15,6 @@ from animtool.rig.placement import SAME, Placement
 from animtool.transforms import Track, Transforms, below_matrices, placed
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.names import TAKE_SET, RigPaths
-from animtool.usd.placement import fixed_matrices
-from animtool.usd.prim_transforms import world_matrices
-from animtool.usd.rig_prims import decompose
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
@@ -48,7 +45,7 @@ class PropPlacements:
             return path
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
 
-    def brought(
+    def located(
         self, track: Track, path: str, codes: FloatArray, known: Transforms
     ) -> Transforms:
         """Return a track at time codes ``(F,)``, in the space of the prim above it."""
@@ -122,6 +119,10 @@ def space_above(
     From the Skeleton's space, or with ``inside`` off from the world: column vectors in
     the numbers of the stage ``(F, 4, 4)``, one where nothing moves; None is the same.
     """
+    # Stages that are no layers need nothing of them.
+    from animtool.usd.placement import fixed_matrices
+    from animtool.usd.prim_transforms import world_matrices
+
     stage = target.stage
     above = Sdf.Path(target.on_stage(path)).GetParentPath()
     while not stage.GetPrimAtPath(above):
@@ -162,6 +163,8 @@ def way_inside(
 
 def _below(known: Transforms, matrices: FloatArray) -> Transforms:
     """Return transforms after matrices, in parts where these only move and scale."""
+    from animtool.usd.rig_prims import decompose
+
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
     sizes = np.cbrt(np.abs(scales).prod(axis=-1))
     even = np.tile(np.eye(4), (len(matrices), 1, 1))

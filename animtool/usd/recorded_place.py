@@ -12,7 +12,7 @@ Lengths are metres, along the axes of the layer.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Gf
@@ -21,9 +21,10 @@ from animtool.maths import so3
 from animtool.rig.placed import placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.usd.faults import Spot
 from animtool.usd.layers import quaternion
-from animtool.usd.rig_prims import stored_data
+
+if TYPE_CHECKING:
+    from animtool.usd.faults import Spot
 
 KEY = "stands"
 
@@ -65,6 +66,9 @@ def with_recorded_place(rig: Rig, skeleton: Any, animation: Any, where: Spot) ->
 
 def _recorded(prim: Any, where: Spot) -> tuple[Placement, bool] | None:
     """Return what a prim records, and whether it rides; None where it does not."""
+    # What writes needs nothing of stages.
+    from animtool.usd.rig_prims import stored_data
+
     record = stored_data(prim).get(KEY)
     if record is None:
         return None

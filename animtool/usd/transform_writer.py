@@ -129,7 +129,7 @@ def author_props(
         spec = prim(layer, places.spec(path), type_name, over=there)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        known = places.brought(track, path, codes, track.at(times[:, i]))
+        known = places.located(track, path, codes, track.at(times[:, i]))
         _author_track(spec, track, codes, known, places.unit(path))
         if known.held is not None and known.held.any():
             notices.append(_held_notice(track, path, codes, known.held))

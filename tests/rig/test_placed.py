@@ -1,4 +1,4 @@
-"""A rig that is brought somewhere moves there as it does at home."""
+"""A rig that is rescaled somewhere moves there as it does at home."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ def test_what_is_of_lengths_is_as_large_as_its_rig(
     placement = Placement(np.array([[3.0, 1.0, -2.0]]), turn[None], np.array([size]))
     before, controls = moved(rig, tmp_path)
     assert np.abs(np.ptp(before, axis=0)).max(axis=1).min() > 0.01
-    brought = placed_rig(rig, replace(placement, rotations=so3.IDENTITY[None]))
-    after, felt = moved(brought, tmp_path)
+    rescaled = placed_rig(rig, replace(placement, rotations=so3.IDENTITY[None]))
+    after, felt = moved(rescaled, tmp_path)
     np.testing.assert_allclose(after, placement.translations + size * before, atol=1e-9)
     np.testing.assert_allclose(felt, controls, atol=1e-12)
     # And as a file.
     path = tmp_path / "placed.rig.yaml"
-    path.write_text(rig_text(brought))
+    path.write_text(rig_text(rescaled))
     again, felt = moved(load_rig(path), tmp_path)
     np.testing.assert_allclose(again, after, atol=1e-9)
     np.testing.assert_allclose(felt, controls, atol=1e-9)

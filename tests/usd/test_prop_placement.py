@@ -30,7 +30,7 @@ def Xform "tool"
 PATHS = {"Props/tool": "/set/Props/tool", "/Props/tool": "/Props/tool"}
 
 
-def beside_hips(path: Path | Usd.Stage, prim: str) -> Floats:
+def in_hips_frame(path: Path | Usd.Stage, prim: str) -> Floats:
     """Return a prim in the frame of the hips ``(F, 4, 4)``, lengths [m]."""
     stage = Usd.Stage.Open(str(path)) if isinstance(path, Path) else path
     rows = []
@@ -78,7 +78,7 @@ SYSTEM = """systems:
     name: dust
     emitters: [{bursts: [[0, 1]], at: [1, 2, 3], speed: 0}]
 """
-CARRIED = list(
+PROP_CASES = list(
     zip(
         itertools.product(("set", "char", "skel"), (False, True)),
         itertools.cycle(itertools.product(PATHS, "YZ")),
@@ -87,8 +87,8 @@ CARRIED = list(
 )
 
 
-@pytest.mark.parametrize("case", CARRIED)
-def test_props_of_a_source_stay_beside_its_character(
+@pytest.mark.parametrize("case", PROP_CASES)
+def test_props_of_a_source_keep_their_distance_to_its_character(
     tmp_path: Path, case: tuple[tuple[str, bool], tuple[str, str]]
 ) -> None:
     (where, moves), (path, up) = case
@@ -101,7 +101,7 @@ def test_props_of_a_source_stay_beside_its_character(
     ops = "double3 xformOp:translate = (7, 8, 9)\nfloat xformOp:rotateY = 35\n"
     ops += 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateY"]'
     other.write_text(stage_text("char", ops, up=up, size=size))
-    truth = beside_hips(source, "/tool")
+    truth = in_hips_frame(source, "/tool")
     scene = shot_of(source, path)
     for below, choice in itertools.product(
         (None, source, plain, other), (None, "keep", "drop")
@@ -115,7 +115,7 @@ def test_props_of_a_source_stay_beside_its_character(
             BakeOptions(rig_layer=below, placement=choice, prim_path=model),
         )
         stage = over(output, below) if below else Usd.Stage.Open(str(output))
-        found = beside_hips(stage, PATHS[path])
+        found = in_hips_frame(stage, PATHS[path])
         np.testing.assert_allclose(found, truth, atol=1e-5, err_msg=name)
 
 
