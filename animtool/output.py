@@ -184,7 +184,7 @@ def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
             taken[name_key(path.resolve())] = path
     for place in targets:
         other = taken.get(name_key(place.final))
-        if other is not None and _is_one(place.final, other):
+        if other is not None and same_file(place.final, other):
             message = "is an input of this very command"
             hint = "name another -o"
             raise OptionError(Fault("OUT003", message, str(place.path), (), hint))
@@ -201,7 +201,7 @@ def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
             raise OptionError(fault)
 
 
-def _is_one(path: Path, other: Path) -> bool:
+def same_file(path: Path, other: Path) -> bool:
     """Return whether two paths that may be one file are one."""
     try:
         return path == other.resolve() or path.samefile(other)

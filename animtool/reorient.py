@@ -14,7 +14,7 @@ from animtool.rig.placed import at_origin, placed_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
-from animtool.transforms import turned_track
+from animtool.transforms import placed_track, turned_track
 from animtool.units import UpAxis, up_from_up
 
 
@@ -36,13 +36,18 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
 def off_its_place(stream: TakeStream) -> TakeStream:
     """Return a take without where its stage has it stand and face.
 
-    Its size and its up axis stay, and what else moves beside it.
+    Its size and its up axis stay. What of its stage is beside it goes along.
     """
     stands = stream.rig.stands
     if stands is None:
         return stream
-    moved = _placed_stream(stream, stands.inverse(), stream.rig.up)
+    back = stands.inverse()
+    moved = _placed_stream(stream, back, stream.rig.up)
     moved.rig = at_origin(stream.rig)
+    moved.tracks = tuple(
+        placed_track(track, lambda _: back) if track.along else track
+        for track in stream.tracks
+    )
     return moved
 
 

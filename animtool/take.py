@@ -6,7 +6,7 @@ held whole, or is gathered into one `Take` where an operation needs all of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from itertools import pairwise
@@ -20,6 +20,7 @@ from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion, MotionCurve
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.scores import PassScores
 from animtool.transforms import Track
@@ -225,6 +226,8 @@ class TakeStream:
         simulated: What became of each thing that was simulated, as plain values;
             complete once the blocks are read.
         scores: How well passes did; complete once the blocks are read.
+        dropped: Where its stage had it stand, at time codes of that ``(F,)``, which
+            the take is read without; None where nothing is left out.
     """
 
     rig: Rig
@@ -242,6 +245,7 @@ class TakeStream:
     points: frozenset[str] = frozenset()
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)
+    dropped: Callable[[FloatArray], Placement] | None = None
 
     def __repr__(self) -> str:
         """Return the rig's name, the rate and the joints."""

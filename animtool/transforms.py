@@ -13,6 +13,7 @@ import numpy.typing as npt
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault
 from animtool.maths import so3
+from animtool.rig.placement import Placement
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,9 @@ class Track:
     moves: bool = True  # whether anything of it changes over time
     attributes: tuple[Attribute, ...] = ()  # values that it has, in order
     reference: Reference | None = None  # what is to be seen; None is nothing
+    # Whether it goes where the take is brought: it is of the stage of the take, or in
+    # the space of the character.
+    along: bool = False
     # Makes a fault of it, with the place where it is named.
     note: Callable[..., Fault] = Fault
 
@@ -113,21 +117,39 @@ class Track:
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
-def turned_track(track: Track, turn: FloatArray) -> Track:
-    """Return a track in a world that is turned ``(4,)``."""
-    matrix = so3.to_matrix(turn)
+def placed(transforms: Transforms, placement: Placement) -> Transforms:
+    """Return transforms, brought to a placement of as many frames or of one."""
+    if transforms.matrices is not None:
+        whole = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+        whole[:, :3, :3] = so3.to_matrix(placement.rotations)
+        whole[:, :3, :3] *= placement.sizes[:, None, None]
+        whole[:, :3, 3] = placement.translations
+        return below_matrices(transforms, whole)
+    points = placement.points(transforms.translations[:, None])[:, 0]
+    rotations = placement.turns(transforms.rotations[:, None])[:, 0]
+    scales = transforms.scales
+    if (placement.sizes != 1.0).any():
+        scales = placement.sizes[:, None] * scales
+    return replace(transforms, translations=points, rotations=rotations, scales=scales)
+
+
+def below_matrices(transforms: Transforms, matrices: FloatArray) -> Transforms:
+    """Return transforms after matrices of column vectors, [m] ``(F, 4, 4)`` or one."""
+    return replace(transforms, matrices=matrices @ transforms.matrix())
+
+
+def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
+    """Return a track that is brought somewhere, at times ``(F,)`` of its own."""
+    if not track.placed:
+        return track
 
     def sample(times: FloatArray) -> Transforms:
-        transforms = track.sample(times)
-        matrices = transforms.matrices
-        if matrices is not None:
-            matrices = matrices.copy()
-            matrices[:, :3] = matrix @ matrices[:, :3]
-        return replace(
-            transforms,
-            translations=so3.rotate(turn, transforms.translations),
-            rotations=so3.multiply(turn, transforms.rotations),
-            matrices=matrices,
-        )
+        return placed(track.sample(times), placement(times))
 
     return replace(track, sample=sample)
+
+
+def turned_track(track: Track, turn: FloatArray) -> Track:
+    """Return a track in a world that is turned ``(4,)``."""
+    placement = Placement.turn(turn)
+    return placed_track(track, lambda _: placement)

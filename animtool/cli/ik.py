@@ -18,6 +18,7 @@ from animtool.cli.options import (
     RATE,
     TOLERANCE,
     Parsed,
+    bake_option,
     names_of,
     read_values,
     record_option,
@@ -47,7 +48,7 @@ _HEEDED = frozenset(
     {
         *("rig", "start", "match", "chains", "pose", "output", "reduce"),
         *("overwrite", "skip_existing", "strict", "report_format", "units", "up"),
-        *("source_fps", "source_prim", "take", "positions"),
+        *("source_fps", "source_prim", "take", "positions", "placement"),
     }
 )
 
@@ -175,6 +176,7 @@ Examples:
 )
 @source_options
 @source_option("prim_path", "take", "positions")
+@bake_option("placement")
 @writing_options
 def ik(console: Console, /, **params: Any) -> None:
     """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
@@ -281,7 +283,8 @@ def _check(params: dict[str, Any]) -> None:
 def _source(params: dict[str, Any]) -> Any:
     """Return what the start is."""
     named = ("prim_path", "take", "positions")
-    return source_options_record(params, *named, shot=params["shot"])
+    own = {"shot": params["shot"], "placement": params["placement"]}
+    return source_options_record(params, *named, **own)
 
 
 def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:

@@ -10,6 +10,7 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import (
     INPUT,
+    bake_option,
     read_values,
     record_option,
     source_option,
@@ -41,6 +42,7 @@ Examples:
 @record_option(LoopOptions)
 @source_options
 @source_option("prim_path", "take", "positions")
+@bake_option("placement")
 @strict_option
 @writing_options
 def loop(console: Console, /, source: Path, output: Path | None, **params: Any) -> None:
@@ -65,7 +67,11 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
             source,
             output,
             LoopOptions(find=find, **values),
-            source_options_record(params, "prim_path", "take", "positions"),
+            source_options_record(
+                params,
+                *("prim_path", "take", "positions"),
+                placement=params["placement"],
+            ),
             overwrite=params["overwrite"],
             strict=params["strict"],
             progress=progress,

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import circle
-from animtool.rig.drivers import Driver, curve_values
+from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
 
 
@@ -28,6 +28,18 @@ class Drive:
     # What a value of 1 means: radians or metres of the file's unit, or 1.
     unit: float = 1.0
     smooth: bool = False  # whether a cubic joins the points, and not straight lines
+
+    @property
+    def of_length(self) -> bool:
+        """Whether what it adds is a length."""
+        kind, _, name = self.target.partition("/")
+        slides = name.endswith(f".{SLIDE}")
+        return kind == "joint" and (slides or ".translation." in name)
+
+    @property
+    def of_angle(self) -> bool:
+        """Whether what it adds is an angle."""
+        return self.target.startswith("joint/") and not self.of_length
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
         """Return what it adds, given the values of all controls."""

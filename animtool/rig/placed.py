@@ -9,6 +9,8 @@ import numpy as np
 
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
+from animtool.rig.controls import Control
+from animtool.rig.drivers import Driver
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Attachment, Collider, HeldArray, IkChain, Mesh
 from animtool.rig.placement import Placement, placement_matrix
@@ -37,7 +39,13 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         stands = rigid.after(moved).after(rigid.inverse())
     return replace(
         rig,
-        joints=tuple(_joint(joint, placement) for joint in rig.joints),
+        joints=tuple(
+            _scaled(_joint(joint, placement), rig, size) for joint in rig.joints
+        ),
+        shapes=tuple(
+            replace(shape, driven=_driver(shape.driven, size)) for shape in rig.shapes
+        ),
+        controls=tuple(_control(control, size) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
             name: _pose(pose, placement, root=name in roots)
@@ -71,6 +79,41 @@ def _joint(joint: Joint, placement: Placement) -> Joint:
         x, y, z = x * size, y * size, z * size
     tips = tuple((x * size, y * size, z * size) for x, y, z in joint.tips)
     return replace(joint, translation=(x, y, z), tips=tips, limits=limits)
+
+
+def _scaled(joint: Joint, rig: Rig, size: float) -> Joint:
+    """Return a joint whose mimic and driver are of lengths that are scaled."""
+    if size == 1.0 or (joint.mimic is None and joint.driven is None):
+        return joint
+    slides = joint.type is JointType.PRISMATIC
+    driven, mimic = _driver(joint.driven, size), joint.mimic
+    if driven is not None and slides:
+        driven = replace(driven, unit=driven.unit * size)
+    if mimic is not None:
+        own = size if slides else 1.0
+        leader = rig.joints[rig.index(mimic.joint)]
+        theirs = size if leader.type is JointType.PRISMATIC else 1.0
+        gain, offset = mimic.gain * own / theirs, mimic.offset * own
+        mimic = replace(mimic, gain=gain, offset=offset)
+    return replace(joint, driven=driven, mimic=mimic)
+
+
+def _driver(driver: Driver | None, size: float) -> Driver | None:
+    """Return a driver that reads slides which are scaled."""
+    if driver is None or size == 1.0:
+        return driver
+    return replace(driver, length=driver.length * size)
+
+
+def _control(control: Control, size: float) -> Control:
+    """Return a control whose drives of lengths are scaled."""
+    if size == 1.0:
+        return control
+    drives = tuple(
+        replace(drive, unit=drive.unit * size) if drive.of_length else drive
+        for drive in control.drives
+    )
+    return replace(control, drives=drives, driven=_driver(control.driven, size))
 
 
 def _pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
@@ -134,11 +177,17 @@ def at_origin(rig: Rig) -> Rig:
 
 
 def standing_notice(
-    rig: Rig, where: str, *, kept: bool, over: Placement | None = None
+    rig: Rig,
+    where: str,
+    *,
+    kept: bool,
+    over: Placement | None = None,
+    stays: bool = False,
 ) -> list[Fault]:
     """Say what becomes of where a take's stage has its character stand (USD124).
 
-    over: where the rig stands that a layer is for.
+    over: where the rig stands that a layer is for; stays: whether it rode on what
+    moves, which its joints hold.
     """
     if rig.stands is None and not rig.rides:
         return []
@@ -148,5 +197,7 @@ def standing_notice(
     message += "which is kept" if kept else "which is dropped"
     if over is not None and not over.is_none:
         message += f"; the rig stands {over.described()}"
+    if stays:
+        message += "; what it rode on is in its joints, and stays"
     hint = f"--placement {'drop' if kept else 'keep'} does the other"
     return [Fault("USD124", message, where, (), hint, Severity.NOTE)]

@@ -196,7 +196,7 @@ class _Units:
         limits = None
         if control.low is not None and control.high is not None:
             limits = _numbers((control.low, control.high))
-        drives = [_drive(drive) for drive in control.drives]
+        drives = [self.drive(drive) for drive in control.drives]
         return _mapping(
             [
                 ("name", text(control.name)),
@@ -204,6 +204,28 @@ class _Units:
                 ("default", number(control.default) if control.default else None),
                 ("drives", flow(drives) if drives else None),
                 ("driven", self.driver(control.driven)),
+            ]
+        )
+
+    def drive(self, drive: Drive) -> str:
+        """Return a drive, its numbers in the units of the text."""
+        kind, _, name = drive.target.partition("/")
+        own = (
+            self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
+        )
+        # But for rounding of units that are the same.
+        by = drive.unit / own
+        by = 1.0 if math.isclose(by, 1.0, rel_tol=1e-12) else by
+        curve = flow([str(_numbers((x, y * by))) for x, y in drive.curve])
+        expression, shown = drive.expression, None
+        if expression is not None:
+            shown = expression.text if by == 1.0 else expression.scaled({}, by)
+        return _mapping(
+            [
+                (kind, text(name)),
+                ("expr", None if shown is None else _quoted(shown)),
+                ("curve", curve if drive.curve else None),
+                ("interp", "smooth" if drive.smooth else None),
             ]
         )
 
@@ -329,20 +351,6 @@ def _file(source: ArraySource | None) -> str | None:
         message = "the array is in no file; animtool.rig.surfaces puts it into one"
         raise TypeError(message)
     return None if source is None else text(source.text)
-
-
-def _drive(drive: Drive) -> str:
-    kind, _, name = drive.target.partition("/")
-    curve = flow([str(_numbers(point)) for point in drive.curve])
-    expression = drive.expression
-    return _mapping(
-        [
-            (kind, text(name)),
-            ("expr", None if expression is None else _quoted(expression.text)),
-            ("curve", curve if drive.curve else None),
-            ("interp", "smooth" if drive.smooth else None),
-        ]
-    )
 
 
 def _quoted(value: str) -> str:

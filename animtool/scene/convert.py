@@ -390,8 +390,12 @@ def _to_usd(
     from animtool.scene.bake import bake
     from animtool.scene.options import BakeOptions
 
+    reading = options or SourceOptions()
     settings = BakeOptions(
-        source=options or SourceOptions(), overwrite=overwrite, strict=strict
+        source=reading,
+        placement=reading.placement,
+        overwrite=overwrite,
+        strict=strict,
     )
     report = bake(source, output, settings, progress=progress, opener=opener)
     return ConvertReport(

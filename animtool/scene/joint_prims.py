@@ -23,6 +23,7 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
 from animtool.usd.joint_writer import round_blocks
 from animtool.usd.names import UsdNames, joint_names
+from animtool.usd.recorded_place import place_record
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -162,7 +163,9 @@ class _JointTake:
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
+            to_rig=None if mapping is None else mapping.to_rig,
             reduced=self._thinned is not None,
+            place=place_record(plan.stream.rig, rig) if mapping is None else {},
         )
         return take, blocks
 

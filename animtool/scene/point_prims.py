@@ -52,8 +52,9 @@ from animtool.usd.point_cache import (
     write_chunks,
 )
 from animtool.usd.point_writer import Block, CachedMesh, PointSpace
+from animtool.usd.prop_placement import prop_placements
 from animtool.usd.skeleton import WIDTH
-from animtool.usd.transform_writer import author_props, prop_placements
+from animtool.usd.transform_writer import author_props
 
 if TYPE_CHECKING:
     from animtool.usd.target import JointMap, RigTarget
@@ -358,7 +359,15 @@ def _author_props(
 ) -> list[str]:
     """Write props of the take to a layer; return their prims."""
     assert run.props is not None
-    places = prop_placements(job.paths, plan.target, None, job.meters_per_unit, up)
+    mapping = plan.takes[0].mapping
+    places = prop_placements(
+        job.paths,
+        plan.target,
+        None,
+        job.meters_per_unit,
+        up,
+        to_rig=None if mapping is None else mapping.to_rig,
+    )
     props, notices = author_props(layer, run.props, places, plan.output)
     plan.notices.extend(notices)
     return props

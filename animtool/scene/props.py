@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from animtool._types import FloatArray
 from animtool.clock import time_codes
 from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.motion import Channel, Motion
+from animtool.output import same_file
 from animtool.rates import rate_label
+from animtool.rig.placement import Placement
 from animtool.scene.entries import SceneProp
 from animtool.scene.progress import Meter, StageCost
 from animtool.take import TakeStream
-from animtool.transforms import Track, Transforms
+from animtool.transforms import Track, Transforms, placed_track
 from animtool.units import UpAxis
 from animtool.usd.transform_reader import PropSource, open_prop
 
@@ -34,21 +37,29 @@ class OpenProp:
 
 
 def open_props(
-    entries: Sequence[SceneProp], up: UpAxis, meter: Meter, notices: list[Fault]
+    entries: Sequence[SceneProp],
+    source: Path,
+    up: UpAxis,
+    meter: Meter,
+    notices: list[Fault],
 ) -> list[OpenProp]:
-    """Return the things that a scene names, open, in a world of an up axis."""
+    """Return the things that a scene names, open, in a world of an up axis.
+
+    source: the file of the take, whose things go where that is brought.
+    """
     opened: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
         stage = meter.stage(entry.file.name, entry.place.where)
         try:
             with meter.running(stage):
-                source = open_prop(entry, up)
+                prop = open_prop(entry, up)
         except AnimtoolError as error:
             faults += map(entry.place.put, error.faults)
             continue
-        track = _counted(entry, source, stage, meter, notices)
-        opened.append(OpenProp(entry, source, track))
+        track = _counted(entry, prop, stage, meter, notices)
+        own = same_file(entry.file.resolve(), source) or not entry.path.startswith("/")
+        opened.append(OpenProp(entry, prop, replace(track, along=own)))
     if faults:
         raise FormatError(faults)
     return opened
@@ -59,11 +70,13 @@ def with_props(
     opened: Sequence[OpenProp],
     first: Fraction | None,
     fps: Fraction | None,
+    dropped: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
     """Return a take with more things beside its rig, on its frames.
 
     first: number of its first frame; None is what it says itself, or 1; fps: frames a
-    second of the output; None is the take's time codes.
+    second of the output; None is the take's time codes; dropped: as `TakeStream` has
+    it.
     """
     start = Fraction(1) if stream.start is None else stream.start
     props = [
@@ -77,7 +90,8 @@ def with_props(
     props_stream = _PropStream(stream, props)
     for prop in props:
         stream.notices += prop.notes(fps or stream.fps)
-    tracks = (*stream.tracks, *(prop.track for prop in opened))
+    own = (prop.track(stream, dropped) for prop in props)
+    tracks = (*stream.tracks, *own)
     joined = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
@@ -123,6 +137,22 @@ class _Prop:
     def times(self, first: int, count: int) -> FloatArray:
         """Return its time codes at frames of the take ``(count,)``."""
         return time_codes(self.begin + first * self.step, self.step, count)
+
+    def track(
+        self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
+    ) -> Track:
+        """Return its track, brought along where a take's place is dropped."""
+        track = self.opened.track
+        if dropped is None or not track.along:
+            return track
+        start = Fraction(1) if stream.start is None else stream.start
+        rate = stream.step / self.step
+
+        def back(times: FloatArray) -> Placement:
+            codes = float(start) + (times - float(self.begin)) * float(rate)
+            return dropped(codes).inverse()
+
+        return placed_track(track, back)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield what there is to say of it, whatever the frames are."""

@@ -19,7 +19,8 @@ from animtool.mocap.retarget.report import RetargetReport
 from animtool.mocap.retarget.take_pass import checked_blocks, onto_rig
 from animtool.mocap.retarget.verdict import FrameNumbers, Verdict
 from animtool.output import check_outputs, sparing_inputs, together, write_parts
-from animtool.rig.placed import at_origin
+from animtool.reorient import off_its_place
+from animtool.rig.placed import at_origin, standing_notice
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import ConvertReport
 from animtool.scene.frames import in_frames
@@ -185,6 +186,23 @@ def _numbers(job: RetargetJob, report: RetargetResult) -> FrameNumbers:
     return FrameNumbers(start, Fraction(fps) / rate, *ends)
 
 
+def _without_place(stream: TakeStream, job: RetargetJob) -> TakeStream:
+    """Return a take without where it stands, over a rig that stands somewhere.
+
+    Unless an option says which, or the take rides on what moves: as a bake has it.
+    """
+    rig, layer = stream.rig, job.bake.rig_layer
+    if rig.stands is None or rig.rides or layer is None or job.bake.placement:
+        return stream
+    from animtool.usd.target import open_target
+
+    own = open_target(layer, job.bake.prim_path).placement()
+    if own.uneven or own.stands.is_none:
+        return stream
+    said = standing_notice(rig, str(job.source), kept=False, over=own.stands)
+    return replace(off_its_place(stream), notices=stream.notices + said)
+
+
 def _retargeted(
     job: RetargetJob, outputs: list[Path], progress: Progress
 ) -> tuple[TakeStream, RetargetResult]:
@@ -196,6 +214,8 @@ def _retargeted(
         rig = at_origin(rig)
         reading = replace(job.reading, placement=job.bake.placement)
         stream = open_source(job.source, reading, progress=progress)
+        rig = replace(rig, rides=stream.rig.rides)
+        stream = _without_place(stream, job)
         seconds["read"] = time.perf_counter() - began
         stream.blocks = timed(stream.blocks, seconds, "read")
         with naming(job.source):

@@ -31,6 +31,7 @@ from animtool.shot import Shot
 from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
+    from animtool.rig.placement import Placement
     from animtool.scene.props import OpenProp
 
 
@@ -176,7 +177,8 @@ class Scene:
         stream = self._source(None if shown is None else shown.read)
         context = self._context(keeps=keeps)
         props = self._open_props(stream)
-        stream = self._with_props(stream, props, retimed=True)
+        dropped = stream.dropped
+        stream = self._with_props(stream, props, dropped, retimed=True)
         telling = 0
         for entry in self.passes:
             own = context
@@ -184,7 +186,7 @@ class Scene:
                 own = replace(context, progress=shown.of_pass(telling))
                 telling += 1
             stream = self._passed(stream, entry, own)
-        stream = self._with_props(stream, props, retimed=False)
+        stream = self._with_props(stream, props, dropped, retimed=False)
         if shown is not None:
             stream.blocks = shown.blocks(stream.blocks)
         return stream
@@ -201,7 +203,8 @@ class Scene:
         """
         source = self._source()
         props = self._open_props(source)
-        take, stream = _gathered(self._with_props(source, props, retimed=True))
+        with_props = self._with_props(source, props, source.dropped, retimed=True)
+        take, stream = _gathered(with_props)
         yield take, stream
         context = self._context(keeps=False)
         for entry in self.passes:
@@ -262,10 +265,16 @@ class Scene:
             return ()
         from animtool.scene.props import open_props
 
-        return open_props(self.props, stream.rig.up, self.meter, stream.notices)
+        file, up = self.sources[0].path, stream.rig.up
+        return open_props(self.props, file, up, self.meter, stream.notices)
 
     def _with_props(
-        self, stream: TakeStream, props: Sequence[OpenProp], *, retimed: bool
+        self,
+        stream: TakeStream,
+        props: Sequence[OpenProp],
+        dropped: Callable[[FloatArray], Placement] | None,
+        *,
+        retimed: bool,
     ) -> TakeStream:
         """Return a take with the things that passes retime, or with the others."""
         chosen = [prop for prop in props if prop.entry.retimed is retimed]
@@ -273,7 +282,7 @@ class Scene:
             return stream
         from animtool.scene.props import with_props
 
-        return with_props(stream, chosen, self.first, self.bake.fps)
+        return with_props(stream, chosen, self.first, self.bake.fps, dropped)
 
     @contextmanager
     def located_props(self) -> Iterator[None]:

@@ -41,6 +41,7 @@ from animtool.usd.layers import (
     save_layer,
 )
 from animtool.usd.names import RigPaths, joint_names, legal_name, plain_text
+from animtool.usd.recorded_place import KEY, place_record
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_usd_warnings, without_version_warnings
 
@@ -139,11 +140,18 @@ def _author_take(
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written = _written(job, take, writer)
     if take.props is not None:
-        from animtool.usd.transform_writer import author_props, prop_placements
+        from animtool.usd.prop_placement import prop_placements
+        from animtool.usd.transform_writer import author_props
 
         rig_layer = None if authored.rig is layer else authored.rig
         places = prop_placements(
-            job.paths, job.target, rig_layer, job.meters_per_unit, job.rig.up, take.name
+            job.paths,
+            job.target,
+            rig_layer,
+            job.meters_per_unit,
+            job.rig.up,
+            take.name,
+            take.to_rig,
         )
         written.props, written.notices = author_props(
             layer, take.props, places, job.output
@@ -163,10 +171,12 @@ def _author_take(
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
     if take.reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
+    if take.place:
+        _author_data(layer.GetPrimAtPath(paths.animation), KEY, take.place)
     return _Part(writer, written, take.curves)
 
 
-def _author_data(animation: Any, key: str, value: Mapping[str, str] | bool) -> None:
+def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
     """State something of a SkelAnimation that USD has no place for."""
     held = dict(animation.GetInfo("customData") or {})
     stated = value if isinstance(value, bool) else dict(value)
@@ -341,6 +351,7 @@ def _stage_job(
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
+        place=place_record(rig),
     )
     return job, written, [replace(n, path=str(path)) for n in names.notices]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, OptionError
 from animtool.files import is_there
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from animtool._types import BoolArray, Float32Array, FloatArray
     from animtool.clock import FrameSpan
     from animtool.maths.curves import Curves
+    from animtool.rig.placement import Placement
     from animtool.rig.skeleton import Rig
     from animtool.shot import Shot
     from animtool.usd.names import RigPaths, UsdNames
@@ -172,7 +173,12 @@ class UsdTake:
     source_name: str = ""  # what the source of a library's take is called
     # Things beside the rig, gathered while the blocks are drawn; None is none.
     props: PropSamples | None = None
+    # From where the take is to the numbers of a rig layer; see `PropPlacements`.
+    to_rig: Callable[[FloatArray], Placement] | None = None
     reduced: bool = False  # whether samples are left out that others give back
+    # What the file records of where its joints stand; empty where they do not, or a
+    # rig layer does.
+    place: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -51,6 +51,7 @@ from animtool.usd.skinned import (
 )
 from animtool.usd.stderr import without_usd_warnings
 from animtool.usd.target import RigTarget
+from animtool.usd.unskinned import unskinned_notice
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
@@ -365,7 +366,9 @@ def source_meshes(
         rig = skeleton_rig(skeletons[0], path)
         where = own_placement(skeletons[0].GetPrim(), rig.rig)
         at_rest = where.sized if placement == DROP else where.rest
-        return _meshes(skeletons[0], rig, path, at_rest)
+        meshes = _meshes(skeletons[0], rig, path, at_rest)
+        left = unskinned_notice(skeletons[0], str(path), placement)
+        return replace(meshes, notices=meshes.notices + left)
 
 
 def target_meshes(target: RigTarget) -> StageMeshes:

@@ -10,7 +10,8 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.reorient import off_its_place
-from animtool.rig.placed import standing_notice
+from animtool.rig.kinematics import rest_world
+from animtool.rig.placed import placed_rig, standing_notice
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
@@ -68,7 +69,11 @@ def over_rig(
         stream, notices = replace(stream, notices=others), []
     stands, rig = own.stands, stream.rig
     placed = own.rides or not own.fixed.is_none
-    alone = not rig.has_rest and choice != KEEP
+    if choice is None and _stands_there(rig, raw, own):
+        # Its numbers hold the place of the rig, and nothing records that.
+        rig = replace(rig, stands=stands, rides=own.rides)
+        stream = replace(stream, rig=rig)
+    alone = not rig.has_rest and rig.stands is None and choice != KEEP
     if alone and _is_sized(rig, raw, own.sized.size):
         alone, choice = False, choice or KEEP
     if own.uneven or alone or not placed:
@@ -93,6 +98,41 @@ def over_rig(
 
 
 _NONE = Placement(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1))
+
+
+# Rest poses nearer than this fraction of their size are the same.
+NEAR = 1e-3
+
+
+def _stands_there(take: Rig, raw: Rig, own: SkeletonPlacement) -> bool:
+    """Return whether a take rests where a stage has a rig, and not where it is alone.
+
+    As a take does that was read from such a stage, and came as another kind of file:
+    a BVH, whose joints are not turned at rest, has its roots there.
+    """
+    if take.stands is not None or not take.has_rest or own.stands.is_none:
+        return False
+    index = {joint.source_name or joint.name: j for j, joint in enumerate(raw.joints)}
+    pairs = [
+        (j, index[name])
+        for j, joint in enumerate(take.joints)
+        if (name := joint.source_name or joint.name) in index
+    ]
+    if len(pairs) < 2:
+        return False
+    mine, theirs = np.array(pairs).T
+    rests = rest_world(take).positions[0, mine]
+    size = float(np.ptp(rests, axis=0).max())
+    placed, alone = (
+        np.abs(rest_world(placed_rig(raw, at)).positions[0, theirs] - rests).max(axis=1)
+        for at in (own.rest, own.sized)
+    )
+    roots = np.array([take.joints[j].parent < 0 for j, _ in pairs])
+    return any(
+        bool(placed[some].max() <= NEAR * size < alone[some].max())
+        for some in (np.full(len(pairs), True), roots)
+        if some.any()
+    )
 
 
 def _is_sized(take: Rig, raw: Rig, size: float) -> bool:

@@ -125,6 +125,15 @@ def _times(skeleton: Any, codes: Sequence[float] | None) -> list[float]:
     return [min(samples, default=0.0)]
 
 
+def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
+    """Return what a layer over the rig does not replace above a Skeleton's joints.
+
+    As pxr has it ``(F, 4, 4)``, at time codes.
+    """
+    whole = world_matrices(skeleton, np.array(codes))
+    return _without_root_motion(skeleton, codes, whole)
+
+
 def _without_root_motion(
     skeleton: Any, times: Sequence[float], whole: FloatArray
 ) -> FloatArray:
@@ -270,16 +279,20 @@ NOWHERE = SkeletonPlacement(Placement.turn(so3.IDENTITY), Placement.turn(so3.IDE
 def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
     """Return a rig, as its numbers are, with its rest pose where its stage has it.
 
-    choice: ``drop`` leaves out where it stands; None keeps it.
+    choice: ``drop`` leaves out where the stage has it; None keeps it.
     """
+    sized = placed_rig(rig, placement.sized)
     if choice == DROP:
-        return placed_rig(rig, placement.sized)
+        return sized
     stands = placement.stands
     placed = placed_rig(rig, placement.rest)
+    if sized.stands is not None:
+        # Its numbers have it stand somewhere too.
+        stands = stands.after(sized.stands)
     return replace(
         placed,
         stands=None if stands.is_none else stands,
-        rides=placement.rides,
+        rides=placement.rides or rig.rides,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,8 +17,10 @@ from animtool.errors import Fault, FormatError, Severity, counted, listed
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
-from animtool.reorient import placed_motion
+from animtool.reorient import off_its_place, placed_motion
 from animtool.rig.parts import AttachKind, Shape
+from animtool.rig.placed import standing_notice
+from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.take import Take, TakeStream
 from animtool.units import unit_name
@@ -56,6 +58,7 @@ from animtool.usd.placement import (
     skeleton_placement,
     uneven_notice,
 )
+from animtool.usd.recorded_place import with_recorded_place
 from animtool.usd.rig_prims import (
     SkeletonRig,
     animation_source,
@@ -158,11 +161,17 @@ def read_character(
     else:
         stream, placement = _read(stage, path, skeleton, animation, prim, choice)
     stream.notices += skeleton.notices
+    moving = None if animation is None else animation.GetPrim()
     if prim is None:
         stream.notices += _lost_motion(animation, Spot.of(path, animation))
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
-        stream.rig = rest_rig(stream.rig, placement, choice)
+    where = Spot.of(path, prim or moving)
+    stream.rig = with_recorded_place(stream.rig, prim, moving, where)
+    if choice == DROP:
+        stream = _dropped(stream, placement, prim, str(path))
+    else:
+        stream.rig = rest_rig(stream.rig, placement)
     stream.notices += others_notice(
         skeletons, str(path), "--prim-path names one (in bake, --source-prim)"
     )
@@ -193,6 +202,44 @@ def _placed(
         return motion
     roots = np.array(rig.roots, np.int64)
     return placed_motion(motion, roots, path).map(Channel.compact)
+
+
+def _dropped(
+    stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
+) -> TakeStream:
+    """Return a take without where it stands, which its motion is without already.
+
+    Its joints still hold what the file records of that.
+    """
+    raw = stream.rig
+    kept = rest_rig(raw, placement)
+    left = replace(kept, rides=placement.rides)
+    stream.notices += standing_notice(left, path, kept=False, stays=raw.rides)
+    stream.rig = rest_rig(raw, placement, DROP)
+    held = stream.rig.stands
+    stream = off_its_place(stream)
+    stream.rig = replace(stream.rig, rides=False)
+    if left.stands is not None or left.rides:
+        stream.dropped = _left_place(placement, held, prim, raw)
+    return stream
+
+
+def _left_place(
+    placement: SkeletonPlacement, held: Placement | None, prim: Any, rig: Rig
+) -> Callable[[FloatArray], Placement]:
+    """Return where a take without it stood, at time codes of its stage."""
+    stage: Any = None if prim is None else prim.GetStage()
+
+    def stood(codes: FloatArray) -> Placement:
+        own = placement
+        if placement.rides:
+            # Named here, the stage lives as long as the function, and its prims.
+            skeleton = stage.GetPrimAtPath(prim.GetPath())
+            own = skeleton_placement(skeleton, rig, codes.tolist())
+        stands, _ = own.fixed.split(rig.up)
+        return stands if held is None else stands.after(held)
+
+    return stood
 
 
 def _join_stored(

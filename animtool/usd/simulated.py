@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf
+from pxr import Gf, Sdf
 
 from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
@@ -272,6 +272,10 @@ class SimulatedJob:
     metadata: StageMetadata  # what the layer states
     meters_per_unit: float  # unit of what is below the model [m]
     turn: FloatArray | None = None  # from y up to the up axis there (4,); None is none
+    # From the world of a take to below the model, at all time codes: columns in that
+    # unit ``(F, 4, 4)``, or one; None is the same.
+    way: FloatArray | None = None
+    codes: FloatArray | None = None  # those time codes ``(F,)``
 
     @property
     def paths(self) -> list[str]:
@@ -357,7 +361,7 @@ def _blocks(
 ) -> Iterator[Block]:
     """Yield frames; at the first a layer gets the prims, without samples.
 
-    Each is turned as a whole where another axis is up.
+    Each is turned as a whole where another axis is up, or goes to where a rig is.
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):
@@ -365,8 +369,10 @@ def _blocks(
             _refuse_characters(frames)
         for one, frame in () if i else zip(prims, frames, strict=True):
             one.begin(layer, frame)
-            if job.turn is not None:
-                spec = layer.GetPrimAtPath(one.report.path)
+            spec = layer.GetPrimAtPath(one.report.path)
+            if job.way is not None:
+                _author_way(spec, job, job.way)
+            elif job.turn is not None:
                 turn = quaternion(job.turn)
                 attribute(spec, "xformOp:orient", types.Quatd, turn)
                 author_order(spec, "xformOp:orient")
@@ -377,6 +383,21 @@ def _blocks(
             yield block
         if growing is not None:
             growing.added(size)
+
+
+def _author_way(spec: Any, job: SimulatedJob, way: FloatArray) -> None:
+    """Write where a prim is below a model that a rig's stage has somewhere."""
+    assert job.codes is not None
+    if job.turn is not None:
+        turned = np.eye(4)
+        turned[:3, :3] = so3.to_matrix(job.turn)
+        way = way @ turned
+    rows = np.broadcast_to(way.swapaxes(1, 2), (len(job.codes), 4, 4))
+    attr = attribute(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
+    samples = Samples(attr, lambda row: Gf.Matrix4d(row.tolist()))
+    samples.add(job.codes, rows)
+    samples.finish(rows[0])
+    author_order(spec, "xformOp:transform")
 
 
 def _refuse_characters(frames: Sequence[Frame]) -> None:

@@ -28,6 +28,7 @@ from animtool.usd.layers import (
     relationship,
 )
 from animtool.usd.names import RigPaths, UsdNames, distinct_names
+from animtool.usd.recorded_place import KEY, place_record
 
 _TYPES = Sdf.ValueTypeNames
 _EXTRAS_VERSION = 1
@@ -67,6 +68,8 @@ def author_rig(
         data["joints"] = extras
     if names.originals:
         data["names"] = names.originals
+    if place := place_record(rig):
+        data[KEY] = place
     if data:
         spec.SetInfo("customData", {"animtool": data})
 

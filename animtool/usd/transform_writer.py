@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,7 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.frames import MeshFrame, TransformsFrame
 from animtool.maths import so3
 from animtool.motion import Motion
-from animtool.transforms import Reference, Track, Transforms, turned_track
-from animtool.units import UpAxis, up_from_up
+from animtool.transforms import Reference, Track, Transforms
 from animtool.usd.layers import (
     Samples,
     asset_path,
@@ -31,7 +30,7 @@ from animtool.usd.layers import (
     relationship,
     vector,
 )
-from animtool.usd.names import TAKE_SET, RigPaths, UsdNames, distinct_names
+from animtool.usd.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.point_writer import (
     ATTRIBUTES,
     FrameForm,
@@ -40,9 +39,7 @@ from animtool.usd.point_writer import (
     author_values,
     bounds,
 )
-
-if TYPE_CHECKING:
-    from animtool.usd.target import RigTarget
+from animtool.usd.prop_placement import PropPlacements, within
 
 
 @dataclass(slots=True)
@@ -74,67 +71,6 @@ def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class PropWorld:
-    """The world that numbers of a layer are in."""
-
-    meters_per_unit: float  # its unit [m]
-    # From the up axis of the rig to its own; None is none.
-    turn: FloatArray | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PropPlacements:
-    """Where things are to be written."""
-
-    model: str  # the prim of the character
-    inside: PropWorld  # world of what is below it
-    outside: PropWorld  # world of the stage
-    exists: Callable[[str], bool]  # whether something else has a prim at a path
-    variant: str = ""  # the model in the variant of a take; empty where there is none
-
-    def world(self, path: str) -> PropWorld:
-        """Return the world of a path."""
-        return self.inside if _within(path, self.model) else self.outside
-
-    def spec(self, path: str) -> str:
-        """Return where a layer has a prim of the stage."""
-        if not self.variant:
-            return path
-        return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
-
-
-def prop_placements(
-    paths: RigPaths,
-    target: RigTarget | None,
-    rig_layer: Any,
-    meters_per_unit: float,
-    up: UpAxis,
-    take: str = "",
-) -> PropPlacements:
-    """Return where a take's tracks go.
-
-    rig_layer: another layer that holds the rig; None where there is none;
-    meters_per_unit: unit of the rig [m].
-    """
-    inside = outside = PropWorld(meters_per_unit)
-    if target is not None:
-        turn = up_from_up(target.up, up)
-        outside = PropWorld(target.unit, None if turn is None else np.array(turn))
-
-    def exists(path: str) -> bool:
-        if take:
-            # Another take may have it, which is not bound at the same time.
-            return False
-        if target is not None:
-            return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
-        return rig_layer is not None and rig_layer.GetPrimAtPath(path) is not None
-
-    model = Sdf.Path(paths.model)
-    variant = str(model.AppendVariantSelection(TAKE_SET, take)) if take else ""
-    return PropPlacements(paths.model, inside, outside, exists, variant)
-
-
 def check_props(
     tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
 ) -> None:
@@ -149,11 +85,11 @@ def check_props(
     for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "name a path of its own, such as Props/box"
-        if overlap(path, root) or _within(model, path):
+        if overlap(path, root) or within(model, path):
             message = f"{path} is of the character at {model}"
         elif there and there.IsInstanceProxy():
             message = f"{path} is inside of an instance, which a layer cannot reach"
-        elif library and not _within(path, model):
+        elif library and not within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
@@ -166,13 +102,9 @@ def check_props(
         raise OptionError(faults)
 
 
-def _within(path: str, above: str) -> bool:
-    return path == above or path.startswith(f"{above}/")
-
-
 def overlap(one: str, other: str) -> bool:
     """Return whether a path is another, or one of them is below the other."""
-    return _within(one, other) or _within(other, one)
+    return within(one, other) or within(other, one)
 
 
 def author_props(
@@ -192,15 +124,13 @@ def author_props(
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _author_above(layer, path, places)
-        there, world = places.exists(path), places.world(path)
-        if world.turn is not None:
-            track = turned_track(track, world.turn)  # noqa: PLW2901
+        there = places.exists(path)
         type_name = "" if there else track.type_name
         spec = prim(layer, places.spec(path), type_name, over=there)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        known = track.at(times[:, i])
-        _author_track(spec, track, codes, known, world)
+        known = places.located(track, path, codes, track.at(times[:, i]))
+        _author_track(spec, track, codes, known, places.unit(path))
         if known.held is not None and known.held.any():
             notices.append(_held_notice(track, path, codes, known.held))
     return paths, notices
@@ -224,7 +154,7 @@ def _author_above(layer: Any, path: str, places: PropPlacements) -> None:
     """Define the prims above a path that nothing else does."""
     for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(above)
-        if above.IsAbsoluteRootPath() or _within(places.model, text):
+        if above.IsAbsoluteRootPath() or within(places.model, text):
             continue
         spec = places.spec(text)
         if layer.GetPrimAtPath(spec) is None and not places.exists(text):
@@ -239,9 +169,9 @@ def _author_reference(spec: Any, reference: Reference, output: Path | None) -> N
 
 
 def _author_track(
-    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, world: PropWorld
+    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, unit: float
 ) -> None:
-    types, unit = Sdf.ValueTypeNames, world.meters_per_unit
+    types = Sdf.ValueTypeNames
     # What is referred to has points in a unit of its own.
     factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
 

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from pxr import Usd, UsdGeom, UsdSkel
-from support.usd import joint_positions
+from pxr import Usd, UsdSkel
+from support.cli import animtool
+from support.placed import (
+    CODES,
+    FRAMES,
+    PLACES,
+    composed,
+    op_text,
+    over,
+    points_of,
+    skinned,
+    stage_text,
+    upright,
+)
 
 from animtool import open_source
 from animtool.errors import FormatError
@@ -24,188 +36,54 @@ from animtool.scene.retarget import RetargetJob, run_retarget
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, UpAxis
 
-Floats = npt.NDArray[np.float64]
-
-FRAMES = 5
-CODES = np.arange(1.0, FRAMES + 1)
-STAGE = """#usda 1.0
-(
-    defaultPrim = "set"
-    startTimeCode = 1
-    endTimeCode = {last}
-    metersPerUnit = {unit}
-    upAxis = "{up}"
-    timeCodesPerSecond = {fps}
-)
-def Xform "set"
-{{
-{set}
-    def SkelRoot "char"
-    {{
-{char}
-        def Skeleton "skel" (prepend apiSchemas = ["SkelBindingAPI"])
-        {{
-{skel}
-            uniform token[] joints = ["Hips", "Hips/Spine", "Hips/Spine/Head"]
-            uniform matrix4d[] bindTransforms = [{bind}]
-            uniform matrix4d[] restTransforms = [{rest}]
-            rel skel:animationSource = </set/char/anim>
-        }}
-        def SkelAnimation "anim"
-        {{
-            uniform token[] joints = ["Hips", "Hips/Spine", "Hips/Spine/Head"]
-            float3[] translations.timeSamples = {{ {moves} }}
-            quatf[] rotations.timeSamples = {{ {turns} }}
-            half3[] scales = [(1, 1, 1), (1, 1, 1), (1, 1, 1)]
-        }}
-        def Mesh "body" (prepend apiSchemas = ["SkelBindingAPI"])
-        {{
-            int[] faceVertexCounts = [3, 3]
-            int[] faceVertexIndices = [0, 1, 2, 1, 3, 2]
-            point3f[] points = [{points}]
-            int[] primvars:skel:jointIndices = [0, 1, 1, 2, 2, 1, 0, 2] (
-                elementSize = 2
-                interpolation = "vertex"
-            )
-            float[] primvars:skel:jointWeights = [.7, .3, .5, .5, .9, .1, .4, .6] (
-                elementSize = 2
-                interpolation = "vertex"
-            )
-            rel skel:skeleton = </set/char/skel>
-            uniform token subdivisionScheme = "none"
-        }}
-    }}
-}}
-"""
+KINDS = ("translate", "rotate", "scale", "all")
+SETTINGS = list(itertools.product("YZ", (1.0, 0.01), (24, 25, 30)))
 
 
-def stage_text(
-    where: str = "",
-    ops: str = "",
-    *,
-    up: str = "Y",
-    unit: float = 0.01,
-    fps: int = 24,
-    size: float = 1.0,
-) -> str:
-    """Return a stage of a leg of .9 m, with transforms on one of its prims."""
-    long = 0.01 / unit / size
-
-    def vector(x: float, y: float, z: float) -> str:
-        # Up is the stage's axis.
-        y, z = (y, z) if up == "Y" else (-z, y)
-        return f"({x * long:.9g}, {y * long:.9g}, {z * long:.9g})"
-
-    def matrix(x: float, y: float, z: float) -> str:
-        rows = "(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)"
-        return f"({rows}, {vector(x, y, z)[:-1]}, 1))"
-
-    moves, turns = [], []
-    for i, code in enumerate(CODES):
-        places = vector(2 * i, 90, i), vector(1, -40, 2), vector(0, -40, 1)
-        moves.append(f"{code:g}: [{', '.join(places)}]")
-        half = np.radians(6.0 * i)
-        x, y, z = np.sin(half) * np.array([0.6, 0.0, 0.8])
-        turn = f"({np.cos(half):.9g}, {x:.9g}, {y:.9g}, {z:.9g})"
-        turns.append(f"{code:g}: [{turn}, {turn}, (1, 0, 0, 0)]")
-    rest = [(0, 90, 0), (1, -40, 2), (0, -40, 1)]
-    bind = np.cumsum(rest, axis=0).tolist()
-    points = [(5, 85, 3), (6, 50, -4), (-5, 45, 6), (2, 8, 9)]
-    texts = {"set": "", "char": "", "skel": ""} | ({where: ops} if where else {})
-    return STAGE.format(
-        last=FRAMES,
-        unit=unit,
-        up=up,
-        fps=fps,
-        bind=", ".join(matrix(*row) for row in bind),
-        rest=", ".join(matrix(*row) for row in rest),
-        moves=", ".join(moves),
-        turns=", ".join(turns),
-        points=", ".join(vector(*row) for row in points),
-        **texts,
-    )
-
-
-def op_text(kind: str, moves: bool, unit: float) -> str:
-    """Return operations of a prim: placed 3 m away, turned, half its size, or all."""
-    metre = 1.0 / unit
-
-    def op(spelled: str, name: str, one: object, other: object) -> str:
-        value = f" = {one}"
-        if moves:
-            value = f".timeSamples = {{ 1: {one}, {FRAMES}: {other} }}"
-        return f"{spelled} xformOp:{name}{value}\n"
-
-    kinds = {
-        "translate": op(
-            "double3", "translate", (3 * metre, metre, 0), (metre, 0, 2 * metre)
-        ),
-        "rotate": op("float3", "rotateXYZ", (90, 20, 10), (70, 50, -10)),
-        "scale": op("float3", "scale", (0.5, 0.5, 0.5), (0.75, 0.75, 0.75)),
-    }
-    chosen = list(kinds) if kind == "all" else [kind]
-    names = {"rotate": "rotateXYZ"}
-    order = ", ".join(f'"xformOp:{names.get(one, one)}"' for one in chosen)
-    text = "".join(kinds[one] for one in chosen)
-    return f"{text}uniform token[] xformOpOrder = [{order}]"
-
-
-def composed(path: Path | Usd.Stage, codes: Floats = CODES) -> Floats:
-    """Return joints where pxr has them ``(F, J, 3)`` [m], Y up."""
-    stage = Usd.Stage.Open(str(path)) if isinstance(path, Path) else path
-    places = joint_positions(stage, codes) * UsdGeom.GetStageMetersPerUnit(stage)
-    return upright(places, UsdGeom.GetStageUpAxis(stage))
-
-
-def upright(places: Floats, up: str) -> Floats:
-    if up == "Y":
-        return places
-    return np.stack([places[..., 0], places[..., 2], -places[..., 1]], axis=-1)
-
-
-def skinned(path: Path) -> Floats:
-    """Return points where pxr skins them ``(F, V, 3)`` [m], Y up."""
-    stage = Usd.Stage.Open(str(path))
-    root = UsdSkel.Root(stage.GetPrimAtPath("/set/char"))
-    UsdSkel.BakeSkinning(root)
-    return points_of(stage)
-
-
-def points_of(stage: Usd.Stage) -> Floats:
-    prim = next(p for p in stage.Traverse() if p.GetName() == "body")
-    rows = []
-    for code in CODES:
-        points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code), float)
-        cache = UsdGeom.XformCache(code)
-        world = np.array(cache.GetLocalToWorldTransform(prim))
-        rows.append(points @ world[:3, :3] + world[3, :3])
-    places = np.array(rows) * UsdGeom.GetStageMetersPerUnit(stage)
-    return upright(places, UsdGeom.GetStageUpAxis(stage))
-
-
-def over(layer: Path, rig: Path) -> Usd.Stage:
-    """Return a layer over its rig."""
-    stage = Usd.Stage.CreateInMemory()
-    stage.GetRootLayer().subLayerPaths = [str(layer), str(rig)]
-    below = Usd.Stage.Open(str(rig))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.GetStageUpAxis(below))
-    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.GetStageMetersPerUnit(below))
-    stage.SetTimeCodesPerSecond(below.GetTimeCodesPerSecond())
-    return stage
-
-
-SETTINGS = itertools.cycle(itertools.product("YZ", (1.0, 0.01), (24, 25, 30)))
-CASES = [
-    (where, kind, moves, *next(SETTINGS))
-    for moves, kind, where in itertools.product(
+def covering() -> list[tuple[str, str, bool, str, float, int]]:
+    """Return cases in which every two values of two factors come together."""
+    factors: list[tuple[Any, ...]] = [
+        PLACES,
+        KINDS,
         (False, True),
-        ("translate", "rotate", "scale", "all"),
-        ("set", "char", "skel"),
-    )
-]
+        ("Y", "Z"),
+        (1.0, 0.01),
+        (24, 25, 30),
+    ]
+    every = list(itertools.product(*factors))
+    places = list(itertools.combinations(range(len(factors)), 2))
+    left = {(i, j, case[i], case[j]) for case in every for i, j in places}
+    chosen = []
+    while left:
+        counts = [
+            sum((i, j, case[i], case[j]) in left for i, j in places) for case in every
+        ]
+        case = every[int(np.argmax(counts))]
+        left -= {(i, j, case[i], case[j]) for i, j in places}
+        chosen.append(case)
+    return chosen
 
 
-@pytest.mark.parametrize(("where", "kind", "moves", "up", "unit", "fps"), CASES)
+@pytest.mark.parametrize("where", PLACES)
+@pytest.mark.parametrize("kind", KINDS[:3])
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_bake_has_a_character_where_pxr_has_it(
+    tmp_path: Path, where: str, kind: str, moves: bool
+) -> None:
+    for up, unit, fps in SETTINGS:
+        source = tmp_path / f"{up}{unit}{fps}.usda"
+        ops = op_text(kind, moves, unit)
+        source.write_text(stage_text(where, ops, up=up, unit=unit, fps=fps))
+        output = source.with_suffix(".usdc")
+        bake(source, output)
+        near = 1.5e-3 if moves and kind == "scale" else 2e-6
+        found = composed(output)
+        name = f"{up} up, {unit} m, {fps} a second"
+        truth = composed(source)
+        np.testing.assert_allclose(found, truth, atol=near, err_msg=name)
+
+
+@pytest.mark.parametrize(("where", "kind", "moves", "up", "unit", "fps"), covering())
 def test_each_command_has_a_character_where_pxr_has_it(
     tmp_path: Path,
     where: str,
@@ -260,16 +138,31 @@ def test_each_command_has_a_character_where_pxr_has_it(
         np.testing.assert_allclose(places, truth, atol=1e-5)
 
 
-@pytest.mark.parametrize("where", ["set", "char", "skel"])
-@pytest.mark.parametrize("kind", ["translate", "scale", "all"])
-@pytest.mark.parametrize("up", ["Y", "Z"])
+RETARGETED = [
+    (where, kind, moves, *settings)
+    for (where, (kind, moves)), settings in zip(
+        itertools.product(
+            PLACES,
+            # A size that changes is no proportion of a body.
+            (
+                *(("translate", False), ("translate", True), ("rotate", True)),
+                *(("scale", False), ("all", False)),
+            ),
+        ),
+        itertools.cycle(SETTINGS),
+        strict=False,
+    )
+]
+
+
+@pytest.mark.parametrize(("where", "kind", "moves", "up", "unit", "fps"), RETARGETED)
 def test_a_source_that_is_placed_goes_onto_a_rig_from_where_it_is(
-    tmp_path: Path, where: str, kind: str, up: str
+    tmp_path: Path, where: str, kind: str, moves: bool, up: str, unit: float, fps: int
 ) -> None:
     source, rig = tmp_path / "source.usda", tmp_path / "rig.usda"
-    ops = op_text(kind, False, 0.01).replace("(90, 20, 10)", "(4, 20, 10)")
-    source.write_text(stage_text(where, ops, up=up))
-    rig.write_text(stage_text(up=up))
+    ops = op_text(kind, moves, unit).replace("(90, 20, 10)", "(4, 20, 10)")
+    source.write_text(stage_text(where, ops, up=up, unit=unit, fps=fps))
+    rig.write_text(stage_text(up=up, unit=unit, fps=fps))
     output = tmp_path / "out.usda"
     run_retarget(RetargetJob(source, rig, output=output))
     truth, found = composed(source), composed(output)
@@ -278,6 +171,33 @@ def test_a_source_that_is_placed_goes_onto_a_rig_from_where_it_is(
     spans = (truth - truth[:, :1]) / size
     np.testing.assert_allclose(found - found[:, :1], spans, atol=2e-5)
     np.testing.assert_allclose(found[:, 0], truth[:, 0] / size, atol=2e-5)
+
+
+@pytest.mark.parametrize("where", PLACES)
+@pytest.mark.parametrize(
+    ("kind", "moves"), [("translate", False), ("all", False), ("translate", True)]
+)
+def test_a_retargeted_layer_rides_on_its_rig_once(
+    tmp_path: Path, where: str, kind: str, moves: bool
+) -> None:
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    ops = op_text(kind, moves, 0.01).replace("(90, 20, 10)", "(4, 20, 10)")
+    source.write_text(stage_text(where, ops))
+    plain.write_text(stage_text(size=2.0 if kind == "all" else 1.0))
+    for choice in (None, "keep", "drop"):
+        output = tmp_path / f"{choice}.usda"
+        options = BakeOptions(rig_layer=source, placement=choice)
+        run_retarget(RetargetJob(source, source, output=output, bake=options))
+        found = composed(over(output, source))
+        np.testing.assert_allclose(found, composed(source), atol=2e-5)
+    # What has no place does not ride, whatever its rig does.
+    report = run_retarget(
+        RetargetJob(plain, source, output=tmp_path / "plain-out.usda")
+    )
+    assert "USD124" not in [notice.code for notice in report.notices]
+    take = open_source(tmp_path / "plain-out.usda")
+    assert take.rig.stands is None
+    assert not take.rig.rides
 
 
 def test_a_placed_rig_takes_what_stands_elsewhere(tmp_path: Path) -> None:
@@ -329,14 +249,14 @@ def test_what_becomes_of_a_place_is_reported_once(tmp_path: Path) -> None:
     rig.write_text(stage_text())
     for options, word in (
         (BakeOptions(), "kept"),
-        (BakeOptions(placement="drop"), ""),
+        (BakeOptions(placement="drop"), "dropped"),
         (BakeOptions(rig_layer=rig), "kept"),
         (BakeOptions(rig_layer=source), "dropped"),
         (BakeOptions(rig_layer=source, placement="keep"), "kept"),
     ):
         report = bake(source, tmp_path / "o.usda", options)
         found = [n.message for n in report.notices if n.code == "USD124"]
-        assert len(found) == bool(word), (options, found)
+        assert len(found) == 1, (options, found)
         assert all(word in message and "(3, 1, 0) m" in message for message in found)
         (tmp_path / "o.usda").unlink()
 
@@ -431,6 +351,41 @@ def test_a_placement_is_undone_by_its_inverse() -> None:
     points = rng.normal(size=(6, 9, 3))
     np.testing.assert_allclose(again.points(points), placement.points(points))
     assert (stands.sizes == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("command", "given"),
+    [
+        ("bake", ["-o"]),
+        ("convert", []),
+        ("loop", ["--first", "1", "--last", "4", "-o"]),
+        ("ik", ["--targets", "head.targets.yaml", "-o"]),
+    ],
+)
+def test_each_command_drops_a_place_and_says_so(
+    tmp_path: Path, command: str, given: list[str]
+) -> None:
+    source, plain = tmp_path / "source.usda", tmp_path / "plain.usda"
+    source.write_text(stage_text("set", op_text("translate", False, 0.01)))
+    plain.write_text(stage_text())
+    # Where the head is, so that nothing needs to move.
+    goal = "{effector: Head, position: [0, 0, 0], weight: 1e-9}"
+    head = f"targets: animtool/1\nfps: 24\nunits: {{length: m}}\ngoals: [{goal}]\n"
+    (tmp_path / "head.targets.yaml").write_text(head)
+    outputs = []
+    for path, choice in ((source, ["--placement", "drop"]), (plain, [])):
+        named = [path.name]
+        if command == "ik":
+            named = [plain.name, "--clip", path.name]
+        output = f"{path.stem}-out.usda"
+        done = animtool(command, *named, *given, output, *choice, cwd=tmp_path)
+        assert done.code == 0, done.stderr
+        assert ("USD124" in done.stderr) == bool(choice)
+        assert ("which is dropped" in done.stderr) == bool(choice)
+        outputs.append(tmp_path / output)
+    codes = CODES[:3]
+    one, other = (composed(path, codes) for path in outputs)
+    np.testing.assert_allclose(one, other, atol=2e-6)
 
 
 def test_lengths_are_those_of_the_world(tmp_path: Path) -> None:

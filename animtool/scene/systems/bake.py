@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+from animtool._types import FloatArray
 from animtool.clock import MAX_FRAMES
 from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
 from animtool.options import refused_options
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
 FPS = Fraction(24)
+# From the world of a take to where a layer has what is simulated, at time codes.
+Way: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,7 @@ class SystemPrims:
     start: Fraction  # time code at 0 s; with a take, that of its first frame
     codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
     watch: CharacterWatch | None = None  # sees the take
+    way: Way | None = None  # of a layer; None is the same
 
     def seconds(self, code: Fraction) -> float:
         """Return when a time code is, on the clock of the systems [s]."""
@@ -107,7 +112,8 @@ class SystemPrims:
         metadata = replace(self.job.metadata, first=codes[0], last=codes[-1])
         # Where a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
-        job = replace(self.job, metadata=metadata)
+        way = None if self.way is None else self.way(watch.codes)
+        job = replace(self.job, metadata=metadata, way=way, codes=watch.codes)
         return replace(self, job=job, start=start, codes=tuple(codes))
 
     def _begin(self, draft: Draft) -> None:
@@ -237,7 +243,14 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     watch = CharacterWatch(
         wanted=any(scene.path in system.setup.files for system in scene.systems)
     )
-    return SystemPrims(scene, job, plan.start, watch=watch)
+    way: Way | None = None
+    if plan.target is not None:
+        from animtool.usd.prop_placement import way_inside
+
+        mapping, path = plan.takes[0].mapping, f"{model}/system"
+        to_rig = None if mapping is None else mapping.to_rig
+        way = partial(way_inside, plan.target, to_rig, path)
+    return SystemPrims(scene, job, plan.start, watch=watch, way=way)
 
 
 def _check_places(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
