@@ -106,7 +106,7 @@ TRC = Reader(
     "TRC markers",
     source=_SOLVE,
     options=_OF_MARKERS,
-    markers="animtool.formats.trc:read_trc",
+    markers="animtool.formats.trc.read:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",

@@ -18,7 +18,7 @@ from animtool.units import LengthUnit, UpAxis
 # ``overwrite`` to what the format cannot hold.
 WRITERS = {
     ".c3d": "animtool.formats.c3d.write:write_c3d",
-    ".trc": "animtool.formats.trc:write_trc",
+    ".trc": "animtool.formats.trc.write:write_trc",
     ".npz": "animtool.formats.marker_arrays:write_marker_arrays",
 }
 
