@@ -90,8 +90,8 @@ class Rows:
     """Rows of numbers as text.
 
     Attributes:
-        texts: Of the R rows that are not blank: cells between blanks or tabs, an empty one
-            is ``nan``, without those that are empty at the end.
+        texts: Of the R rows that are not blank: cells between blanks or tabs, ``nan``
+            where one is empty, without those that are empty at the end.
         lines: Number of the line of each ``(R,)``, from 1.
         filled: Cells of each ``(R,)`` up to the last that is not empty.
         cells: Cells of each ``(R,)``, empty ones at the end included.

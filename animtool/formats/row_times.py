@@ -65,7 +65,8 @@ def fit_gaps(times: FloatArray, step: float, rounding: float) -> Steps | None:
     [0, 1, 2, 5]
     """
     between = np.rint(np.diff(times) / step)
-    if not np.isfinite(between).all() or between.min() < 1 or between.sum() > LAST_START:
+    counted = np.isfinite(between).all() and between.sum() <= LAST_START
+    if not counted or between.min() < 1:
         return None
     frames = np.concatenate([[0], np.cumsum(between)]).astype(np.int64)
     return fit_frames(times, frames, rounding)

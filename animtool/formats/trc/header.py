@@ -88,7 +88,9 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
 def _stated(above: bytes, below: bytes) -> dict[str, str]:
     """Return the values below keys, which have no blanks in them."""
     separator = separator_of(above)
-    keys = [key for cell in split_cells(above, separator) for key in cell.split() or [""]]
+    keys = [
+        key for cell in split_cells(above, separator) for key in cell.split() or [""]
+    ]
     values = split_cells(below, row_separator(below, separator))
     if len(values) < len(keys):
         apart = [each for value in values for each in value.split() or [""]]

@@ -82,7 +82,8 @@ def read_trc(
     )
     positions = frames.placed(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
-    return Markers(labels, clock, positions, axis, notices=tuple(file.notices))
+    notices = tuple(file.notices)
+    return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
 
 
 def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:

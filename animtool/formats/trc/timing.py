@@ -40,11 +40,13 @@ class RowFrames:
         rate: Frames a second.
         start: Number of the first frame.
         at: Frame of each row ``(R,)``, from 0; whole numbers unless times are uneven.
+        begin: Time of the first frame [s]; None where frame 1 is time 0.
     """
 
     rate: Fraction
     start: int
     at: FloatArray
+    begin: float | None
 
     def placed(self, positions: FloatArray) -> FloatArray:
         """Return positions of frames ``(F, M, 3)`` of those of rows ``(R, M, 3)``.
@@ -109,22 +111,23 @@ def frames_of_rows(
         if counted_frames is None:
             _warn_numbers(file, numbers, lines, "every row is one frame")
         at = np.arange(len(times)) if counted_frames is None else counted_frames
-        start = _start(numbers[0])
+        start, begin = _start(numbers[0]), None
     else:
         _check_times(file, numbers, times, lines)
         rounding = rounding_of(decimals)
-        steps = _steps(file, times, counted_frames, stated, rounding)
+        steps = _steps(times, counted_frames, stated, rounding)
         rate = _rate(file, steps, stated, rounding)
         if not steps.even:
             at_times = (times - times[0]) * float(rate)
             _check_room(file, at_times, markers, lines)
             _warn_uneven(file, steps, times, rate, lines)
-            return RowFrames(rate, _start(numbers[0]), at_times)
+            start = _start(numbers[0])
+            return RowFrames(rate, start, at_times, float(times[0]))
         at = steps.frames
-        start = _compared(file, columns, at, lines, rate, rounding)
+        start, begin = _compared(file, columns, at, lines, rate, rounding)
     _check_room(file, at, markers, lines)
-    _warn_gaps(file, at, times, lines, float(rate))
-    return RowFrames(rate, start, at.astype(np.float64))
+    _warn_gaps(file, at, lines, float(rate))
+    return RowFrames(rate, start, at.astype(np.float64), begin)
 
 
 def _whole_frames(numbers: FloatArray) -> IntArray | None:
@@ -176,7 +179,6 @@ def _check_times(
 
 
 def _steps(
-    file: MarkerFile,
     times: FloatArray,
     counted_frames: IntArray | None,
     stated: float | None,
@@ -212,8 +214,9 @@ def _rate(
     span = steps.step * count
     if stated is not None and stated > 0:
         drift = abs(span - count / stated)
-        # Half a frame at the end of the take, for times that add up a rounded step.
-        if drift <= max(2 * rounding, min(0.5 / stated, EVEN * span)):
+        # Half a frame at the end of the take, for times that add up a rounded step;
+        # less than between 60 and 59.94.
+        if drift <= max(2 * rounding, min(0.5 / stated, 0.5 * EVEN * span)):
             return file.rate(stated, None)
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
@@ -228,7 +231,9 @@ def _rate(
         f"Time goes by {steps.step:.6g} s, {float(rate):g} fps, and DataRate is "
         f"{stated:g}: read as Time has it"
     )
-    hint = f"--source-fps {float(rate_from_float(stated)):g} reads it as DataRate has it"
+    hint = (
+        f"--source-fps {float(rate_from_float(stated)):g} reads it as DataRate has it"
+    )
     file.warn("TRC104", message, hint)
     return rate
 
@@ -241,14 +246,14 @@ def _check_room(
     if frames * markers <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers):
         return
     row = int(np.diff(at).argmax()) + 1
-    message = f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
+    message = (
+        f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
+    )
     hint = "mend Frame# and Time of the row, or cut the file there"
     raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
 
 
-def _warn_gaps(
-    file: MarkerFile, at: IntArray, times: FloatArray, lines: IntArray, rate: float
-) -> None:
+def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> None:
     """Warn of frames without a row (TRC105)."""
     absent = int(at[-1]) + 1 - len(at)
     if not absent:
@@ -285,14 +290,15 @@ def _warn_numbers(
 ) -> None:
     """Warn of a Frame# that does not count frames (TRC107)."""
     with np.errstate(invalid="ignore"):
-        wrong = ~np.isfinite(numbers) | (np.floor(numbers) != numbers)
+        known = np.isfinite(numbers)
+        wrong = ~known | (np.floor(numbers) != numbers)
         wrong[1:] |= ~(np.diff(numbers) >= 1)
     rows = np.flatnonzero(wrong)
     if not len(rows):
         return
     row = int(rows[0])
-    message = f"Frame# is {numbers[row]:g}"
-    if row:
+    message = f"Frame# is {numbers[row]:g}" if known[row] else "Frame# is no number"
+    if row and known[row]:
         message += f" after {numbers[row - 1]:g}"
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} alike"
@@ -306,14 +312,17 @@ def _compared(
     lines: IntArray,
     rate: Fraction,
     rounding: float,
-) -> int:
-    """Return the number of the first frame; warn where Frame# and Time disagree."""
+) -> tuple[int, float | None]:
+    """Return the first frame and its time, None where that is as its number says.
+
+    Warn where Frame# and Time disagree.
+    """
     numbers, times = columns[:, 0], columns[:, 1]
     start = _start(numbers[0])
     by_time = times[0] * float(rate) + 1
     if _whole_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are at their Time")
-        return start
+        return start, float(times[0])
     off = np.flatnonzero(numbers - numbers[0] != at)
     if len(off):
         row = int(off[0])
@@ -325,11 +334,12 @@ def _compared(
         _warn(file, "TRC107", message, None, lines[row])
     elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
         message = (
-            f"frame {start} is at {times[0]:.6g} s, and frame 1 is time 0 in what is "
-            f"written: it will be at {(start - 1) / float(rate):.6g} s"
+            f"frame {start} is at {times[0]:.6g} s: kept in a TRC; a MOT has it at "
+            f"{(start - 1) / float(rate):.6g} s, as frame 1 is time 0"
         )
         file.note("TRC107", message)
-    return start
+        return start, float(times[0])
+    return start, None
 
 
 def _warn(

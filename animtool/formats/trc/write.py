@@ -74,6 +74,8 @@ def _parts(markers: Markers, name: str) -> Iterator[bytes]:
     yield ("\n".join(head) + "\n").encode()
     # Frame 1 is time 0, as in motion files, so that the two go together.
     seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
+    if markers.begin is not None:
+        seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
     places = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
     for begin in range(0, frames, ROWS_AT_ONCE):
         part = slice(begin, begin + ROWS_AT_ONCE)
