@@ -15,6 +15,14 @@ from animtool.rates import HIGHEST_WRITTEN_RATE, LOWEST_WRITTEN_RATE, rate_from_
 EVEN = 1e-3
 # Of a first frame beyond this number the time is no time of a take.
 LAST_START = 1e9
+# Frames that rows may become, for each of them, and positions that are no matter: more
+# frames without a row are a wrong number rather than a pause.
+MAX_FRAMES_EACH = 10
+MAX_ABSENT = 5_000_000
+# Of a rate, below which that of the header is meant by jittering times.
+NEAR_RATE = 0.05
+# Of steps, above which nothing is put between two rows.
+GAP_STEPS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,3 +93,93 @@ def rate_of_step(step: float, rounding: float, frames: int) -> Fraction | None:
     if whole and abs(1.0 / whole - step) <= 2 * rounding / frames:
         return Fraction(whole)
     return rate_from_float(rate)
+
+
+def find_steps(
+    times: FloatArray,
+    counted_frames: IntArray | None,
+    stated: float | None,
+    rounding: float,
+) -> Steps:
+    """Return times as frames: given ones, else of a stated rate, else by their step."""
+    row_frames = np.arange(len(times))
+    fits = [counted_frames, row_frames]
+    for frames in fits:
+        if frames is not None and (steps := fit_frames(times, frames, rounding)).even:
+            return steps
+    usual = usual_step(times)
+    between = np.diff(times)
+    mean = float(between[between <= GAP_STEPS * usual].mean())
+    rates = [1.0 / stated] if stated is not None and stated > 0 else []
+    for step in (*rates, mean):
+        found = fit_gaps(times, step, rounding)
+        if found is not None and found.even:
+            return found
+    line = times[0] + usual * row_frames
+    near = [step for step in rates if abs(step - mean) <= NEAR_RATE * mean]
+    step = near[0] if near else usual
+    found = fit_gaps(times, step, rounding)
+    off = found.off if found is not None else float(np.abs(times - line).max())
+    return Steps(step, row_frames, off, False)
+
+
+def is_rate_of(stated: float, steps: Steps, rounding: float) -> bool:
+    """Return whether a stated rate is that of times, within what they leave open."""
+    if not stated > 0:
+        return False
+    count = int(steps.frames[-1]) if steps.even else 1
+    span = steps.step * count
+    # Half a frame at the end of the take, for times that add up a rounded step; less
+    # than between 60 and 59.94.
+    least = min(0.5 / stated, 0.5 * EVEN * span)
+    return abs(span - count / stated) <= max(2 * rounding, least)
+
+
+def has_room(at: FloatArray | IntArray, markers: int) -> bool:
+    """Return whether rows at frames ``(R,)`` leave few enough frames without one."""
+    frames = (float(at[-1]) + 1) * markers
+    return frames <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers)
+
+
+@dataclass(frozen=True, slots=True)
+class RowFrames:
+    """The frames of rows.
+
+    Attributes:
+        rate: Frames a second.
+        start: Number of the first frame.
+        at: Frame of each row ``(R,)``, from 0; whole numbers unless times are uneven.
+        begin: Time of the first frame [s]; None where frame 1 is time 0.
+    """
+
+    rate: Fraction
+    start: int
+    at: FloatArray
+    begin: float | None
+
+    def placed(self, positions: FloatArray) -> FloatArray:
+        """Return positions of frames ``(F, M, 3)`` of those of rows ``(R, M, 3)``.
+
+        NaN where no row is near; between rows at uneven times, straight lines.
+        """
+        count = int(self.at[-1] + EVEN) + 1
+        whole = np.rint(self.at)
+        if np.array_equal(whole, self.at):
+            if count == len(positions):
+                return positions
+            placed = np.full((count, *positions.shape[1:]), np.nan)
+            placed[whole.astype(np.int64)] = positions
+            return placed
+        frames = np.arange(count)
+        low = np.searchsorted(self.at, frames + EVEN, side="right") - 1
+        low = np.clip(low, 0, len(self.at) - 2)
+        width = self.at[low + 1] - self.at[low]
+        share = np.clip((frames - self.at[low]) / width, 0.0, 1.0)
+        near = EVEN / width
+        apart = (width > GAP_STEPS) & (share > near) & (share < 1.0 - near)
+        weight = share[:, None, None]
+        placed = positions[low] * (1.0 - weight) + positions[low + 1] * weight
+        placed[share <= near] = positions[low][share <= near]
+        placed[share >= 1.0 - near] = positions[low + 1][share >= 1.0 - near]
+        placed[apart] = np.nan
+        return placed

@@ -14,6 +14,7 @@ from animtool.formats.delimited import (
     Rows,
     decoded,
     gather_rows,
+    number_of,
     read_lines,
     separator_of,
     split_cells,
@@ -36,7 +37,7 @@ _IMU = (
     "orientations of sensors become coordinates by OpenSim's IMU inverse kinematics: "
     "opensim-cmd run-tool imu_ik.xml; its MOT is read"
 )
-_POINTS = "markers are read as TRC: TRCFileAdapter of OpenSim writes a table as one"
+_POINTS = "animtool convert writes them as markers: .trc, .c3d or .npz"
 _HINTS = {"quaternion": _IMU, "vec3": _POINTS}
 _YES = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
 
@@ -77,20 +78,13 @@ def read_table(path: Path) -> MotionTable:
             ascend (MOF005), or cannot be read.
     """
     lines = read_lines(path)
-    at = _end_of_header(path, lines)
-    stated, degrees, kind = _header(lines[:at])
-    head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
-    if head is None:
-        raise _error("MOF002", path, "ends with its header", at + 1)
-    separator = separator_of(lines[head])
-    names = _names(path, lines[head], separator, head + 1)
-    _check_kind(path, kind, names, lines, head, separator)
+    header = read_header(path, lines)
+    names, stated, degrees = header.names, header.counts, header.degrees
+    _check_kind(path, header, lines)
     notices: list[Fault] = []
-    rows = _rows(path, lines, head + 1, separator, len(names) + 1, notices)
+    rows = read_rows(path, lines, header, len(names) + 1, notices)
     decimals, numbers = rows.decimals(0), rows.lines
-    values = rows.values(
-        len(names) + 1, lambda message, line: _error("MOF003", path, message, line)
-    )
+    values = numbers_of(path, rows, len(names) + 1)
     wanted = {"rows": len(values), "columns": len(names) + 1}
     for what, count in wanted.items():
         if what in stated and stated[what] != count:
@@ -98,7 +92,7 @@ def read_table(path: Path) -> MotionTable:
             warning = Severity.WARNING
             notices.append(Fault("MOF101", message, str(path), (), None, warning))
     times = values[:, 0].copy()
-    _check_times(path, times, numbers)
+    check_times(path, times, numbers)
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
@@ -113,6 +107,47 @@ def _error(code: str, path: Path, message: str, line: int | None = None) -> Form
     return FormatError(Fault(code, message, str(path), lines))
 
 
+@dataclass(frozen=True, slots=True)
+class MotHeader:
+    """What the lines above the rows state.
+
+    Attributes:
+        names: Of the C columns, the time left out.
+        counts: ``rows`` and ``columns``, and ``rate`` [1/s], where they are stated.
+        degrees: Whether angles are degrees; None where the file does not say.
+        kind: DataType, empty without.
+        unit: Units, None without.
+        separator: Between cells.
+        begin: Index of the first line below the names.
+    """
+
+    names: tuple[str, ...]
+    counts: dict[str, float]
+    degrees: bool | None
+    kind: str
+    unit: str | None
+    separator: bytes
+    begin: int
+
+    @property
+    def has_points(self) -> bool:
+        """Whether a cell is a vector of three."""
+        return self.kind.lower() in {"vec3", "vec<3>"}
+
+
+def read_header(path: Path, lines: list[bytes]) -> MotHeader:
+    """Return the header (MOF001) and the names of columns (MOF002, MOF004)."""
+    at = _end_of_header(path, lines)
+    counts, degrees, texts = _header(lines[:at])
+    head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
+    if head is None:
+        raise _error("MOF002", path, "ends with its header", at + 1)
+    separator = separator_of(lines[head])
+    names = _names(path, lines[head], separator, head + 1)
+    kind, unit = texts.get("datatype", ""), texts.get("units")
+    return MotHeader(names, counts, degrees, kind, unit, separator, head + 1)
+
+
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
         if line.strip(BLANK).lower() == b"endheader":
@@ -121,12 +156,14 @@ def _end_of_header(path: Path, lines: list[bytes]) -> int:
     raise _error("MOF001", path, message)
 
 
-def _header(lines: list[bytes]) -> tuple[dict[str, float], bool | None, str]:
-    """Return the counts of a header, whether angles are degrees, and its DataType."""
+def _header(
+    lines: list[bytes],
+) -> tuple[dict[str, float], bool | None, dict[str, str]]:
+    """Return counts of a header, whether angles are degrees, and what texts it has."""
     counts: dict[str, float] = {}
+    texts: dict[str, str] = {}
     degrees = None
     said = None
-    kind = ""
     for line in lines:
         text = decoded(line).strip(" \t,;").lower()
         key, _, value = (part.strip() for part in text.partition("="))
@@ -143,13 +180,15 @@ def _header(lines: list[bytes]) -> tuple[dict[str, float], bool | None, str]:
         }.get(key)
         if what and value.isascii() and value.isdigit() and len(value) < 300:
             counts[what] = float(value)
-        elif key == "datatype":
-            kind = decoded(line).partition("=")[2].strip(" \t,;")
+        elif key in {"datatype", "units"}:
+            texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
+        elif key == "datarate" and (rate := number_of(value)) is not None:
+            counts["rate"] = rate
         elif key == "indegrees":
             degrees = _YES.get(value, degrees)
         elif text.startswith("angles are in "):
             said = {"degrees": True, "radians": False}.get(text[14:].rstrip(". "), said)
-    return counts, said if degrees is None else degrees, kind
+    return counts, said if degrees is None else degrees, texts
 
 
 def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str, ...]:
@@ -185,17 +224,14 @@ def check_once(
         first[key] = name
 
 
-def _check_kind(
-    path: Path,
-    kind: str,
-    names: tuple[str, ...],
-    lines: list[bytes],
-    head: int,
-    separator: bytes,
-) -> None:
+def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     """Refuse cells of several numbers each (MOF009): vectors, quaternions."""
-    row = next((i for i in range(head + 1, len(lines)) if lines[i].strip(BLANK)), head)
-    cells = split_cells(lines[row], separator)[1:] if row > head else []
+    kind, names, begin = header.kind, header.names, header.begin
+    separator = header.separator
+    row = next(
+        (i for i in range(begin, len(lines)) if lines[i].strip(BLANK)), begin - 1
+    )
+    cells = split_cells(lines[row], separator)[1:] if row >= begin else []
     width = max((cell.count(",") + 1 for cell in cells), default=1)
     decimal = width == 2 and b"." not in lines[row]
     if kind.lower() in _NUMBERS and (width == 1 or separator == b"," or decimal):
@@ -210,16 +246,20 @@ def _check_kind(
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def _rows(
+def numbers_of(path: Path, rows: Rows, width: int) -> FloatArray:
+    """Return the numbers of rows ``(R, width)`` (MOF003)."""
+    return rows.values(width, lambda text, line: _error("MOF003", path, text, line))
+
+
+def read_rows(
     path: Path,
     lines: list[bytes],
-    begin: int,
-    separator: bytes,
+    header: MotHeader,
     width: int,
     notices: list[Fault],
 ) -> Rows:
     """Return rows of one width; one that the file's end cuts is left out (MOF103)."""
-    rows = gather_rows(lines, begin, separator)
+    rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING
     while len(rows.texts):
         wrong = np.flatnonzero((rows.filled > width) | (rows.cells < width))
@@ -245,7 +285,8 @@ def _rows(
     return rows
 
 
-def _check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
+def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
+    """Refuse times that do not ascend (MOF005)."""
     with np.errstate(invalid="ignore", over="ignore"):
         wrong = ~np.isfinite(times)
         wrong[1:] |= ~(np.diff(times) > 0)

@@ -58,6 +58,7 @@ def read_trc(
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
     names = _names(file, header, rows)
+    rows = _whole_rows(file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names))
 
     def fault(message: str, line: int) -> FormatError:
         return FormatError(Fault("TRC002", message, file.path, (line,)))
@@ -108,7 +109,11 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
             message = f"has {int(rows.filled[row])} values, and "
             message += f"{counted(len(header.names), 'marker')} with a name have "
             message += str(2 + 3 * len(header.names))
-        raise FormatError(Fault("TRC002", message, file.path, (int(rows.lines[row]),)))
+        hint = None
+        if header.separator == b"," and not any(b"." in text for text in rows.texts):
+            hint = "decimal commas between commas: export with tabs or with points"
+        at = (int(rows.lines[row]),)
+        raise FormatError(Fault("TRC002", message, file.path, at, hint))
     if unnamed:
         first = next(i for i, name in enumerate(names) if not name)
         message = (
@@ -121,3 +126,28 @@ def _names(file: MarkerFile, header: TrcHeader, rows: Rows) -> list[str]:
         hint = "mocap label gives points the names of markers"
         file.warn("TRC103", f"{message}: points without label", hint)
     return names
+
+
+def _whole_rows(file: MarkerFile, rows: Rows, unended: int, width: int) -> Rows:
+    """Return rows without one that the file's end cuts; warn of those cut (TRC109).
+
+    unended: The line that the file ends in without an end of line, 0 without.
+    """
+    short = (rows.cells < width) & (rows.filled > 1)
+    cut = np.flatnonzero(short & (rows.cells == rows.filled) & (rows.cells % 3 != 2))
+    last = len(rows.texts) - 1
+    # Where others are short too, a row that ends behind a marker is no cut one.
+    within = len(cut) > 0 and int(cut[-1]) == last
+    alone = bool(short[last]) and int(short.sum()) == 1
+    dropped = last > 0 and rows.lines[last] == unended and (within or alone)
+    if not len(cut) and not dropped:
+        return rows
+    row = last if dropped else int(cut[0])
+    message = f"has {int(rows.cells[row])} values of {width}"
+    if dropped:
+        message += ", as the file ends there: the row is left out"
+    else:
+        more = counted(len(cut) - 1, "other row")
+        message += f", and ends within a marker, which is not seen there; {more} alike"
+    file.warn("TRC109", message, "copy or export it again", int(rows.lines[row]))
+    return rows.without_last() if dropped else rows

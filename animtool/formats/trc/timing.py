@@ -2,78 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, counted
+from animtool.errors import Fault, FormatError, counted
 from animtool.formats.row_times import (
     EVEN,
     LAST_START,
+    RowFrames,
     Steps,
-    fit_frames,
-    fit_gaps,
+    find_steps,
+    has_room,
+    is_rate_of,
     rate_of_step,
     rounding_of,
-    usual_step,
 )
 from animtool.formats.trajectories import MarkerFile
 from animtool.rates import FractionLike, rate_from_float
-
-# Frames that rows may become, for each of them, and positions that are no matter: more
-# frames without a row are a wrong number rather than a pause.
-MAX_FRAMES_EACH = 10
-MAX_ABSENT = 5_000_000
-# Of a rate, below which that of the header is meant by jittering times.
-NEAR_RATE = 0.05
-# Of steps, above which nothing is put between two rows.
-GAP_STEPS = 1.5
-
-
-@dataclass(frozen=True, slots=True)
-class RowFrames:
-    """The frames of rows.
-
-    Attributes:
-        rate: Frames a second.
-        start: Number of the first frame.
-        at: Frame of each row ``(R,)``, from 0; whole numbers unless times are uneven.
-        begin: Time of the first frame [s]; None where frame 1 is time 0.
-    """
-
-    rate: Fraction
-    start: int
-    at: FloatArray
-    begin: float | None
-
-    def placed(self, positions: FloatArray) -> FloatArray:
-        """Return positions of frames ``(F, M, 3)`` of those of rows ``(R, M, 3)``.
-
-        NaN where no row is near; between rows at uneven times, straight lines.
-        """
-        count = int(self.at[-1] + EVEN) + 1
-        whole = np.rint(self.at)
-        if np.array_equal(whole, self.at):
-            if count == len(positions):
-                return positions
-            placed = np.full((count, *positions.shape[1:]), np.nan)
-            placed[whole.astype(np.int64)] = positions
-            return placed
-        frames = np.arange(count)
-        low = np.searchsorted(self.at, frames + EVEN, side="right") - 1
-        low = np.clip(low, 0, len(self.at) - 2)
-        width = self.at[low + 1] - self.at[low]
-        share = np.clip((frames - self.at[low]) / width, 0.0, 1.0)
-        near = EVEN / width
-        apart = (width > GAP_STEPS) & (share > near) & (share < 1.0 - near)
-        weight = share[:, None, None]
-        placed = positions[low] * (1.0 - weight) + positions[low + 1] * weight
-        placed[share <= near] = positions[low][share <= near]
-        placed[share >= 1.0 - near] = positions[low + 1][share >= 1.0 - near]
-        placed[apart] = np.nan
-        return placed
 
 
 def frames_of_rows(
@@ -115,7 +62,7 @@ def frames_of_rows(
     else:
         _check_times(file, numbers, times, lines)
         rounding = rounding_of(decimals)
-        steps = _steps(times, counted_frames, stated, rounding)
+        steps = find_steps(times, counted_frames, stated, rounding)
         rate = _rate(file, steps, stated, rounding)
         if not steps.even:
             at_times = (times - times[0]) * float(rate)
@@ -178,46 +125,13 @@ def _check_times(
     raise FormatError(Fault("TRC003", message, file.path, at, hint))
 
 
-def _steps(
-    times: FloatArray,
-    counted_frames: IntArray | None,
-    stated: float | None,
-    rounding: float,
-) -> Steps:
-    """Return times as frames: those of Frame#, else of DataRate, else by their step."""
-    row_frames = np.arange(len(times))
-    fits = [counted_frames, row_frames]
-    for frames in fits:
-        if frames is not None and (steps := fit_frames(times, frames, rounding)).even:
-            return steps
-    usual = usual_step(times)
-    between = np.diff(times)
-    mean = float(between[between <= GAP_STEPS * usual].mean())
-    rates = [1.0 / stated] if stated is not None and stated > 0 else []
-    for step in (*rates, mean):
-        found = fit_gaps(times, step, rounding)
-        if found is not None and found.even:
-            return found
-    line = times[0] + usual * row_frames
-    near = [step for step in rates if abs(step - mean) <= NEAR_RATE * mean]
-    step = near[0] if near else usual
-    found = fit_gaps(times, step, rounding)
-    off = found.off if found is not None else float(np.abs(times - line).max())
-    return Steps(step, row_frames, off, False)
-
-
 def _rate(
     file: MarkerFile, steps: Steps, stated: float | None, rounding: float
 ) -> Fraction:
     """Return the rate of times; that of the header where it is meant."""
+    if stated is not None and is_rate_of(stated, steps, rounding):
+        return file.rate(stated, None)
     count = int(steps.frames[-1]) if steps.even else 1
-    span = steps.step * count
-    if stated is not None and stated > 0:
-        drift = abs(span - count / stated)
-        # Half a frame at the end of the take, for times that add up a rounded step;
-        # less than between 60 and 59.94.
-        if drift <= max(2 * rounding, min(0.5 / stated, 0.5 * EVEN * span)):
-            return file.rate(stated, None)
     rate = rate_of_step(steps.step, rounding, count)
     if rate is None:
         message = f"has a row every {steps.step:g} s"
@@ -242,9 +156,9 @@ def _check_room(
     file: MarkerFile, at: FloatArray | IntArray, markers: int, lines: IntArray
 ) -> None:
     """Refuse frames that are far more than rows (TRC003)."""
-    frames = float(at[-1]) + 1
-    if frames * markers <= max(MAX_ABSENT, MAX_FRAMES_EACH * len(at) * markers):
+    if has_room(at, markers):
         return
+    frames = float(at[-1]) + 1
     row = int(np.diff(at).argmax()) + 1
     message = (
         f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
@@ -268,7 +182,9 @@ def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> 
     if len(rows) > 1:
         message += f", and {absent - missing} at {counted(len(rows) - 1, 'other gap')}"
     hint = "mocap fill computes positions in gaps"
-    _warn(file, "TRC105", f"{message}: no marker is seen there", hint, lines[row + 1])
+    file.warn(
+        "TRC105", f"{message}: no marker is seen there", hint, int(lines[row + 1])
+    )
 
 
 def _warn_uneven(
@@ -282,7 +198,7 @@ def _warn_uneven(
         f"{float(rate):g} fps, with straight lines between rows, none over gaps"
     )
     hint = "--source-fps gives the rate and takes rows by Frame#"
-    _warn(file, "TRC106", message, hint, lines[row])
+    file.warn("TRC106", message, hint, int(lines[row]))
 
 
 def _warn_numbers(
@@ -302,7 +218,7 @@ def _warn_numbers(
         message += f" after {numbers[row - 1]:g}"
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} alike"
-    _warn(file, "TRC107", f"{message}: {result}", None, lines[row])
+    file.warn("TRC107", f"{message}: {result}", None, int(lines[row]))
 
 
 def _compared(
@@ -331,7 +247,7 @@ def _compared(
             f"{numbers[0]:g}, and {float(rate):g} fps make it "
             f"{numbers[0] + at[row]:g}: rows are at their Time"
         )
-        _warn(file, "TRC107", message, None, lines[row])
+        file.warn("TRC107", message, None, int(lines[row]))
     elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
         message = (
             f"frame {start} is at {times[0]:.6g} s: kept in a TRC; a MOT has it at "
@@ -340,11 +256,3 @@ def _compared(
         file.note("TRC107", message)
         return start, float(times[0])
     return start, None
-
-
-def _warn(
-    file: MarkerFile, code: str, message: str, hint: str | None, line: int
-) -> None:
-    """Add a warning about a line."""
-    warning = Severity.WARNING
-    file.notices.append(Fault(code, message, file.path, (int(line),), hint, warning))
