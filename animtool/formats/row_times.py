@@ -21,6 +21,8 @@ MAX_FRAMES_EACH = 10
 MAX_ABSENT = 5_000_000
 # Of a rate, below which that of the header is meant by jittering times.
 NEAR_RATE = 0.05
+# Rows for a gap, on average: more gaps are another rate.
+MIN_ROWS_A_GAP = 4
 # Of steps, above which nothing is put between two rows.
 GAP_STEPS = 1.5
 
@@ -103,24 +105,36 @@ def find_steps(
 ) -> Steps:
     """Return times as frames: given ones, else of a stated rate, else by their step."""
     row_frames = np.arange(len(times))
-    fits = [counted_frames, row_frames]
-    for frames in fits:
-        if frames is not None and (steps := fit_frames(times, frames, rounding)).even:
-            return steps
+    given = [row_frames] if counted_frames is None else [counted_frames, row_frames]
+    fits = [fit_frames(times, frames, rounding) for frames in given]
+    fits = [steps for steps in fits if steps.even]
+    rates = [1.0 / stated] if stated is not None and stated > 0 else []
+    if stated is not None and rates:
+        meant = [steps for steps in fits if is_rate_of(stated, steps, rounding)]
+        # Times of few places may be even at some other rate too.
+        gaps = fit_gaps(times, rates[0], rounding)
+        if gaps is not None and gaps.even and _has_few_gaps(gaps.frames):
+            meant.append(gaps)
+        fits = [*meant, *fits]
+    if fits:
+        return fits[0]
     usual = usual_step(times)
     between = np.diff(times)
     mean = float(between[between <= GAP_STEPS * usual].mean())
-    rates = [1.0 / stated] if stated is not None and stated > 0 else []
-    for step in (*rates, mean):
-        found = fit_gaps(times, step, rounding)
-        if found is not None and found.even:
-            return found
+    found = fit_gaps(times, mean, rounding)
+    if found is not None and found.even:
+        return found
     line = times[0] + usual * row_frames
     near = [step for step in rates if abs(step - mean) <= NEAR_RATE * mean]
     step = near[0] if near else usual
     found = fit_gaps(times, step, rounding)
     off = found.off if found is not None else float(np.abs(times - line).max())
     return Steps(step, row_frames, off, False)
+
+
+def _has_few_gaps(frames: IntArray) -> bool:
+    """Return whether most rows are one frame apart."""
+    return int((np.diff(frames) > 1).sum()) <= max(1, len(frames) // MIN_ROWS_A_GAP)
 
 
 def is_rate_of(stated: float, steps: Steps, rounding: float) -> bool:

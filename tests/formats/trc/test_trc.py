@@ -92,3 +92,112 @@ def test_what_cannot_be_read(tmp_path: Path, code: str, text: str) -> None:
 def test_counts_that_disagree_are_said(tmp_path: Path) -> None:
     markers = read(tmp_path, HEAD + "1\t0\t1\t2\t3\t4\t5\t6\n")
     assert "TRC101" in {notice.code for notice in markers.notices}
+
+
+WIDE = "1\t0\t1\t2\t3\t4\t5\t6\t7\t8\t9\n2\t0.01\t1\t2\t3\t4\t5\t6\t7\t8\t9\n"
+ROWS = "1\t0\t1.5\t2\t3\t4\t5\t6.5\n2\t0.01\t1.5\t2\t3\t4\t5\t6.5\n"
+
+
+def codes(markers: Markers) -> list[str]:
+    return [each.code for each in markers.notices if each.code != "MKR103"]
+
+
+@pytest.mark.parametrize(
+    ("content", "names", "said"),
+    [
+        (HEAD + WIDE, ("A", "B", "*2"), ["TRC103"]),
+        (HEAD.replace("2\t2\tm", "2\t3\tm") + WIDE, ("A", "B", "*2"), ["TRC103"]),
+        (HEAD + WIDE[: WIDE.index("\n") + 1] + "2\t.01\t1\t2\t3\n",
+         ("A", "B", "*2"), ["TRC103"]),
+        (HEAD.replace("\tA\t", "\t\t") + ROWS, ("*0", "B"), ["TRC103"]),
+        (HEAD.replace("2\t2\tm", "2\t7\tm") + ROWS, ("A", "B"), ["TRC101"]),
+        (HEAD.replace("2\t2\tm", "2\t1\tm") + ROWS, ("A", "B"), ["TRC101"]),
+        (HEAD.replace("A\t\t\tB\t\t", "A\tB") + ROWS, ("A", "B"), []),
+        (HEAD.replace("A\t\t\tB", "Left A\t\t\tLeft B") + ROWS,
+         ("Left A", "Left B"), []),
+    ],
+)  # fmt: skip
+def test_rows_say_how_many_markers_there_are(
+    tmp_path: Path, content: str, names: tuple[str, ...], said: list[str]
+) -> None:
+    markers = read(tmp_path, content)
+    assert (markers.names, codes(markers)) == (names, said)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("comma", [False, True])
+def test_separators_and_decimal_commas(
+    tmp_path: Path, separator: str, comma: bool
+) -> None:
+    text = HEAD + ROWS
+    if comma:
+        text = text.replace(".", ",")
+    if separator == " ":
+        text = text.replace("\t\t\t", " ").replace("\tm\n", "\tm \n")
+    text = text.replace("\t", separator)
+    if comma and separator == ",":
+        with pytest.raises(FormatError, match=r"values") as caught:
+            read(tmp_path, text)
+        assert caught.value.code == "TRC002"
+        return
+    markers = read(tmp_path, text)
+    assert codes(markers) == (["TRC108"] if comma else [])
+    assert markers.names == ("A", "B")
+    assert markers.positions[1].tolist() == [[1.5, 2, 3], [4, 5, 6.5]]
+
+
+def test_names_between_blanks_have_no_blanks(tmp_path: Path) -> None:
+    text = (HEAD + ROWS).replace("A\t\t\tB\t\t", "Left A B").replace("\t", " ")
+    with pytest.raises(FormatError) as caught:
+        read(tmp_path, text)
+    assert caught.value.code == "TRC001"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_encodings(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.trc"
+    text = (HEAD + ROWS).replace("\tA\t", "\tGrößeA\t")
+    path.write_bytes(text.encode(encoding))
+    assert read_trc(path).names == ("GrößeA", "B")
+
+
+@pytest.mark.parametrize(
+    ("rows", "frames", "seen", "said"),
+    [
+        (ROWS + "3\t.02\t1\t2", 2, 4, ["TRC109"]),
+        (ROWS + "3\t.02\t1\t2\t3", 2, 4, ["TRC109"]),
+        (ROWS.replace("\t4\t5\t6.5\n", "\n", 1) + "3\t.02\t1\t2\t3", 3, 4, ["TRC101"]),
+        (ROWS.replace("\t5\t6.5\n", "\n", 1), 2, 3, ["TRC109"]),
+        (ROWS.replace("\t4\t5\t6.5\n", "\n", 1), 2, 3, []),
+    ],
+)
+def test_rows_that_are_cut_short(
+    tmp_path: Path, rows: str, frames: int, seen: int, said: list[str]
+) -> None:
+    markers = read(tmp_path, HEAD + rows)
+    assert (len(markers), int(markers.seen.sum())) == (frames, seen)
+    assert codes(markers) == said
+
+
+def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
+    reason = "opensim is not installed: pip install opensim"
+    opensim = pytest.importorskip("opensim", reason=reason)
+    opensim.Logger.setLevelString("off")
+    positions = np.random.default_rng(4).normal(size=(9, 3, 3))
+    for frame, marker in ((0, 2), (3, 0), (4, 1), (8, 2), (5, 0), (5, 1), (5, 2)):
+        positions[frame, marker] = np.nan
+    clock = Clock(Fraction(120), Fraction(31), Fraction(1), 9)
+    path = tmp_path / "a.trc"
+    write_trc(Markers(("Left A", "*1", "B"), clock, positions), path)
+    table = opensim.TimeSeriesTableVec3(str(path))
+    assert table.getNumRows() == 9
+    assert table.getNumColumns() == 3
+    times = np.array(table.getIndependentColumn())
+    assert times == pytest.approx((30 + np.arange(9)) / 120, abs=1e-9)
+    read_there = np.array(
+        [
+            [table.getRowAtIndex(i)[j][k] for j in range(3) for k in range(3)]
+            for i in range(9)
+        ]
+    ).reshape(9, 3, 3)
+    np.testing.assert_allclose(read_there, 1000 * positions, atol=1e-5)
