@@ -113,12 +113,27 @@ def _names(file: MarkerFile, line: bytes, separator: bytes, number: int) -> list
         names = cells[2::3]
         if any(cell for i, cell in enumerate(cells[2:]) if i % 3):
             names = [cell for cell in cells[2:] if cell]  # one column a name
+            names = _stems(names) or names
     while names and not names[-1]:
         names.pop()
     if len(names) > MAX_MARKERS:
         message = f"names {len(names)} markers, and {MAX_MARKERS} are read"
         raise FormatError(Fault("TRC001", message, file.path, (number,)))
     return names
+
+
+def _stems(cells: list[str]) -> list[str]:
+    """Return the names of columns called as their axis too; empty where they are not.
+
+    >>> _stems(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
+    ['Hip', 'knee']
+    """
+    names = [cell[:-1].rstrip("_-. :") for cell in cells]
+    axes = [cell[-1:].upper() for cell in cells]
+    whole = len(cells) % 3 == 0 and axes == list("XYZ") * (len(cells) // 3)
+    if not whole or names[::3] != names[1::3] or names[::3] != names[2::3]:
+        return []
+    return names[::3]
 
 
 def _is_heading(line: bytes) -> bool:
