@@ -17,6 +17,10 @@ from animtool.files import MAX_INPUT_BYTES, read_input
 SEPARATORS = (b"\t", b";", b",")
 BLANK = b" \t,;"
 ROWS_AT_ONCE = 4096
+# Rows of which one has a comma where numbers have decimal ones.
+COMMA_ROWS = 100
+# Bytes of a number, beyond which its places do not count.
+MAX_CELL = 40
 # Values that a short row may be padded to, for each that the file has.
 MAX_PADDING = 20
 # Values of a table up to which padding is no matter.
@@ -115,7 +119,8 @@ class Rows:
         """Return the most places after the point in a column; 15 with an exponent."""
         most = 0
         for text in self.texts:
-            cell = text.split(None, column + 1)[column : column + 1] or [b""]
+            begin = text[: MAX_CELL * (column + 1)]
+            cell = begin.split(None, column + 1)[column : column + 1] or [b""]
             exact = b"e" in cell[0].lower()
             most = max(most, 15 if exact else len(cell[0].partition(b".")[2]))
         return most
@@ -167,17 +172,19 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
             line = line.strip()
             given = used = len(line.split())
         else:
-            given = line.count(separator) + 1
+            given = used = line.count(separator) + 1
             if b" " in line:
                 line = separator.join([c.strip() for c in line.split(separator)])
             if line[-1:] == separator:
                 line = line.rstrip(separator)
                 if not line:
                     continue
-            used = line.count(separator) + 1
-            if twice in line:
+                used = line.count(separator) + 1
+            held = len(line)
+            line = line.replace(twice, empty)
+            if len(line) > held:
                 # Once more for the second of three separators.
-                line = line.replace(twice, empty).replace(twice, empty)
+                line = line.replace(twice, empty)
             if line[:1] == separator:
                 line = b"nan" + line
             if separator != b"\t":
@@ -186,7 +193,7 @@ def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
         numbers.append(i + 1)
         filled.append(used)
         cells.append(given)
-    commas = separator != b"," and any(b"," in text for text in texts)
+    commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
     commas = commas and not any(b"." in text for text in texts)
     if commas:
         texts = [text.replace(b",", b".") for text in texts]
