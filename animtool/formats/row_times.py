@@ -18,7 +18,7 @@ LAST_START = 1e9
 # Frames that rows may become, for each of them, and positions that are no matter: more
 # frames without a row are a wrong number rather than a pause.
 MAX_FRAMES_EACH = 10
-MAX_ABSENT = 5_000_000
+MAX_ABSENT = 1_000_000
 # Of a rate, below which that of the header is meant by jittering times.
 NEAR_RATE = 0.05
 # Rows for a gap, on average: more gaps are another rate.
@@ -74,7 +74,8 @@ def fit_gaps(times: FloatArray, step: float, rounding: float) -> Steps | None:
     >>> fit_gaps(np.array([0.0, 0.1, 0.2, 0.5]), 0.1, 0.0).frames.tolist()
     [0, 1, 2, 5]
     """
-    between = np.rint(np.diff(times) / step)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        between = np.rint(np.diff(times) / step)
     counted = np.isfinite(between).all() and between.sum() <= LAST_START
     if not counted or between.min() < 1:
         return None
