@@ -122,7 +122,8 @@ def _frames(
     elif stated is not None:
         message = f"states DataRate {stated:g}, and its times are at {float(found):g}"
         file.warn("MOF101", f"{message} fps: read as they are")
-    at = (times - times[0]) * float(found)
+    with np.errstate(over="ignore"):
+        at = (times - times[0]) * float(found)
     if steps.even:
         at = steps.frames.astype(np.float64)
     if not has_room(at, len(header.names)):

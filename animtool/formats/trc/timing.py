@@ -65,7 +65,8 @@ def frames_of_rows(
         steps = find_steps(times, counted_frames, stated, rounding)
         rate = _rate(file, steps, stated, rounding)
         if not steps.even:
-            at_times = (times - times[0]) * float(rate)
+            with np.errstate(over="ignore"):
+                at_times = (times - times[0]) * float(rate)
             _check_room(file, at_times, markers, lines)
             _warn_uneven(file, steps, times, rate, lines)
             start = _start(numbers[0])
