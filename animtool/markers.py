@@ -30,6 +30,7 @@ class Markers:
         filled: Positions that were computed over a gap and not measured ``(F, M)``;
             None where there is none.
         notices: Warnings and notes about where they come from.
+        begin: Time of the first frame [s]; None where frame 1 is time 0.
 
     Raises:
         OptionError: An array does not have the shape of the clock's frames and the
@@ -48,6 +49,7 @@ class Markers:
     residuals: FloatArray | None = None
     filled: BoolArray | None = None
     notices: tuple[Fault, ...] = ()
+    begin: float | None = None
 
     def __post_init__(self) -> None:
         """Check shapes, names and numbers."""

@@ -34,6 +34,8 @@ class Reader:
             to the object's transforms over time; empty where they hold none.
         markers: ``module:object`` of a function from a path, and options by keyword,
             to `animtool.markers.Markers`; empty where such files hold none.
+        has_markers: ``module:object`` of a function from a path to whether a file
+            holds markers; empty where its suffix says it.
     """
 
     about: str
@@ -42,6 +44,7 @@ class Reader:
     options: tuple[str, ...] = ()
     prim: str = ""
     markers: str = ""
+    has_markers: str = ""
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return what opens a file as a rig; see `source_opener`."""
@@ -94,6 +97,15 @@ MOT = Reader(
     ("rig", "fps"),
 )
 
+STO = Reader(
+    "OpenSim storage",
+    "animtool.formats.mot.read:read_mot_rig",
+    "animtool.formats.mot.read:read_mot",
+    ("rig", "fps"),
+    markers="animtool.formats.mot.points:read_points",
+    has_markers="animtool.formats.mot.points:holds_points",
+)
+
 _OF_MARKERS = ("unit", "up", "fps", "rig", "template", "progress")
 _SOLVE = "animtool.mocap.solve.source:open_markers_source"
 C3D = Reader(
@@ -106,7 +118,7 @@ TRC = Reader(
     "TRC markers",
     source=_SOLVE,
     options=_OF_MARKERS,
-    markers="animtool.formats.trc:read_trc",
+    markers="animtool.formats.trc.read:read_trc",
 )
 ARRAYS = Reader(
     "arrays of markers",
@@ -129,7 +141,7 @@ READERS: dict[str, Reader] = {
     ".trc": TRC,
     ".npz": ARRAYS,
     ".mot": MOT,
-    ".sto": MOT,
+    ".sto": STO,
 }
 
 # What OpenTimelineIO and its adapters read.

@@ -18,7 +18,7 @@ from animtool.units import LengthUnit, UpAxis
 # ``overwrite`` to what the format cannot hold.
 WRITERS = {
     ".c3d": "animtool.formats.c3d.write:write_c3d",
-    ".trc": "animtool.formats.trc:write_trc",
+    ".trc": "animtool.formats.trc.write:write_trc",
     ".npz": "animtool.formats.marker_arrays:write_marker_arrays",
 }
 
@@ -29,8 +29,12 @@ def is_marker_file(path: Path) -> bool:
     >>> is_marker_file(Path("take.npz#unlabelled_mm")), is_marker_file(Path("a.bvh"))
     (True, False)
     """
-    reader = READERS.get(file_of(path).suffix.lower())
-    return reader is not None and bool(reader.markers)
+    path = file_of(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None or not reader.has_markers:
+        return reader is not None and bool(reader.markers)
+    has_markers = cast(Callable[[Path], bool], load_object(reader.has_markers))
+    return has_markers(path)
 
 
 def file_of(path: Path) -> Path:
@@ -46,7 +50,7 @@ def open_markers(
     fps: FractionLike | None = None,
     subject: str | None = None,
 ) -> Markers:
-    """Return the markers of a C3D, TRC or npz file; ``take.npz#array`` names an array.
+    """Return the markers of a file; ``take.npz#array`` names an array of it.
 
     Args:
         path: The file.

@@ -47,10 +47,12 @@ class MarkerFile:
         """Return the error of a file that cannot be read."""
         return FormatError(Fault(code, message, self.path, (), hint))
 
-    def warn(self, code: str, message: str, hint: str | None = None) -> None:
-        """Add a warning."""
-        warning = Severity.WARNING
-        self.notices.append(Fault(code, message, self.path, (), hint, warning))
+    def warn(
+        self, code: str, message: str, hint: str | None = None, line: int | None = None
+    ) -> None:
+        """Add a warning, of a line where there is one."""
+        warning, lines = Severity.WARNING, () if line is None else (line,)
+        self.notices.append(Fault(code, message, self.path, lines, hint, warning))
 
     def note(self, code: str, message: str, hint: str | None = None) -> None:
         """Add a note."""

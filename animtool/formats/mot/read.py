@@ -17,16 +17,18 @@ from animtool.formats.mot.coordinates import (
     spellings,
 )
 from animtool.formats.mot.table import MotionTable, check_once, read_table
+from animtool.formats.row_times import (
+    EVEN,
+    LAST_START,
+    fit_frames,
+    rate_of_step,
+    rounding_of,
+    usual_step,
+)
 from animtool.ik.sub_rig import following
 from animtool.maths.filters import put_between
 from animtool.motion import Channel, Motion
-from animtool.rates import (
-    HIGHEST_WRITTEN_RATE,
-    LOWEST_WRITTEN_RATE,
-    FractionLike,
-    rate_from_float,
-    rate_option,
-)
+from animtool.rates import FractionLike, rate_option
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
@@ -34,14 +36,9 @@ from animtool.similar import similar
 from animtool.take import TakeStream
 from animtool.units import unit_name
 
-# How far times may be off even ones, beside the rounding of their last place, as a
-# share of the time between rows: what adding up a step in float64 or float32 gives.
-EVEN = 1e-3
 # Frames that rows at uneven times may become, for each of them. More are gaps, and
 # filling these would be inventing motion.
 MAX_FRAMES_EACH = 10
-# Of a first frame beyond this number the time is no time of a take.
-LAST_START = 1e9
 
 
 def read_mot(
@@ -63,7 +60,7 @@ def read_mot(
         fps: Rows a second, where the times are wrong; None is what the times say.
 
     Raises:
-        FormatError: The file is malformed (MOF001 to MOF006).
+        FormatError: The file is malformed (MOF001 to MOF006, MOF009).
         OptionError: The rig has none of its coordinates (MOF007), or ``fps`` is no
             rate (SCN022).
     """
@@ -159,15 +156,11 @@ def _even(
         message, hint = "has one row, which has no rate", "--source-fps gives the rate"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     span = float(times[-1] - times[0])
-    step = span / (len(times) - 1)
-    rounding = 0.5 * 10.0**-table.decimals
-    line = times[0] + step * np.arange(len(times))
-    off = float(np.abs(times - line).max())
-    if off <= EVEN * step + 3 * rounding:
-        return _rate(path, step, rounding, len(times)), values, []
-    steps = np.sort(np.diff(times))
-    usual = float(steps[(len(steps) - 1) // 2])
-    rate = _rate(path, usual, rounding, 2)
+    rounding = rounding_of(table.decimals)
+    steps = fit_frames(times, np.arange(len(times)), rounding)
+    if steps.even:
+        return _rate(path, steps.step, rounding, len(times) - 1), values, []
+    rate = _rate(path, usual_step(times), rounding, 1)
     count = span * float(rate) + 1
     if count > MAX_FRAMES_EACH * len(times):
         message = f"has {len(times)} rows for {count:.3g} frames at {float(rate):g} fps"
@@ -176,25 +169,20 @@ def _even(
     at = times[0] + np.arange(int(count + EVEN)) / float(rate)
     made = np.stack([np.interp(at, times, column) for column in values.T], axis=-1)
     message = (
-        f"times are uneven, up to {off:.3g} s off: read at {float(rate):g} fps, with "
-        "straight lines between rows"
+        f"times are uneven, up to {steps.off:.3g} s off: read at {float(rate):g} fps, "
+        "with straight lines between rows"
     )
     hint = "--source-fps takes the rows as they come"
     return rate, made, [Fault("MOF105", message, path, (), hint, Severity.WARNING)]
 
 
-def _rate(path: str, step: float, rounding: float, rows: int) -> Fraction:
-    """Return the rate of a step [s] whose times are rounded."""
-    rate = 1.0 / step if step > 0 else np.inf
-    if not float(LOWEST_WRITTEN_RATE) <= rate <= float(HIGHEST_WRITTEN_RATE):
+def _rate(path: str, step: float, rounding: float, frames: int) -> Fraction:
+    rate = rate_of_step(step, rounding, frames)
+    if rate is None:
         message = f"has a row every {step:g} s"
         hint = "--source-fps gives the rate"
         raise FormatError(Fault("MOF006", message, path, (), hint))
-    # The nearest whole rate that the printed times leave open.
-    whole = round(rate)
-    if whole and abs(1.0 / whole - step) <= 2 * rounding / (rows - 1):
-        return Fraction(whole)
-    return rate_from_float(rate)
+    return rate
 
 
 def _motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:

@@ -7,16 +7,38 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.files import MAX_INPUT_BYTES, read_input
+from animtool.formats.delimited import (
+    BLANK,
+    Rows,
+    decoded,
+    gather_rows,
+    number_of,
+    read_lines,
+    separator_of,
+    split_cells,
+)
 
 # Headers of OpenSim hold some ten lines; those of results a page of remarks.
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 10_000
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-_BLANK = b" \t,"
+# Types of OpenSim's tables with one number in a cell.
+_NUMBERS = {"", "double", "float", "real"}
+_KINDS = {
+    "quaternion": "orientations (w, x, y, z)",
+    "vec": "vectors",
+    "unitvec": "directions",
+    "spatialvec": "rotations and translations",
+    "spatial": "rotations and translations",
+}
+_IMU = (
+    "orientations of sensors become coordinates by OpenSim's IMU inverse kinematics: "
+    "opensim-cmd run-tool imu_ik.xml; its MOT is read"
+)
+_POINTS = "animtool convert writes them as markers: .trc, .c3d or .npz"
+_HINTS = {"quaternion": _IMU, "vec3": _POINTS}
 _YES = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
 
 
@@ -48,28 +70,21 @@ class MotionTable:
 def read_table(path: Path) -> MotionTable:
     """Return the table of a MOT or STO file.
 
-    Cells are separated by tabs, blanks or commas.
+    Cells are separated by tabs, semicolons, commas or blanks.
 
     Raises:
         FormatError: The file has no header (MOF001), no names of columns (MOF002), a
             row that is none (MOF003), a column twice (MOF004), or times that do not
             ascend (MOF005), or cannot be read.
     """
-    text = read_input(path, MAX_INPUT_BYTES).removeprefix(b"\xef\xbb\xbf")
-    lines = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-    at = _end_of_header(path, lines)
-    stated, degrees = _header(lines[:at])
-    head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(_BLANK)), None)
-    if head is None:
-        raise _error("MOF002", path, "ends with its header", at + 1)
-    separator = next((s for s in (b"\t", b",") if s in lines[head]), b" ")
-    names = _names(path, lines[head], separator, head + 1)
-    rows = _Rows(path, separator, len(names) + 1, lines[-1] != b"")
-    for i in range(head + 1, len(lines)):
-        if lines[i].strip(_BLANK):
-            rows.add(lines[i], i + 1, last=i == len(lines) - 1)
-    values, numbers = rows.numbers()
-    notices = list(rows.notices)
+    lines = read_lines(path)
+    header = read_header(path, lines)
+    names, stated, degrees = header.names, header.counts, header.degrees
+    _check_kind(path, header, lines)
+    notices: list[Fault] = []
+    rows = read_rows(path, lines, header, len(names) + 1, notices)
+    decimals, numbers = rows.decimals(0), rows.lines
+    values = numbers_of(path, rows, len(names) + 1)
     wanted = {"rows": len(values), "columns": len(names) + 1}
     for what, count in wanted.items():
         if what in stated and stated[what] != count:
@@ -77,13 +92,13 @@ def read_table(path: Path) -> MotionTable:
             warning = Severity.WARNING
             notices.append(Fault("MOF101", message, str(path), (), None, warning))
     times = values[:, 0].copy()
-    _check_times(path, times, numbers)
+    check_times(path, times, numbers)
     cells = values[:, 1:].copy()
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
     notices += _missing(path, names, cells, numbers)
     return MotionTable(
-        path, names, cells, times, rows.decimals, numbers, degrees, tuple(notices)
+        path, names, cells, times, decimals, numbers, degrees, tuple(notices)
     )
 
 
@@ -92,21 +107,65 @@ def _error(code: str, path: Path, message: str, line: int | None = None) -> Form
     return FormatError(Fault(code, message, str(path), lines))
 
 
+@dataclass(frozen=True, slots=True)
+class MotHeader:
+    """What the lines above the rows state.
+
+    Attributes:
+        names: Of the C columns, the time left out.
+        counts: ``rows`` and ``columns``, and ``rate`` [1/s], where they are stated.
+        degrees: Whether angles are degrees; None where the file does not say.
+        kind: DataType, empty without.
+        unit: Units, None without.
+        separator: Between cells.
+        begin: Index of the first line below the names.
+    """
+
+    names: tuple[str, ...]
+    counts: dict[str, float]
+    degrees: bool | None
+    kind: str
+    unit: str | None
+    separator: bytes
+    begin: int
+
+    @property
+    def has_points(self) -> bool:
+        """Whether a cell is a vector of three."""
+        return self.kind.lower() in {"vec3", "vec<3>"}
+
+
+def read_header(path: Path, lines: list[bytes]) -> MotHeader:
+    """Return the header (MOF001) and the names of columns (MOF002, MOF004)."""
+    at = _end_of_header(path, lines)
+    counts, degrees, texts = _header(lines[:at])
+    head = next((i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK)), None)
+    if head is None:
+        raise _error("MOF002", path, "ends with its header", at + 1)
+    separator = separator_of(lines[head])
+    names = _names(path, lines[head], separator, head + 1)
+    kind, unit = texts.get("datatype", ""), texts.get("units")
+    return MotHeader(names, counts, degrees, kind, unit, separator, head + 1)
+
+
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
-        if line.strip(_BLANK).lower() == b"endheader":
+        if line.strip(BLANK).lower() == b"endheader":
             return i
     message = "has no line 'endheader', which ends the header of OpenSim's files"
     raise _error("MOF001", path, message)
 
 
-def _header(lines: list[bytes]) -> tuple[dict[str, float], bool | None]:
-    """Return the counts that a header states, and whether angles are degrees."""
+def _header(
+    lines: list[bytes],
+) -> tuple[dict[str, float], bool | None, dict[str, str]]:
+    """Return counts of a header, whether angles are degrees, and what texts it has."""
     counts: dict[str, float] = {}
+    texts: dict[str, str] = {}
     degrees = None
     said = None
     for line in lines:
-        text = line.decode("utf-8", "replace").strip(" \t,").lower()
+        text = decoded(line).strip(" \t,;").lower()
         key, _, value = (part.strip() for part in text.partition("="))
         if not value:
             # As SIMM writes: datarows 250.
@@ -121,17 +180,20 @@ def _header(lines: list[bytes]) -> tuple[dict[str, float], bool | None]:
         }.get(key)
         if what and value.isascii() and value.isdigit() and len(value) < 300:
             counts[what] = float(value)
+        elif key in {"datatype", "units"}:
+            texts[key] = decoded(line).partition("=")[2].strip(" \t,;")
+        elif key == "datarate" and (rate := number_of(value)) is not None:
+            counts["rate"] = rate
         elif key == "indegrees":
             degrees = _YES.get(value, degrees)
         elif text.startswith("angles are in "):
             said = {"degrees": True, "radians": False}.get(text[14:].rstrip(". "), said)
-    return counts, said if degrees is None else degrees
+    return counts, said if degrees is None else degrees, texts
 
 
 def _names(path: Path, line: bytes, separator: bytes, number: int) -> tuple[str, ...]:
-    text = line.strip(_BLANK if separator == b" " else b" " + separator)
-    parts = text.split() if separator == b" " else text.split(separator)
-    cells = [cell.strip().decode("utf-8", "replace") for cell in parts]
+    text = line.strip(BLANK if separator == b" " else b" " + separator)
+    cells = split_cells(text, separator)
     if cells[0].lower() != "time":
         message = f"the first column is {excerpt(cells[0])}, not time"
         raise _error("MOF002", path, message, number)
@@ -162,65 +224,69 @@ def check_once(
         first[key] = name
 
 
-class _Rows:
-    """Lines of numbers as they are gathered."""
-
-    def __init__(self, path: Path, separator: bytes, width: int, unended: bool) -> None:
-        self.notices: list[Fault] = []
-        self.decimals = 0
-        self._path = path
-        self._separator = separator
-        self._width = width
-        self._unended = unended
-        self._lines: list[bytes] = []
-        self._numbers: list[int] = []
-
-    def add(self, line: bytes, number: int, *, last: bool) -> None:
-        """Take a line, empty cells as NaN; one that the file's end cuts is left out."""
-        if self._separator == b" ":
-            cells = line.split()
-        else:
-            cells = line.strip(b" ").split(self._separator)
-            while len(cells) > self._width and not cells[-1].strip():
-                cells.pop()
-            if (
-                self._separator * 2 in line
-                or b" " in line
-                or not (cells[0] and cells[-1])
-            ):
-                cells = [cell.strip() or b"nan" for cell in cells]
-        if len(cells) != self._width:
-            message = f"has {len(cells)} values and not {self._width}"
-            if last and self._unended and len(cells) < self._width and self._lines:
-                message = f"is cut short: {message}; it is left out"
-                path, warning = str(self._path), Severity.WARNING
-                self.notices.append(
-                    Fault("MOF103", message, path, (number,), None, warning)
-                )
-                return
-            raise _error("MOF003", self._path, message, number)
-        places = len(cells[0].partition(b".")[2])
-        exact = b"e" in cells[0].lower()
-        self.decimals = max(self.decimals, 15 if exact else places)
-        self._lines.append(b" ".join(cells))
-        self._numbers.append(number)
-
-    def numbers(self) -> tuple[FloatArray, IntArray]:
-        """Return the rows ``(R, 1 + C)`` and the line of each ``(R,)``."""
-        if not self._lines:
-            raise _error("MOF003", self._path, "has no rows")
-        text = b"\n".join(self._lines) + b"\n"
-        values, _, _, _, fault, _, token = _kernels.parse_bvh_rows(
-            text, self._width, len(self._lines), True
-        )
-        if fault or len(values) < len(self._lines):
-            line = self._numbers[min(len(values), len(self._lines) - 1)]
-            message = f"{excerpt(token.decode('utf-8', 'replace'))} is no number"
-            raise _error("MOF003", self._path, message, line)
-        return values, np.array(self._numbers, np.int64)
+def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
+    """Refuse cells of several numbers each (MOF009): vectors, quaternions."""
+    kind, names, begin = header.kind, header.names, header.begin
+    separator = header.separator
+    row = next(
+        (i for i in range(begin, len(lines)) if lines[i].strip(BLANK)), begin - 1
+    )
+    cells = split_cells(lines[row], separator)[1:] if row >= begin else []
+    width = max((cell.count(",") + 1 for cell in cells), default=1)
+    decimal = width == 2 and b"." not in lines[row]
+    if kind.lower() in _NUMBERS and (width == 1 or separator == b"," or decimal):
+        return
+    what = f"DataType {excerpt(kind)}" if kind else "no DataType"
+    columns = counted(len(names), "column")
+    message = f"has {what}: {columns} of {width} numbers in a cell"
+    shown = _KINDS.get(kind.lower().partition("<")[0].rstrip("0123456789_"))
+    message += f" ({shown})" if shown else ""
+    message += f", {listed(list(names[:3]))}"
+    hint = _HINTS.get(kind.lower(), "MOT and STO are read with one number in a cell")
+    raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def _check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
+def numbers_of(path: Path, rows: Rows, width: int) -> FloatArray:
+    """Return the numbers of rows ``(R, width)`` (MOF003)."""
+    return rows.values(width, lambda text, line: _error("MOF003", path, text, line))
+
+
+def read_rows(
+    path: Path,
+    lines: list[bytes],
+    header: MotHeader,
+    width: int,
+    notices: list[Fault],
+) -> Rows:
+    """Return rows of one width; one that the file's end cuts is left out (MOF103)."""
+    rows = gather_rows(lines, header.begin, header.separator)
+    warning = Severity.WARNING
+    while len(rows.texts):
+        wrong = np.flatnonzero((rows.filled > width) | (rows.cells < width))
+        if not len(wrong):
+            break
+        row = int(wrong[0])
+        line, short = int(rows.lines[row]), rows.cells[row] < width
+        count = int(rows.cells[row] if short else rows.filled[row])
+        message = f"has {count} values and not {width}"
+        # No line ends the last row of a file that is cut.
+        last = row == len(rows.texts) - 1 and line == len(lines)
+        if not (last and short and row):
+            raise _error("MOF003", path, message, line)
+        message = f"is cut short: {message}; it is left out"
+        notices.append(Fault("MOF103", message, str(path), (line,), None, warning))
+        rows = rows.without_last()
+    if not rows.texts:
+        raise _error("MOF003", path, "has no rows")
+    if rows.decimal_commas:
+        message = "numbers have commas in place of points: read as decimal"
+        hint = "export it with points, as other programs read it"
+        notices.append(Fault("MOF110", message, str(path), (), hint, Severity.NOTE))
+    return rows
+
+
+def check_times(path: Path, times: FloatArray, lines: IntArray) -> None:
+    """Refuse times that do not ascend (MOF005)."""
     with np.errstate(invalid="ignore", over="ignore"):
         wrong = ~np.isfinite(times)
         wrong[1:] |= ~(np.diff(times) > 0)

@@ -19,6 +19,7 @@ from animtool.readers import (
     LIVELINK,
     MOT,
     READERS,
+    STO,
     TRC,
     USD,
 )
@@ -120,6 +121,7 @@ _READ_AS = {
     TRC: Kind.TRAJECTORIES,
     ARRAYS: Kind.TRAJECTORIES,
     MOT: Kind.COORDINATES,
+    STO: Kind.COORDINATES,
 }
 
 

@@ -128,7 +128,7 @@ def test_states_of_opensim(write: Callable[[str], Path]) -> None:
     assert stream.rig.names == ["knee"]
 
 
-@pytest.mark.parametrize("separator", ["\t", ",", "  ", " \t"])
+@pytest.mark.parametrize("separator", ["\t", ",", "  ", " \t", ";"])
 def test_separators_ends_of_lines_and_marks(
     write: Callable[[bytes], Path], separator: str
 ) -> None:
@@ -171,6 +171,30 @@ def test_uneven_times_become_even(write: Callable[[str], Path]) -> None:
     take = stream.collect()
     assert np.degrees(coordinates(take)[:, 0]) == pytest.approx([0, 10, 20, 30, 40, 50])
     assert read_mot(path, fps=24).collect().fps == 24
+
+
+def test_decimal_commas_are_reported(write: Callable[[str], Path]) -> None:
+    stream = read_mot(write(HEAD + ROWS.replace("lift", "a_tx").replace(".", ",")))
+    assert codes(stream.notices) == ["MOF110", "MOF106"]
+    assert coordinates(stream.collect())[:, 1].tolist() == [0.1, 0.2, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("kind", "cell", "named"),
+    [
+        ("DataType=Quaternion\n", "1,0,0,0", "Quaternion"),
+        ("DataType=Vec3\n", "1,0,0", "Vec3"),
+        ("DataType=SpatialVec\n", "1,0,0,1,2,3", "SpatialVec"),
+        ("", "1,0,0", "3 numbers"),
+    ],
+)
+def test_cells_of_several_numbers_are_refused(
+    write: Callable[[str], Path], kind: str, cell: str, named: str
+) -> None:
+    rows = f"0\t{cell}\t{cell}\n0.01\t{cell}\t{cell}\n"
+    with pytest.raises(AnimtoolError, match=named) as error:
+        read_mot(write(f"{kind}endheader\ntime\ta\tb\n{rows}"))
+    assert error.value.code == "MOF009"
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,11 @@ UNEVEN = (
     "time\tknee\tlift\tother\n0\t10\t.1\t1\n0.01\tNaN\t.2\t1\n0.035\t30\t.3\t1\n"
     "0.04\t40\t.4\t1\n"
 )
+# Cells of several numbers, which no take is made of.
+VECTORS = (
+    "DataRate=100\nDataType=Vec3\nversion=3\nendheader\ntime\ta\tb\n"
+    "0\t0,0,3\t1,2,3\n0.01\t1,2,3\t1,2,3\n0.02\t2,4,3\tnan,nan,nan\n"
+)
 
 
 def make(folder: Path) -> Callable[[np.random.Generator], str]:
@@ -43,7 +48,9 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         Channel.still(RIG.rest_translations, 4), Channel.still(RIG.rest_rotations, 4)
     )
     write_mot(Take(RIG, Clock(100, 1, 1, 4), still), path)
-    seeds = [path.read_bytes(), UNEVEN.encode()]
+    semicolons = UNEVEN.replace("\t", ";")
+    texts = [UNEVEN, semicolons, semicolons.replace(".", ","), VECTORS]
+    seeds = [path.read_bytes(), *[text.encode() for text in texts]]
 
     def run(rng: np.random.Generator) -> str:
         path.write_bytes(spoil(rng, pick(rng, seeds)))

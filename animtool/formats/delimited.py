@@ -1,0 +1,201 @@
+"""Delimited text: lines of cells between tabs, semicolons, commas or blanks."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import AnimtoolError, excerpt
+from animtool.files import MAX_INPUT_BYTES, read_input
+
+SEPARATORS = (b"\t", b";", b",")
+BLANK = b" \t,;"
+ROWS_AT_ONCE = 4096
+# Rows of which one has a comma where numbers have decimal ones.
+COMMA_ROWS = 100
+# Bytes of a number, beyond which its places do not count.
+MAX_CELL = 40
+# Values that a short row may be padded to, for each that the file has.
+MAX_PADDING = 20
+# Values of a table up to which padding is no matter.
+SMALL_TABLE = 5_000_000
+
+
+def read_lines(path: Path) -> list[bytes]:
+    """Return the lines of a file in UTF-8, whatever ends them, without its mark."""
+    data = read_input(path, MAX_INPUT_BYTES)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        # As spreadsheets save "Unicode text".
+        data = data.decode("utf-16", "replace").encode()
+    data = data.removeprefix(codecs.BOM_UTF8)
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+
+
+def decoded(text: bytes) -> str:
+    """Return text of UTF-8, or of Latin-1 where it is none."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def separator_of(line: bytes, usual: bytes = b" ") -> bytes:
+    """Return what separates the cells of a line: the usual, else the first that it has.
+
+    >>> separator_of(b"a;b c"), separator_of(b"a b,c", b","), separator_of(b"a b")
+    (b';', b',', b' ')
+    """
+    if usual != b" " and usual in line:
+        return usual
+    return next((each for each in SEPARATORS if each in line), b" ")
+
+
+def row_separator(line: bytes, usual: bytes) -> bytes:
+    """Return what separates the numbers of a row, in which commas may be decimal.
+
+    >>> row_separator(b"1 0,5 2,5", b" "), row_separator(b"1, 0.5, 2.5", b" ")
+    (b' ', b',')
+    """
+    found = separator_of(line, usual)
+    if found == b"," and usual != b",":
+        cells = [cell.strip() for cell in line.strip().split(b",")]
+        return b" " if any(b" " in cell for cell in cells) else b","
+    return found
+
+
+def split_cells(line: bytes, separator: bytes) -> list[str]:
+    """Return the cells of a line, without blanks and quotes around them."""
+    cells = line.split() if separator == b" " else line.split(separator)
+    return [decoded(cell).strip().strip('"').strip() for cell in cells]
+
+
+def number_of(text: str | None) -> float | None:
+    """Return a finite number, its decimal mark a point or a comma; else None.
+
+    >>> number_of("59,94"), number_of("1e3"), number_of("x")
+    (59.94, 1000.0, None)
+    """
+    text = text or ""
+    try:
+        value = float(text if "." in text else text.replace(",", "."))
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Rows of numbers as text.
+
+    Attributes:
+        texts: Of the R rows that are not blank: cells between blanks or tabs, ``nan``
+            where one is empty, without those that are empty at the end.
+        lines: Number of the line of each ``(R,)``, from 1.
+        filled: Cells of each ``(R,)`` up to the last that is not empty.
+        cells: Cells of each ``(R,)``, empty ones at the end included.
+        decimal_commas: Whether numbers had commas for points, which are points now.
+    """
+
+    texts: list[bytes]
+    lines: IntArray
+    filled: IntArray
+    cells: IntArray
+    decimal_commas: bool = False
+
+    def without_last(self) -> Rows:
+        """Return all rows but the last."""
+        return replace(
+            self, texts=self.texts[:-1], lines=self.lines[:-1],
+            filled=self.filled[:-1], cells=self.cells[:-1],
+        )  # fmt: skip
+
+    def decimals(self, column: int) -> int:
+        """Return the most places after the point in a column; 15 with an exponent."""
+        most = 0
+        for text in self.texts:
+            begin = text[: MAX_CELL * (column + 1)]
+            cell = begin.split(None, column + 1)[column : column + 1] or [b""]
+            exact = b"e" in cell[0].lower()
+            most = max(most, 15 if exact else len(cell[0].partition(b".")[2]))
+        return most
+
+    def values(
+        self, width: int, error: Callable[[str, int], AnimtoolError]
+    ) -> FloatArray:
+        """Return the numbers ``(R, width)``, NaN where a row ends before.
+
+        error: From a message and the number of a line to what is raised where a cell
+            is no number, or a row has more than ``width``.
+        """
+        size = width * len(self.texts)
+        if size > max(SMALL_TABLE, MAX_PADDING * int(self.filled.sum())):
+            line = int(self.lines[np.argmax(self.filled)])
+            raise error(f"has {width} values, and most rows far fewer", line)
+        blocks = [np.empty((0, width))]
+        for begin in range(0, len(self.texts), ROWS_AT_ONCE):
+            texts = self.texts[begin : begin + ROWS_AT_ONCE]
+            filled = self.filled[begin : begin + ROWS_AT_ONCE]
+            for row in np.flatnonzero(filled < width).tolist():
+                texts[row] += b" nan" * (width - int(filled[row]))
+            text = b"\n".join(texts) + b"\n"
+            block, _, _, _, _, found, token = _kernels.parse_bvh_rows(
+                text, width, len(texts), True
+            )
+            if len(block) < len(texts):
+                message = f"has {found} values and not {width}"
+                if token:
+                    message = f"{excerpt(decoded(token))} is no number"
+                raise error(message, int(self.lines[begin + len(block)]))
+            blocks.append(block)
+        return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)
+
+
+def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> Rows:
+    """Return the lines from one on as rows of numbers.
+
+    A line without the separator is read as one between blanks. Commas are decimal
+    where they are not the separator and there is no point anywhere.
+    """
+    texts, numbers, filled, cells = [], [], [], []
+    twice, empty = separator * 2, separator + b"nan" + separator
+    for i in range(begin, len(lines)):
+        line = lines[i]
+        if separator not in line or separator == b" ":
+            if not line.strip(BLANK):
+                continue
+            line = line.strip()
+            given = used = len(line.split())
+        else:
+            given = used = line.count(separator) + 1
+            if b" " in line:
+                line = separator.join([c.strip() for c in line.split(separator)])
+            if line[-1:] == separator:
+                line = line.rstrip(separator)
+                if not line:
+                    continue
+                used = line.count(separator) + 1
+            held = len(line)
+            line = line.replace(twice, empty)
+            if len(line) > held:
+                # Once more for the second of three separators.
+                line = line.replace(twice, empty)
+            if line[:1] == separator:
+                line = b"nan" + line
+            if separator != b"\t":
+                line = line.replace(separator, b" ")
+        texts.append(line)
+        numbers.append(i + 1)
+        filled.append(used)
+        cells.append(given)
+    commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
+    commas = commas and not any(b"." in text for text in texts)
+    if commas:
+        texts = [text.replace(b",", b".") for text in texts]
+    places, counts = np.array(numbers, np.int64), np.array(filled, np.int64)
+    return Rows(texts, places, counts, np.array(cells, np.int64), commas)

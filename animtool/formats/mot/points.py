@@ -1,0 +1,148 @@
+"""An OpenSim table of vectors (STO, DataType=Vec3) as marker trajectories."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clock import Clock
+from animtool.errors import AnimtoolError, Fault, FormatError, counted, listed
+from animtool.formats.delimited import read_lines
+from animtool.formats.mot.table import (
+    MotHeader,
+    check_times,
+    numbers_of,
+    read_header,
+    read_rows,
+)
+from animtool.formats.row_times import (
+    LAST_START,
+    RowFrames,
+    find_steps,
+    has_room,
+    is_rate_of,
+    rate_of_step,
+    rounding_of,
+)
+from animtool.formats.trajectories import MarkerFile
+from animtool.markers import Markers
+from animtool.rates import FractionLike
+from animtool.units import LengthUnit, UpAxis
+
+
+def holds_points(path: Path) -> bool:
+    """Return whether a file is a table of vectors; False where it cannot be read."""
+    try:
+        return read_header(path, read_lines(path)).has_points
+    except AnimtoolError:
+        return False
+
+
+def read_points(
+    path: Path | str,
+    *,
+    unit: LengthUnit | None = None,
+    up: UpAxis | None = None,
+    fps: FractionLike | None = None,
+    subject: str | None = None,
+) -> Markers:
+    """Return the vectors of a table as markers; one with a NaN was not seen.
+
+    Time 0 is frame 1. Frames without a row have no position; rows at uneven times
+    become even by straight lines between them.
+
+    Args:
+        path: The file.
+        unit: What its numbers are in; None is what it states, metres without.
+        up: Which of its axes points up; None is Y.
+        fps: Rows a second, where the times are wrong.
+        subject: Whose prefix is left out of names, as `read_c3d` does.
+
+    Raises:
+        FormatError: The file is malformed (MOF001 to MOF006), no table of vectors
+            (MOF009), or states an unknown unit (MKR011).
+        OptionError: fps is no rate (SCN022).
+    """
+    path = Path(path)
+    file = MarkerFile(str(path))
+    lines = read_lines(path)
+    header = read_header(path, lines)
+    if not header.has_points:
+        message = f"has DataType {header.kind or 'double'}, and markers are Vec3"
+        raise FormatError(Fault("MOF009", message, str(path)))
+    width = 1 + 3 * len(header.names)
+    if header.separator != b",":
+        lines[header.begin :] = [
+            line.replace(b",", b"\t") for line in lines[header.begin :]
+        ]
+    rows = read_rows(path, lines, header, width, file.notices)
+    values = numbers_of(path, rows, width)
+    message = (
+        f"{counted(len(header.names), 'column')} of vectors are taken as positions"
+    )
+    hint = "forces and other vectors are no markers"
+    file.note("MOF111", f"{message}: {listed(list(header.names[:3]))}", hint)
+    length = file.unit(header.unit, unit, LengthUnit.M)
+    names, axis = file.names(header.names, subject), file.up(None, up)
+    positions = values[:, 1:].reshape(len(values), -1, 3).copy()
+    positions = file.cleaned(positions, length.meters)
+    times = values[:, 0]
+    check_times(path, times, rows.lines)
+    frames = _frames(file, header, times, rounding_of(rows.decimals(0)), fps)
+    positions = frames.placed(positions)
+    clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
+    notices, begin = tuple(file.notices), frames.begin
+    return Markers(names, clock, positions, axis, notices=notices, begin=begin)
+
+
+def _frames(
+    file: MarkerFile,
+    header: MotHeader,
+    times: FloatArray,
+    rounding: float,
+    fps: FractionLike | None,
+) -> RowFrames:
+    """Return the frames of rows; what is odd about their times is a warning."""
+    stated, count = header.counts.get("rate"), len(times)
+    if fps is not None or count == 1:
+        rate, at = file.rate(stated, fps), np.arange(count, dtype=np.float64)
+        return _from(times, rate, at, rounding)
+    steps = find_steps(times, None, stated, rounding)
+    between = int(steps.frames[-1]) if steps.even else 1
+    found = rate_of_step(steps.step, rounding, between)
+    if found is None:
+        raise file.error(
+            "MOF006", f"has a row every {steps.step:g} s", "--source-fps gives the rate"
+        )
+    if stated is not None and is_rate_of(stated, steps, rounding):
+        found = file.rate(stated, None)
+    elif stated is not None:
+        message = f"states DataRate {stated:g}, and its times are at {float(found):g}"
+        file.warn("MOF101", f"{message} fps: read as they are")
+    with np.errstate(over="ignore"):
+        at = (times - times[0]) * float(found)
+    if steps.even:
+        at = steps.frames.astype(np.float64)
+    if not has_room(at, len(header.names)):
+        message = f"has {count} rows for {float(at[-1]) + 1:.3g} frames"
+        hint = "--source-fps takes the rows as they come"
+        raise file.error("MOF006", message, hint)
+    if not steps.even:
+        message = f"times are uneven: read at {float(found):g} fps, with straight lines"
+        file.warn("MOF105", f"{message} between rows, none over gaps")
+    elif (absent := int(at[-1]) + 1 - count) > 0:
+        message = f"{counted(absent, 'frame')} without a row: no marker is seen there"
+        file.warn("MOF105", message)
+    return _from(times, found, at, rounding)
+
+
+def _from(
+    times: FloatArray, rate: Fraction, at: FloatArray, rounding: float
+) -> RowFrames:
+    first = float(times[0]) * float(rate)
+    start = round(first) + 1 if abs(first) < LAST_START else 1
+    exact = abs(first - (start - 1)) <= 3 * rounding * float(rate)
+    return RowFrames(rate, start, at, None if exact else float(times[0]))

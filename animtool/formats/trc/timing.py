@@ -1,0 +1,259 @@
+"""The frames of a TRC's rows: Time, Frame# and DataRate held against one another."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, FormatError, counted
+from animtool.formats.row_times import (
+    EVEN,
+    LAST_START,
+    RowFrames,
+    Steps,
+    find_steps,
+    has_room,
+    is_rate_of,
+    rate_of_step,
+    rounding_of,
+)
+from animtool.formats.trajectories import MarkerFile
+from animtool.rates import FractionLike, rate_from_float
+
+
+def frames_of_rows(
+    file: MarkerFile,
+    columns: FloatArray,
+    lines: IntArray,
+    decimals: int,
+    stated: float | None,
+    fps: FractionLike | None,
+    markers: int,
+) -> RowFrames:
+    """Return the frames of rows; what contradicts their times is a warning.
+
+    Args:
+        file: The file.
+        columns: Frame# and Time [s] ``(R, 2)``.
+        lines: Of rows ``(R,)``.
+        decimals: Places after the point of times.
+        stated: DataRate, None without [1/s].
+        fps: The rate that is asked for; Time is not read then.
+        markers: How many there are, for the room that frames without a row take.
+
+    Raises:
+        FormatError: Times do not grow, or are too far apart (TRC003), or there is no
+            rate (MKR010).
+        OptionError: fps is no rate (SCN022).
+    """
+    numbers, times = columns[:, 0], columns[:, 1]
+    counted_frames = _whole_frames(numbers)
+    if fps is not None or len(times) == 1 or np.isnan(times).all():
+        rate = file.rate(stated, fps)
+        if fps is None and len(times) > 1:
+            message = f"has no Time: rows are at Frame#, {float(rate):g} fps"
+            file.warn("TRC107", message, "write Time, which other programs read")
+        if counted_frames is None:
+            _warn_numbers(file, numbers, lines, "every row is one frame")
+        at = np.arange(len(times)) if counted_frames is None else counted_frames
+        start, begin = _start(numbers[0]), None
+    else:
+        _check_times(file, numbers, times, lines)
+        rounding = rounding_of(decimals)
+        steps = find_steps(times, counted_frames, stated, rounding)
+        rate = _rate(file, steps, stated, rounding)
+        if not steps.even:
+            with np.errstate(over="ignore"):
+                at_times = (times - times[0]) * float(rate)
+            _check_room(file, at_times, markers, lines)
+            _warn_uneven(file, steps, times, rate, lines)
+            start = _start(numbers[0])
+            return RowFrames(rate, start, at_times, float(times[0]))
+        at = steps.frames
+        start, begin = _compared(file, columns, at, lines, rate, rounding)
+    _check_room(file, at, markers, lines)
+    _warn_gaps(file, at, lines, float(rate))
+    return RowFrames(rate, start, at.astype(np.float64), begin)
+
+
+def _whole_frames(numbers: FloatArray) -> IntArray | None:
+    """Return frames from 0 by Frame#, in steps of one; None where it does not count."""
+    first = numbers[0]
+    usable = np.isfinite(numbers) & (np.abs(numbers) < LAST_START)
+    if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
+        return None
+    between = np.diff(numbers)
+    if len(between) and between.min() < 1:
+        return None
+    stride = int(np.gcd.reduce(between.astype(np.int64))) if len(between) else 1
+    return np.asarray((numbers - first).astype(np.int64) // stride, np.int64)
+
+
+def _start(number: float) -> int:
+    whole = np.isfinite(number) and number == np.floor(number)
+    return int(number) if whole and abs(number) < LAST_START else 1
+
+
+def _frame(number: float, line: int) -> str:
+    known = np.isfinite(number)
+    return f"frame {number:g} in line {line}" if known else f"line {line}"
+
+
+def _check_times(
+    file: MarkerFile, numbers: FloatArray, times: FloatArray, lines: IntArray
+) -> None:
+    """Refuse times that do not grow (TRC003)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        wrong = ~np.isfinite(times)
+        wrong[1:] |= ~(np.diff(times) > 0)
+    rows = np.flatnonzero(wrong)
+    if not len(rows):
+        return
+    row, more = int(rows[0]), len(rows) - 1
+    here = _frame(numbers[row], int(lines[row]))
+    message = f"the time of {here} is no finite number"
+    if np.isfinite(times[row]):
+        before = _frame(numbers[row - 1], int(lines[row - 1]))
+        again = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
+        what = "repeats" if again else "does not come after"
+        message = f"{here}, at {times[row]:g} s, {what} {before}, at "
+        message += f"{times[row - 1]:g} s"
+    message += f"; {counted(more, 'other row')} alike" if more else ""
+    hint = "mend the rows; --source-fps gives the rate and takes them by Frame#"
+    at = (int(lines[row]),)
+    raise FormatError(Fault("TRC003", message, file.path, at, hint))
+
+
+def _rate(
+    file: MarkerFile, steps: Steps, stated: float | None, rounding: float
+) -> Fraction:
+    """Return the rate of times; that of the header where it is meant."""
+    if stated is not None and is_rate_of(stated, steps, rounding):
+        return file.rate(stated, None)
+    count = int(steps.frames[-1]) if steps.even else 1
+    rate = rate_of_step(steps.step, rounding, count)
+    if rate is None:
+        message = f"has a row every {steps.step:g} s"
+        hint = "--source-fps gives the rate and takes rows by Frame#"
+        raise file.error("TRC003", message, hint)
+    if stated is None or stated <= 0:
+        message = f"states no DataRate; {float(rate):g} fps, as Time has it"
+        file.note("TRC104", message)
+        return rate
+    message = (
+        f"Time goes by {steps.step:.6g} s, {float(rate):g} fps, and DataRate is "
+        f"{stated:g}: read as Time has it"
+    )
+    hint = (
+        f"--source-fps {float(rate_from_float(stated)):g} reads it as DataRate has it"
+    )
+    file.warn("TRC104", message, hint)
+    return rate
+
+
+def _check_room(
+    file: MarkerFile, at: FloatArray | IntArray, markers: int, lines: IntArray
+) -> None:
+    """Refuse frames that are far more than rows (TRC003)."""
+    if has_room(at, markers):
+        return
+    frames = float(at[-1]) + 1
+    row = int(np.diff(at).argmax()) + 1
+    message = (
+        f"has {len(at)} rows for {frames:.6g} frames, most of them before this one"
+    )
+    hint = "mend Frame# and Time of the row, or cut the file there"
+    raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
+
+
+def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> None:
+    """Warn of frames without a row (TRC105)."""
+    absent = int(at[-1]) + 1 - len(at)
+    if not absent:
+        return
+    rows = np.flatnonzero(np.diff(at) > 1)
+    row = int(rows[0])
+    missing = int(at[row + 1] - at[row]) - 1
+    message = (
+        f"{counted(missing, 'frame')} without a row before line {lines[row + 1]}, "
+        f"{missing / rate:.4g} s"
+    )
+    if len(rows) > 1:
+        message += f", and {absent - missing} at {counted(len(rows) - 1, 'other gap')}"
+    hint = "mocap fill computes positions in gaps"
+    file.warn(
+        "TRC105", f"{message}: no marker is seen there", hint, int(lines[row + 1])
+    )
+
+
+def _warn_uneven(
+    file: MarkerFile, steps: Steps, times: FloatArray, rate: Fraction, lines: IntArray
+) -> None:
+    """Warn of times that became even (TRC106)."""
+    between = np.diff(times)
+    row = int(np.abs(between - steps.step).argmax()) + 1
+    message = (
+        f"rows are {between.min():.4g} to {between.max():.4g} s apart: read at "
+        f"{float(rate):g} fps, with straight lines between rows, none over gaps"
+    )
+    hint = "--source-fps gives the rate and takes rows by Frame#"
+    file.warn("TRC106", message, hint, int(lines[row]))
+
+
+def _warn_numbers(
+    file: MarkerFile, numbers: FloatArray, lines: IntArray, result: str
+) -> None:
+    """Warn of a Frame# that does not count frames (TRC107)."""
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(numbers)
+        wrong = ~known | (np.floor(numbers) != numbers)
+        wrong[1:] |= ~(np.diff(numbers) >= 1)
+    rows = np.flatnonzero(wrong)
+    if not len(rows):
+        return
+    row = int(rows[0])
+    message = f"Frame# is {numbers[row]:g}" if known[row] else "Frame# is no number"
+    if row and known[row]:
+        message += f" after {numbers[row - 1]:g}"
+    if len(rows) > 1:
+        message += f", and {counted(len(rows) - 1, 'other row')} alike"
+    file.warn("TRC107", f"{message}: {result}", None, int(lines[row]))
+
+
+def _compared(
+    file: MarkerFile,
+    columns: FloatArray,
+    at: IntArray,
+    lines: IntArray,
+    rate: Fraction,
+    rounding: float,
+) -> tuple[int, float | None]:
+    """Return the first frame and its time, None where that is as its number says.
+
+    Warn where Frame# and Time disagree.
+    """
+    numbers, times = columns[:, 0], columns[:, 1]
+    start = _start(numbers[0])
+    by_time = times[0] * float(rate) + 1
+    if _whole_frames(numbers) is None:
+        _warn_numbers(file, numbers, lines, "rows are at their Time")
+        return start, float(times[0])
+    off = np.flatnonzero(numbers - numbers[0] != at)
+    if len(off):
+        row = int(off[0])
+        message = (
+            f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
+            f"{numbers[0]:g}, and {float(rate):g} fps make it "
+            f"{numbers[0] + at[row]:g}: rows are at their Time"
+        )
+        file.warn("TRC107", message, None, int(lines[row]))
+    elif abs(by_time - start) > EVEN + 3 * rounding * float(rate):
+        message = (
+            f"frame {start} is at {times[0]:.6g} s: kept in a TRC; a MOT has it at "
+            f"{(start - 1) / float(rate):.6g} s, as frame 1 is time 0"
+        )
+        file.note("TRC107", message)
+        return start, float(times[0])
+    return start, None

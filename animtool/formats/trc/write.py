@@ -1,0 +1,101 @@
+"""Marker trajectories as a TRC file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray
+from animtool.errors import Fault, OptionError, Severity
+from animtool.markers import Markers
+from animtool.units import UpAxis
+
+# A micrometre in a thousand: below what any camera sees.
+DECIMALS = 6
+ROWS_AT_ONCE = 4096
+
+
+def write_trc(
+    markers: Markers, path: Path | str, *, overwrite: bool = False
+) -> list[Fault]:
+    """Write markers as a TRC file in millimetres; what was not seen is an empty cell.
+
+    Args:
+        markers: What to write.
+        path: ``.trc``.
+        overwrite: Replace a file that exists.
+
+    Returns:
+        What the format cannot hold.
+
+    Raises:
+        OptionError: The file exists (OUT001), or there are no markers or frames
+            (TRC010).
+        OutputError: The file cannot be written (OUT002).
+    """
+    from animtool.output import check_outputs, write_parts
+
+    path = Path(path)
+    check_outputs([path], [], overwrite=overwrite)
+    if not markers.names or not len(markers):
+        message = "a TRC holds at least one marker and one frame"
+        raise OptionError(Fault("TRC010", message, str(path)))
+    write_parts(path, _parts(markers, path.name))
+    lost = []
+    if markers.filled is not None and markers.filled.any():
+        lost.append("which positions were filled")
+    if markers.up is not UpAxis.Y:
+        lost.append(f"that {markers.up} is up")
+    if markers.residuals is not None:
+        lost.append("residuals")
+    if not lost:
+        return []
+    message = f"a TRC has no place for {' and '.join(lost)}"
+    return [Fault("TRC102", message, str(path), (), "write .npz", Severity.NOTE)]
+
+
+def _parts(markers: Markers, name: str) -> Iterator[bytes]:
+    count, frames = len(markers.names), len(markers)
+    rate, start = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
+    names = [" ".join(name.split()) for name in markers.names]
+    axes = [f"{axis}{i + 1}" for i in range(count) for axis in "XYZ"]
+    head = [
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\t"
+        "OrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{frames}\t{count}\tmm\t{rate}\t{start}\t{frames}",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(axes),
+        "",
+    ]
+    yield ("\n".join(head) + "\n").encode()
+    # Frame 1 is time 0, as in motion files, so that the two go together.
+    seconds = (np.arange(frames) + start - 1) / float(markers.clock.rate)
+    if markers.begin is not None:
+        seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
+    places = np.array([0, 9, *[DECIMALS] * (3 * count)], np.int64)
+    for begin in range(0, frames, ROWS_AT_ONCE):
+        part = slice(begin, begin + ROWS_AT_ONCE)
+        block = markers.positions[part].reshape(-1, 3 * count) * 1000.0
+        missing = np.isnan(block)
+        numbers = np.arange(begin, begin + len(block)) + start
+        rows = np.column_stack([numbers, seconds[part], np.where(missing, 0.0, block)])
+        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), places)
+        yield _emptied(text, missing)
+
+
+def _emptied(text: bytes, missing: BoolArray) -> bytes:
+    """Return rows with tabs between cells, those that are missing empty.
+
+    A tab closes the last cell where it is empty: OpenSim reads none without.
+    """
+    lines = text.replace(b" ", b"\t").split(b"\n")
+    for row in np.flatnonzero(missing.any(axis=1)).tolist():
+        cells = lines[row].split(b"\t")
+        for column in np.flatnonzero(missing[row]).tolist():
+            cells[2 + column] = b""
+        lines[row] = b"\t".join(cells) + (b"" if cells[-1] else b"\t")
+    return b"\n".join(lines)
