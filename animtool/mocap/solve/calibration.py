@@ -8,6 +8,7 @@ synthesis, 2000, section 6.1), with what is likely of a body as priors.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.chain import difference
+from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import chain_targets
 from animtool.markers import Markers
 from animtool.mocap.options import SolveOptions
@@ -48,8 +50,6 @@ BONES, OVERALL, SIDES, OFFSETS = 0.07, 0.25, 0.004, 0.008
 STANDING, MOVING = 0.08, 1.5
 # Steps, and the change of the parameters that ends them: bones [1], offsets [m].
 ROUNDS, STILL = 25, 2e-4
-# Noise that falls by no more in a step is known [1].
-SETTLED = 0.9
 # How far markers of a template for everyone may be off at first [m].
 GENERIC = 0.03
 # A bone whose scale is known no better is named.
@@ -154,7 +154,6 @@ class _Calibrating:
         self.offsets = size[:, None] * self.offsets0
         self.noise = np.full(len(self.model.joints), max(GENERIC, options.noise))
         self.surety = np.zeros(len(self.bones))
-        self.settled = False
 
     def _named_alike(self, positions: FloatArray, names: tuple[str, ...]) -> FloatArray:
         """Return the markers of another take in the order of the model's."""
@@ -181,18 +180,15 @@ class _Calibrating:
     def run(self) -> tuple[int, bool]:
         """Take steps until they are small; their number, and whether they ended."""
         self._rebuild()
-        chain = self.model.problem.chain
         poses = sampled_poses(self.model, self.positions, self.noise)
-        path = chain.from_rig(poses)
-        steps = np.zeros((len(path), self.model.problem.degrees))
         for round_ in range(ROUNDS):
-            path, step, steps = self._step(path, steps, poses)
+            poses = self._settled(poses)
+            step = self._step(poses)
             bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
             self._rebuild()
-            small = max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0))
-            if small < STILL and self.settled:
+            if max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0)) < STILL:
                 return round_ + 1, True
         return ROUNDS, False
 
@@ -201,56 +197,41 @@ class _Calibrating:
             scaled_rig(self.model.rig, self.bones, self.scales, self.base), self.offsets
         )
 
-    def _hear(self, poses: FloatArray) -> None:
-        """Note how far markers are off the poses ``(F, Q)``.
+    def _settled(self, poses: FloatArray) -> FloatArray:
+        """Return poses that fit the present bones; what is off says how noisy it is."""
+        options = FitOptions(1.0, math.inf, robust=ROBUST, rounds=6)
+        targets = self.model.targets(self.positions, self.noise)
+        found = fit(self.model.problem, targets, poses, options, path=poses)
+        misses = misses_of(self.model, found.coordinates, self.positions)
+        usual = usual_noise(misses, self.options.noise)
+        # Down by steps: markers that are far off at first must not be given up.
+        self.noise = np.minimum(self.noise, np.maximum(usual, self.noise / 2))
+        return found.coordinates
 
-        Down by steps: markers that are far off at first must not be given up.
-        """
-        usual = usual_noise(
-            misses_of(self.model, poses, self.positions), self.options.noise
-        )
-        before = self.noise
-        self.noise = np.minimum(before, np.maximum(usual, before / 2))
-        self.settled = bool((self.noise > SETTLED * before).all())
-
-    def _step(
-        self, path: FloatArray, steps: FloatArray, poses: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Take the steps of poses ``(F, C)``, and return the next ones of everything.
-
-        Returns:
-            The poses there, the step of scales and offsets ``(B + 3 E,)``, and those
-            of the poses ``(F, D)`` that go with it.
-        """
-        problem = self.model.problem
+    def _step(self, poses: FloatArray) -> FloatArray:
+        """Return the change of scales and offsets ``(B + 3 E,)``, poses following."""
+        problem, model = self.model.problem, self.model
+        targets = chain_targets(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
-        count, degrees = len(path), problem.degrees
-
-        def looked_at(at: FloatArray, step: FloatArray) -> tuple[FloatArray, ...]:
-            targets = chain_targets(
-                problem, self.model.targets(self.positions, self.noise)
-            )
-            return _kernels.linearize_ik(
-                chain.nodes, chain.numbers, chain.goals, chain.goal_numbers,
-                at, targets, step,
-            )  # fmt: skip
-
-        before = path
-        path, *_ = looked_at(before, steps)
-        poses = chain.into_rig(path, poses)
-        self._hear(poses)
-        _, residuals, slopes, _ = looked_at(path, np.zeros_like(steps))
+        count, degrees = len(poses), problem.degrees
+        _, residuals, slopes, _ = _kernels.linearize_ik(
+            chain.nodes,
+            chain.numbers,
+            chain.goals,
+            chain.goal_numbers,
+            chain.from_rig(poses),
+            targets,
+            np.zeros((count, degrees)),
+        )
         columns = self._columns(poses)
         off = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
         share = np.repeat(1 / (1 + (off / ROBUST) ** 2), 3, axis=1)
         residuals = residuals * share
         slopes = slopes * share[:, :, None]
         columns = columns * share[:, :, None]
+        normal = np.swapaxes(slopes, 1, 2) @ slopes
         held = np.full((count, degrees), MOVING**-2.0)
         held[: self.still] = STANDING**-2.0
-        # The root goes where it goes.
-        held[:, : min(6, degrees)] = 1e-9
-        normal = np.swapaxes(slopes, 1, 2) @ slopes
         normal += np.eye(degrees) * held[:, :, None]
         felt = np.swapaxes(slopes, 1, 2)
         # What poses take of parameters and residuals alike.
@@ -268,8 +249,7 @@ class _Calibrating:
         self.surety = np.diag(matrix)[: len(self.bones)] / (
             np.diag(matrix)[: len(self.bones)] + BONES**-2.0
         )
-        step = np.linalg.solve(matrix + prior, right + drawn)
-        return path, step, own - taken @ step
+        return np.linalg.solve(matrix + prior, right + drawn)
 
     def _from_rest(self, poses: FloatArray) -> FloatArray:
         """Return how far poses are from rest ``(F, D)``, but for where the root is."""
@@ -339,8 +319,7 @@ class _Calibrating:
     def _carriers(self) -> FloatArray:
         """Return the share of each bone in the size of a marker's joint ``(E, B)``.
 
-        A joint is as large as the bones that begin there; one at an end as the bone
-        that leads to it, and one without either as all of them.
+        A joint is as large as the bones that begin there; one at an end as all of them.
         """
         rig = self.model.rig
         into = np.array([group[0] for group in self.bones])
