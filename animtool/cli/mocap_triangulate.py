@@ -122,7 +122,7 @@ def triangulation_text(found: Triangulation, output: Path) -> list[str]:
             f"{100 * each.outliers:.2f} %",
             f"{each.error_px:.3f}",
             f"{each.error_mm:.3f}",
-            ", ".join(f"out {m.first + 1}-{m.end}" for m in each.moved),
+            _remarks(each),
         )
         for each in found.cameras
     ]
@@ -132,6 +132,17 @@ def triangulation_text(found: Triangulation, output: Path) -> list[str]:
         f"reprojection {found.error_px:.3f} px ({found.error_mm:.3f} mm)",
         *columns(rows, {0, 6}),
     ]
+
+
+def _remarks(report: CameraReport) -> str:
+    """Return where a camera moved, and where it does not agree with the others."""
+    from animtool.shot import frame_spans
+
+    said = [f"{'off' if m.kept else 'out'} {m.first + 1}-{m.end}" for m in report.moved]
+    if report.disagrees:
+        frames = [each.frame + 1 for each in report.disagrees]
+        said.append(f"disagrees {frame_spans(frames)}")
+    return ", ".join(said)
 
 
 def triangulation_json(
@@ -169,6 +180,7 @@ def camera_json(report: CameraReport) -> dict[str, Any]:
                 "first": each.first + 1,
                 "last": each.end,
                 "outliers": each.outliers,
+                "kept": each.kept,
                 "change": None
                 if each.change is None
                 else {
@@ -178,5 +190,13 @@ def camera_json(report: CameraReport) -> dict[str, Any]:
                 },
             }
             for each in report.moved
+        ],
+        "disagrees": [
+            {
+                "frame": each.frame + 1,
+                "outliers": each.outliers,
+                "error_px": finite(each.error_px),
+            }
+            for each in report.disagrees
         ],
     }

@@ -107,3 +107,37 @@ def test_a_camera_that_moved_is_reported_with_its_frames(tmp_path: Path) -> None
     (entry,) = report["cameras"][4]["moved"]
     assert (entry["first"], entry["last"]) == (stretch.first + 1, stretch.end)
     assert entry["last"] - entry["first"] + 1 == stretch.end - stretch.first
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ('{"a": 1}', "take.npz --cameras"),
+        ('{"cameras": [], "unit": "mm"}', "--cameras wrong.json"),
+        ('{"people": []}', "pose/ --cameras"),
+    ],
+)
+def test_a_json_file_is_told_what_is_wanted(
+    capture: Path, text: str, hint: str
+) -> None:
+    (capture / "wrong.json").write_text(text, "utf-8")
+    done = animtool("mocap", "triangulate", "wrong.json", "--cameras",
+                    "stage.cameras.yaml", "-o", "out.npz", cwd=capture)  # fmt: skip
+    assert done.code == 3
+    assert "CAM010" in done.stderr
+    assert hint in " ".join(done.stderr.split())
+    assert not (capture / "out.npz").exists()
+
+
+def test_single_frames_that_disagree_are_reported(tmp_path: Path) -> None:
+    seen = observed(ring(5), walkers(60, 8))
+    pixels = seen.stored.copy()
+    pixels[[20, 41], 2] += [20.0, 10.0]
+    write_observations(tmp_path / "take.npz", changed(seen, pixels))
+    (tmp_path / "stage.cameras.yaml").write_text(cameras_text(ring(5)), "utf-8")
+    report = json.loads(run(tmp_path, "--format", "json").stdout)
+    named = [[each["frame"] for each in c["disagrees"]] for c in report["cameras"]]
+    assert named == [[], [], [21, 42], [], []]
+    assert "CAM111" in [notice["code"] for notice in report["notices"]]
+    done = run(tmp_path, "--overwrite")
+    assert "disagrees 21, 42" in done.stderr

@@ -63,12 +63,20 @@ def row(cloud: Cloud, skeleton: str, away: FloatArray, markers: float) -> str:
     )
 
 
+# Clouds of all folders that hold some.
+CLOUDS = [
+    each
+    for folder in ("mocap", "mocap_more")
+    for each in data_files(folder, "cloud_*.truth.json")
+]
+
+
 def rms(away: FloatArray) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt((away**2).mean()))
 
 
-@pytest.mark.parametrize("path", data_files("mocap", "cloud_*.truth.json"))
+@pytest.mark.parametrize("path", CLOUDS)
 def test_joints_of_the_true_skeleton(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:
@@ -80,7 +88,7 @@ def test_joints_of_the_true_skeleton(
     assert np.percentile(away, 99) <= 6.0
 
 
-@pytest.mark.parametrize("path", one_of(data_files("mocap", "cloud_*.truth.json"), 2))
+@pytest.mark.parametrize("path", one_of(CLOUDS, 2))
 def test_joints_of_a_calibrated_one(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:

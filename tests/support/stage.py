@@ -29,9 +29,12 @@ def look_at(place: FloatArray, target: FloatArray, name: str, **more: Any) -> Ca
     )  # fmt: skip
 
 
-def ring(count: int, *, lens: tuple[float, ...] = LENS) -> Cameras:
-    """Return cameras in a ring of 4.5 m around the origin, at two heights."""
-    angles = 2 * np.pi * np.arange(count) / count
+def ring(count: int, *, lens: tuple[float, ...] = LENS, turn: float = 1.0) -> Cameras:
+    """Return cameras in a ring of 4.5 m around the origin, at two heights.
+
+    turn: Share of the ring that they stand on.
+    """
+    angles = 2 * np.pi * turn * np.arange(count) / count
     places = [
         np.array([4.5 * np.cos(a), 1.2 + 1.1 * (i % 2), 4.5 * np.sin(a)])
         for i, a in enumerate(angles)

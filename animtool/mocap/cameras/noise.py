@@ -42,7 +42,7 @@ MIN_FOUND_SHARE = 0.5
 _ROUNDS = 2
 _ANY = 1e6  # a gate that everything passes
 # What the kernel says of an observation.
-_USED, _REJECTED, _INACTIVE = 1, 2, 3
+USED, _REJECTED, _INACTIVE = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def measured_noise(
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
         if trust is not None:
             lengths = lengths * np.sqrt(np.maximum(trust, 0))
-        pooled = _pooled(lengths, states == _USED)
+        pooled = _pooled(lengths, states == USED)
         if pooled is None:
             break
         own = _own(lengths, states)
@@ -111,7 +111,7 @@ def measured_noise(
             pixels, trust, numbers, active, noise, _ANY, condition, detailed=True
         )
         lengths = np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
-        apart = _pooled(lengths, states == _USED)
+        apart = _pooled(lengths, states == USED)
         noise[:] = noise if apart is None else max(apart, MIN_NOISE)
         return Noise(noise, stale, agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
@@ -184,7 +184,7 @@ def _pooled(lengths: FloatArray, used: BoolArray) -> float | None:
 
 def _own(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Return the noise of each camera by its median residual [px] ``(C,)``."""
-    used = states == _USED
+    used = states == USED
     others = used.sum(axis=1)[:, None] - used
     judged = (used | (states == _REJECTED) | (states == _INACTIVE)) & (others > 1)
     # A point of n cameras takes 3 of 2n residuals of those that it is from.

@@ -22,6 +22,14 @@ from animtool.similar import similar
 # Arrays of pixels by name: what a number is [px], and the number of what is not seen.
 _ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
 MAX_CAMERAS = 256
+# What a command wants of a file that is none.
+WANTED = (
+    "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
+    "numpy.savez, then: animtool mocap triangulate take.npz --cameras "
+    "stage.cameras.yaml -o markers.npz"
+)
+# Of a file of another kind, what says which [bytes].
+HEAD = 4096
 # Rates that a capture may have [Hz].
 _RATES = (0.1, 100_000.0)
 
@@ -94,7 +102,28 @@ def read_observations(
             return _read(archives, path, fps)
     except ValueError as error:
         message = str(error).removeprefix(path.name).lstrip("# ")
-        raise FormatError(Fault("CAM010", message, str(path))) from error
+        message, hint = _other_kind(path, message)
+        raise FormatError(Fault("CAM010", message, str(path), hint=hint)) from error
+
+
+def _other_kind(path: Path, message: str) -> tuple[str, str]:
+    """Return message and hint for a file that is of another kind than npz."""
+    with open_input(path, None) as file:
+        head = file.read(HEAD)
+    if head[:2] == b"PK":
+        return message, WANTED
+    text = head.lstrip(b"\xef\xbb\xbf \r\n\t")
+    if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
+        return "is no npz file of pixels", WANTED
+    kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
+    kind += "OpenPose keypoints"
+    if b'"people"' in text:
+        hint = "give the folder that has a folder of such files for each camera: "
+        hint += "animtool mocap triangulate pose/ --cameras calib.toml --fps 60 "
+        return kind, hint + "-o people.npz"
+    if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
+        kind = f"holds cameras, not what they see; give it as --cameras {path.name}"
+    return kind, WANTED
 
 
 def _read(archives: Archives, path: Path, fps: FractionLike | None) -> Observations:

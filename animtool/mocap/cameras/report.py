@@ -7,14 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
+from animtool.clock import Clock
 from animtool.errors import Fault, Severity, counted, listed, percent
 from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Camera
-from animtool.mocap.cameras.stale import Moved
+from animtool.mocap.cameras.stale import MIN_VIEW, Disagreement, Moved
+from animtool.shot import frame_spans
 
 # Share of a camera's observations that are outliers, above which it is named [1].
 MANY_OUTLIERS = 0.1
+# Share of a frame's points that are gaps, above which it is named [1].
+LOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,7 @@ class CameraReport:
         no_ray: Observations that its lens model does not cover.
         outside: Observations outside of its image.
         moved: Frames through which it does not fit its calibration.
+        disagrees: Single frames in which it does not agree with the others.
     """
 
     name: str
@@ -44,6 +49,7 @@ class CameraReport:
     no_ray: int = 0
     outside: int = 0
     moved: tuple[Moved, ...] = ()
+    disagrees: tuple[Disagreement, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +125,7 @@ class Tallies:
 
 
 def camera_notices(
-    report: CameraReport, camera: Camera, frames: int, path: str, *, kept: bool
+    report: CameraReport, camera: Camera, clock: Clock, path: str, *, kept: bool
 ) -> Iterator[Fault]:
     """Yield what to know about a camera.
 
@@ -130,7 +136,7 @@ def camera_notices(
         return Fault(code, message, path or None, (), hint, Severity.WARNING)
 
     for moved in report.moved:
-        whole = moved.first == 0 and moved.end == frames
+        whole = moved.first == 0 and moved.end == clock.count
         text = (
             f"camera {report.name!r} moved in frames {moved.first + 1} to {moved.end}"
         )
@@ -139,8 +145,20 @@ def camera_notices(
         text += f": {percent(moved.outliers)} of what it sees are outliers"
         if moved.change is not None:
             text += f", and {moved.change} would explain it"
-        text += "; it is kept" if kept else "; it is left out there"
+        if moved.kept:
+            text += "; it is kept: the others fit no better without it"
+        else:
+            text += "; it is kept" if kept else "; it is left out there"
         yield warning("CAM101", text, "calibrate it again")
+    if report.disagrees:
+        worst = max(report.disagrees, key=lambda each: each.outliers)
+        named = frame_spans([each.frame + 1 for each in report.disagrees])
+        text = f"camera {report.name!r} does not agree with the others in "
+        text += f"{counted(len(report.disagrees), 'frame')}: {named}"
+        if worst.outliers > 0:
+            text += f" ({percent(worst.outliers)} outliers in {worst.frame + 1})"
+        hint = "was it bumped or out of step there? its outliers are left out"
+        yield warning("CAM111", text, hint)
     if report.outliers > MANY_OUTLIERS and not report.moved:
         text = f"{percent(report.outliers)} of what camera {report.name!r} sees are "
         yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
@@ -156,6 +174,27 @@ def camera_notices(
         text += f"outside of its image of {camera.size[0]} x {camera.size[1]}"
         hint = "are calibration and observations of the same image size?"
         yield warning("CAM107", text, hint)
+
+
+def lost_frames(
+    positions: FloatArray, seen: BoolArray, clock: Clock, path: str
+) -> Iterator[Fault]:
+    """Yield the frames in which no two cameras agree on most of what two see.
+
+    Args:
+        positions: ``(F, M, 3)``, NaN for a gap.
+        seen: What two cameras and more see ``(F, M)``.
+        clock: Of the frames.
+        path: Of the observations.
+    """
+    lost = (seen & np.isnan(positions[..., 0])).sum(axis=1)
+    frames = np.flatnonzero((lost > LOST * seen.sum(axis=1)) & (lost >= MIN_VIEW))
+    if not len(frames) or len(frames) == clock.count:
+        return
+    text = f"cameras do not agree in {counted(len(frames), 'frame')}: "
+    text += f"{frame_spans((frames + 1).tolist())}; most points there are gaps"
+    hint = "too few cameras see them to tell which one is off: one may have moved"
+    yield Fault("CAM112", text, path or None, (), hint, Severity.WARNING)
 
 
 def gap_notices(

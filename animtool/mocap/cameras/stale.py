@@ -16,6 +16,9 @@ MOVED = 0.5
 MIN_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
 _STEPS = 8
+# Observations of a frame that say whether a camera agrees there; how many times its
+# noise the rest is then off, and by how many deviations of chance.
+MIN_VIEW, LOUD, CHANCE = 3, 2.0, 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,29 @@ class Moved:
         end: Behind the last one.
         outliers: Share of what it sees that are outliers [1].
         change: What would explain it; None where nothing does.
+        kept: Whether it takes part all the same, as the others fit no better without.
     """
 
     first: int
     end: int
     outliers: float
     change: PoseChange | None = None
+    kept: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """A frame in which a camera does not agree with the others.
+
+    Attributes:
+        frame: From 0.
+        outliers: Share of what it sees that are outliers [1].
+        error_px: Root mean square reprojection error of the rest [px]; NaN without any.
+    """
+
+    frame: int
+    outliers: float
+    error_px: float
 
 
 def moved_ranges(
@@ -77,14 +97,99 @@ def moved_ranges(
         count = _around(np.where(live, judged[:, camera], 0), window)
         wrong = _around(np.where(live, rejected[:, camera], 0), window)
         off = live & (wrong > MOVED * count) & (count >= MIN_OBSERVATIONS)
-        ranges = [
-            Moved(a, b, _share(judged, rejected, camera, a, b))
-            for a, b in _runs(off, window)
-        ]
+        own = np.where(live[:, None], rejected, 0.0)
+        ranges = _moved(judged, own, camera, off, window)
         total = sum(int(rejected[m.first : m.end, camera].sum()) for m in ranges)
         if total > most:
             best, most = (camera, ranges), total
     return best
+
+
+def stale_ranges(
+    judged: FloatArray, rejected: FloatArray, camera: int, rate: float
+) -> list[Moved]:
+    """Return where a camera that takes no part does not fit; all where no part says.
+
+    Arguments are those of `moved_ranges`.
+    """
+    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
+    count = _around(judged[:, camera], window)
+    wrong = _around(rejected[:, camera], window)
+    off = (wrong > MOVED * count) | (count < MIN_OBSERVATIONS)
+    if not (off & (count >= MIN_OBSERVATIONS)).any():
+        off[:] = True
+    return _moved(judged, rejected, camera, off, window)
+
+
+def disagreements(
+    values: FloatArray, camera: int, noise: float, live: BoolArray
+) -> list[Disagreement]:
+    """Return single frames in which a camera does not agree with the others.
+
+    Args:
+        values: Tallies of the kernel ``(F, C, 8)``.
+        camera: Its index.
+        noise: Of its observations, as a standard deviation of an axis [px].
+        live: Frames in which it takes part ``(F,)``.
+    """
+    _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = pixels / used / (2 * noise**2)
+        chance = 1 + CHANCE / np.sqrt(used)
+    many = rejected > MOVED * judged
+    loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD**2, chance))
+    frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (many | loud))
+    return [
+        Disagreement(
+            f,
+            float(rejected[f] / judged[f]),
+            float(np.sqrt(pixels[f] / used[f])) if used[f] else float("nan"),
+        )
+        for f in frames.tolist()
+    ]
+
+
+def truncated_error(
+    residuals: FloatArray,
+    seen: BoolArray,
+    noise: FloatArray,
+    gate: float,
+    more: BoolArray | bool = False,
+) -> float:
+    """Return the mean squared reprojection error of observations, by what is expected.
+
+    Residuals beyond the gate, and observations of points that are not found, count as
+    at the gate.
+
+    Args:
+        residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
+        seen: The observations that count ``(F, C, M)``.
+        noise: Of each camera [px] ``(C,)``.
+        gate: What is an outlier, against the noise.
+        more: Whether a camera more takes part in a point ``(F, M)``.
+    """
+    squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
+    squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
+    count = seen.sum(axis=1)
+    # A point takes 3 of the 2 n residuals of all n cameras that see it.
+    free = 2 * count - 3 * count / np.maximum(count + more, 1)
+    return float(squares[seen].sum() / max(float(free.sum()), 1e-12))
+
+
+def _moved(
+    judged: FloatArray, rejected: FloatArray, camera: int, off: BoolArray, window: int
+) -> list[Moved]:
+    """Return runs of frames in which a camera is off, to the frame."""
+    wrong = np.concatenate([rejected[:, camera] > MOVED * judged[:, camera], [False]])
+    found = []
+    for begin, end in _runs(off, window):
+        first = begin - int(np.argmin(wrong[:begin][::-1])) if begin else 0
+        if begin and wrong[:begin].all():
+            first = 0
+        last = end + int(np.argmin(wrong[end:]))
+        share = _share(judged, rejected, camera, first, last)
+        found.append(Moved(first, last, share))
+    return found
 
 
 def _share(

@@ -13,18 +13,29 @@ from dataclasses import replace
 import numpy as np
 
 from animtool import _kernels
+from animtool._types import BoolArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.cameras.camera import Cameras, camera_numbers
-from animtool.mocap.cameras.noise import measured_noise
+from animtool.mocap.cameras.noise import USED, measured_noise
 from animtool.mocap.cameras.observations import Observations, matched
 from animtool.mocap.cameras.report import (
     Tallies,
     Triangulation,
     camera_notices,
     gap_notices,
+    lost_frames,
 )
-from animtool.mocap.cameras.stale import Moved, PoseChange, moved_ranges, pose_change
+from animtool.mocap.cameras.stale import (
+    Disagreement,
+    Moved,
+    PoseChange,
+    disagreements,
+    moved_ranges,
+    pose_change,
+    stale_ranges,
+    truncated_error,
+)
 from animtool.mocap.options import TriangulateOptions
 
 # Observations that are worked on at once: what they take stays below 50 MB.
@@ -36,6 +47,9 @@ MAX_NOISE = 0.03
 ODD_NOISE = 0.01
 # Frames that the motion of a camera is measured on.
 _CHANGE_FRAMES = 50
+# Errors of the others this near each other are the same [1]: outliers of a camera that
+# is kept are left out of the points anyway.
+TIE = 1.02
 
 Progress = Callable[[float], None]
 
@@ -167,27 +181,104 @@ class _Run:
             yield begin, min(begin + size, end)
 
     def _note_stale(self, stale: dict[int, PoseChange]) -> None:
+        """Note where cameras that another pose fits better are off; use them elsewhere.
+
+        All frames are looked at as one before: a camera that moved on the way is off
+        in a part of them.
+        """
+        rate = float(self.observations.clock.rate)
         for camera, change in stale.items():
-            judged = max(1.0, float(self.tallies.judged[:, camera].sum()))
-            share = float(self.tallies.rejected[:, camera].sum()) / judged
-            self.moved[camera].append(Moved(0, self.frames, share, change))
+            judged, rejected = self.tallies.judged, self.tallies.rejected
+            ranges = stale_ranges(judged, rejected, camera, rate)
+            was = self.active[:, camera].copy()
+            self.moved[camera] += self._left_out(
+                camera, [replace(each, change=change) for each in ranges]
+            )
+            if not self.options.keep_moved:
+                self.active[:, camera] = True
+                for each in self.moved[camera]:
+                    self.active[each.first : each.end, camera] = each.kept
+                self._solve_changed(self.active[:, camera] != was)
+
+    def _left_out(self, camera: int, ranges: list[Moved]) -> list[Moved]:
+        """Return ranges with whether a camera is kept in them: it is no better without.
+
+        What says so is the reprojection error of the other cameras.
+        """
+        if self.options.keep_moved:
+            return ranges
+        return [replace(m, kept=not self._better_without(camera, m)) for m in ranges]
+
+    def _better_without(self, camera: int, moved: Moved) -> bool:
+        """Return whether the other cameras agree better where one is left out."""
+        step = max(1, (moved.end - moved.first) // _CHANGE_FRAMES)
+        at = slice(moved.first, moved.end, step)
+        pixels = self.observations.pixels(moved.first, moved.end, step)
+        trust = self.observations.trust(moved.first, moved.end, step)
+        visible = np.isfinite(pixels).all(axis=-1)
+        seen = visible & self.active[at][..., None]
+        seen[:, camera] = False
+        seen &= (seen.sum(axis=1) > 1)[:, None]
+        errors = []
+        for kept in (True, False):
+            active = np.ascontiguousarray(self.active[at])
+            active[:, camera] = kept
+            *_, residuals, states = _kernels.triangulate_points(
+                pixels,
+                trust,
+                self.numbers,
+                active,
+                self.noise,
+                self.options.gate,
+                self._condition,
+                detailed=True,
+            )
+            takes_part = states[:, camera] == USED
+            errors.append(
+                truncated_error(
+                    residuals.astype(np.float64),
+                    seen,
+                    self.noise,
+                    self.options.gate,
+                    takes_part,
+                )
+            )
+        return errors[1] <= TIE * errors[0]
+
+    def _solve_changed(self, changed: BoolArray) -> None:
+        """Solve the frames again in which the cameras are others."""
+        edges = np.diff(np.concatenate([[0], changed.astype(np.int8), [0]]))
+        for first, end in np.flatnonzero(edges).reshape(-1, 2).tolist():
+            self._solve(first, end)
 
     def _leave_out_moved(self) -> None:
         """Leave out cameras where they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         checked = self.active.copy()
+        for camera, moved in enumerate(self.moved):
+            for each in moved:
+                checked[each.first : each.end, camera] = False
         for _ in range(self.views):
             judged, rejected = self.tallies.judged, self.tallies.rejected
             worst = moved_ranges(judged, rejected, checked, rate)
             if worst is None:
                 break
             camera, ranges = worst
+            ranges = self._left_out(camera, ranges)
             self.moved[camera] += [self._explained(camera, each) for each in ranges]
             for each in ranges:
                 checked[each.first : each.end, camera] = False
-                if not self.options.keep_moved:
+                if not (self.options.keep_moved or each.kept):
                     self.active[each.first : each.end, camera] = False
                     self._solve(each.first, each.end)
+
+    def _disagreements(self, camera: int) -> tuple[Disagreement, ...]:
+        """Return single frames in which a camera does not agree with the others."""
+        live = self.active[:, camera].copy()
+        for each in self.moved[camera]:
+            live[each.first : each.end] = False
+        noise = float(self.noise[camera])
+        return tuple(disagreements(self.tallies.values, camera, noise, live))
 
     def _explained(self, camera: int, moved: Moved) -> Moved:
         """Return a range with the change of pose that would explain it."""
@@ -224,15 +315,26 @@ class _Run:
     def _triangulation(self) -> Triangulation:
         observations, cameras = self.observations, self.cameras.cameras
         reports = tuple(
-            self.tallies.report(c, cameras[c].name, float(self.noise[c]), tuple(moved))
+            replace(
+                self.tallies.report(
+                    c, cameras[c].name, float(self.noise[c]), tuple(moved)
+                ),
+                disagrees=self._disagreements(c),
+            )
             for c, moved in enumerate(self.moved)
         )
         kept = self.options.keep_moved
         notices = self.notices
         for report, camera in zip(reports, cameras, strict=True):
             notices += camera_notices(
-                report, camera, self.frames, observations.path, kept=kept
+                report, camera, observations.clock, observations.path, kept=kept
             )
+        notices += lost_frames(
+            self.positions,
+            self.known[..., 4] > 1,
+            observations.clock,
+            observations.path,
+        )
         notices += gap_notices(
             observations.names, self.positions, self._seen, observations.path
         )

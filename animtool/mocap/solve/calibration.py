@@ -23,6 +23,7 @@ from animtool.markers import Markers
 from animtool.mocap.options import SolveOptions
 from animtool.mocap.solve.model import (
     MIN_MARKERS,
+    MarkerProblem,
     marker_model,
     seen_markers,
 )
@@ -38,7 +39,7 @@ from animtool.mocap.template.match import match_markers
 from animtool.mocap.template.template import MarkerTemplate
 from animtool.rig.kinematics import forward
 from animtool.rig.sides import pair_sides
-from animtool.rig.skeleton import Pose, Rig
+from animtool.rig.skeleton import JointType, Pose, Rig
 
 # Frames of the motion and of the static take that are looked at.
 MOTION_FRAMES, STATIC_FRAMES = 120, 10
@@ -131,7 +132,8 @@ class _Calibrating:
     ) -> None:
         self.template, self.options = template, options
         match = match_markers(template, markers.names, options.subject)
-        self.model = marker_model(rig, template, match.columns)
+        model = marker_model(rig, template, match.columns)
+        self.model = model.changed(without_limits(model), model.offsets)
         self.given = rig
         motion = in_world_of(rig, markers)[:, self.model.columns]
         parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
@@ -322,10 +324,11 @@ class _Calibrating:
         A joint is as large as the bones that begin there; one at an end as all of them.
         """
         rig = self.model.rig
+        into = np.array([group[0] for group in self.bones])
         parents = np.array([rig.joints[group[0]].parent for group in self.bones])
         out = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
-            own = parents == j
+            own = parents == j if (parents == j).any() else into == j
             out[e, own if own.any() else slice(None)] = 1.0
         return np.asarray(out / out.sum(axis=1, keepdims=True))
 
@@ -393,6 +396,24 @@ def _bones(rig: Rig) -> list[tuple[int, ...]]:
         for j, joint in enumerate(rig.joints)
         if joint.parent >= 0 and any(joint.translation)
     ]
+
+
+def without_limits(model: MarkerProblem) -> Rig:
+    """Return a model's rig; pins that markers tell the angle of have no limits.
+
+    One that stands at its limit could not say that it is the marker that is elsewhere.
+    """
+    rig = model.rig
+    moves = np.zeros(len(rig.joints), np.int64)
+    for j in model.joints.tolist():
+        moves[rig.upwards(j)] += 1
+    joints = tuple(
+        replace(joint, limits=None)
+        if joint.type is JointType.PIN and count >= MIN_MARKERS
+        else joint
+        for joint, count in zip(rig.joints, moves.tolist(), strict=True)
+    )
+    return replace(rig, joints=joints)
 
 
 def scaled_rig(

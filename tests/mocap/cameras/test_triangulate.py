@@ -13,7 +13,12 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import AnimtoolError
 from animtool.maths.so3 import exp, to_matrix
-from animtool.mocap.cameras import TriangulateOptions, project, triangulate
+from animtool.mocap.cameras import (
+    TriangulateOptions,
+    Triangulation,
+    project,
+    triangulate,
+)
 from animtool.mocap.cameras.camera import Cameras, camera_numbers, rays
 
 POINTS = walkers(90, 12)
@@ -125,6 +130,87 @@ def test_a_camera_that_moves_midway_is_named_with_its_frames() -> None:
         changed(seen, pixels), cameras, TriangulateOptions(keep_moved=True)
     )
     assert [bool(c.moved) for c in kept.cameras] == [False] * 4 + [True, False]
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_a_view_that_disagrees_in_single_frames_is_named(count: int) -> None:
+    cameras = ring(count)
+    seen = observed(cameras, POINTS)
+    assert not triangulate(seen, cameras).notices
+    pixels = seen.stored.copy()
+    bumped = [12, 40, 41, 77]
+    pixels[bumped, 1] += [14.0, -9.0]
+    found = triangulate(changed(seen, pixels), cameras)
+    named = [[each.frame for each in c.disagrees] for c in found.cameras]
+    assert named == [bumped if i == 1 else [] for i in range(count)]
+    assert "CAM111" in [f.code for f in found.notices]
+    assert not found.cameras[1].moved
+    assert np.nanmax(off(found.markers.positions)) < 8
+
+
+def test_two_cameras_name_the_frames_in_which_they_disagree() -> None:
+    cameras = ring(2, turn=0.5)
+    seen = observed(cameras, POINTS)
+    assert not triangulate(seen, cameras).notices
+    pixels = seen.stored.copy()
+    pixels[[12, 40], 1] += [-20.0, 40.0]
+    found = triangulate(changed(seen, pixels), cameras)
+    (fault,) = [f for f in found.notices if f.code == "CAM112"]
+    assert "2 frames: 13, 41" in fault.message
+    assert np.isnan(found.markers.positions[[12, 40]]).mean() > 0.5
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("first", [0, 60, 120, 180])
+def test_a_moved_camera_left_out_is_no_worse_than_kept(count: int, first: int) -> None:
+    cameras = ring(count)
+    points = walkers(240, 14)
+    last = cameras.cameras[-1]
+    turn = to_matrix(exp([0.004, 0.01, 0.0]))
+    moved = replace(
+        last,
+        rotation=turn @ last.rotation,
+        translation=turn @ last.translation + np.array([0.01, 0.0, 0.02]),
+    )
+    seen = observed(cameras, points)
+    pixels = seen.stored.copy()
+    there = observed(Cameras((*cameras.cameras[:-1], moved)), points)
+    pixels[first:, -1] = there.stored[first:, -1]
+    left_out, kept = (
+        triangulate(changed(seen, pixels), cameras, TriangulateOptions(keep_moved=keep))
+        for keep in (False, True)
+    )
+
+    def others(found: Triangulation) -> float:
+        return float(np.sqrt(np.mean([c.error_px**2 for c in found.cameras[:-1]])))
+
+    assert others(left_out) <= 1.005 * others(kept)
+    assert left_out.found >= kept.found
+    if count > 3:
+        ranges = [(m.first, m.end, m.kept) for m in left_out.cameras[-1].moved]
+        assert ranges == [(first, 240, False)]
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("what", ["translation", "focal", "pixels"])
+def test_a_camera_of_wrong_scale_is_left_out(count: int, what: str) -> None:
+    cameras = ring(count)
+    last = cameras.cameras[-1]
+    seen = observed(cameras, POINTS)
+    pixels = seen.stored.copy()
+    if what == "translation":
+        last = replace(last, translation=1000 * last.translation)
+    elif what == "focal":
+        last = replace(last, focal=(1.1 * last.focal[0], 1.1 * last.focal[1]))
+    else:
+        pixels[:, -1] *= 0.5
+    given = Cameras((*cameras.cameras[:-1], last))
+    found = triangulate(changed(seen, pixels), given)
+    assert [[(m.first, m.end) for m in c.moved] for c in found.cameras] == [
+        *[[]] * (count - 1),
+        [(0, len(POINTS))],
+    ]
+    assert np.nanmax(off(found.markers.positions)) < 9
 
 
 def test_blocks_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:

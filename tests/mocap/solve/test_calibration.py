@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.clouds import cloud, template
 from support.marked import FIGURE, TEMPLATE, Captured, captured, moving
+from support.mocap_skeleton import rig_of, template_of
 
 from animtool.errors import OptionError
 from animtool.mocap.solve import calibrate, solve_markers
-from animtool.mocap.solve.calibration import with_bones
+from animtool.mocap.solve.calibration import with_bones, without_limits
+from animtool.mocap.solve.model import marker_model
 from animtool.mocap.template import MarkerTemplate
 from animtool.rig.parts import Mesh
 from animtool.rig.skeleton import Rig
@@ -63,6 +66,34 @@ def test_gaps_spikes_and_skin_do_not_matter_much() -> None:
     markers = replace(motion.markers, positions=points)
     found = calibrate(markers, FIGURE, TEMPLATE, static=still.markers)
     assert (np.abs(found.scales - SCALES) <= 2 * TOLERANCES).all()
+
+
+def test_markers_at_an_end_go_with_the_bone_that_leads_there() -> None:
+    """Of a person whose head hardly moves on the neck, in a walk."""
+    made = cloud(1008)
+    found = calibrate(
+        made.markers(),
+        rig_of(made.template, "generic"),
+        template_of(made.template),
+        static=made.markers("static_mm"),
+    )
+    assert found.converged
+    take = solve_markers(made.markers(), found.rig, found.template).take()
+    off = 1000 * take.world().positions - made.truth["joint_pos_mm"]
+    assert np.sqrt((off**2).sum(axis=2).mean()) <= 5.0
+
+
+def test_pins_have_no_limits_where_markers_tell_their_angle() -> None:
+    generic = template("body41")
+    rig, markers = rig_of(generic, "generic"), template_of(generic)
+    model = marker_model(rig, markers, np.arange(len(markers.markers)))
+    free = without_limits(model)
+    freed = {
+        given.name
+        for given, joint in zip(model.rig.joints, free.joints, strict=True)
+        if given.limits is not None and joint.limits is None
+    }
+    assert freed == {"LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"}
 
 
 def test_a_marker_on_a_landmark_stays() -> None:
