@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from animtool._types import BoolArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.markers import Markers
-from animtool.mocap.markers.runs import RunLabels
-from animtool.mocap.markers.tracklets import follow
+from animtool.mocap.markers.geometry import Distances, distances
 
 # Frames that name a run; a change of fewer is a spike.
 MIN_SWAP = 4
+# What a position may be off the line through those before it: noise [m], and what a
+# marker accelerates at least and at most, as times of what it mostly does [m/s^2]; a
+# marker without a speed yet moves [m/s].
+NOISE, ACCELERATION, SPEED = 0.003, 100.0, 3.0
+CALM, TIMES = 20.0, 6.0
+# A marker on a hand that is thrown: what is as near is looked at [m/s^2].
+MAX_ACCELERATION = 500.0
+# Longer after it was last seen, where a marker is says nothing [s].
+BRIDGE = 0.1
+# Samples that give the speed.
+PAST = 3
+# A jump of one marker is one to where another was if it is so many times nearer.
+NEARER = 2.5
+# Cost of a position that is anywhere, of a change of names, and of a frame that is
+# exchanged: where nothing else tells, the shorter part is.
+ANYWHERE, CHANGE, FRAME = 16.0, 5.0, 0.002
+# Distances to the other markers say less than positions from frame to frame: what they
+# say of a span counts at most, and how many frames of it are looked at.
+SHAPE, SAMPLES = 4.0, 24
+# By so much a distance may be off, noise and skin [m], and of how much it varies.
+TOLERANCE, SPREADS = 0.006, 1.5
+# Markers are looked through again, where one was exchanged with two others.
+ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,59 +57,245 @@ class Swap:
 def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
     """Return markers in which each has its own positions all along, and what was wrong.
 
-    Points are followed over time without their names. A run that has one name most of
-    the time is that marker; a run that is not where its marker would be, by the
-    distances to the others, is the marker whose place it is at.
+    Two markers of which one jumps to where the other was expected are looked at over
+    the whole take: of all ways to exchange them in spans of frames, the one is taken in
+    which both move most smoothly and are as far from the others as they mostly are.
     """
-    positions, count = markers.positions, len(markers.names)
-    if count < 2 or not markers.seen.any():
-        return markers, []
+    swaps: list[Swap] = []
+    if len(markers.names) < 2 or not markers.seen.any():
+        return markers, swaps
     rate = float(markers.clock.rate)
-    tracklets = follow(positions, rate)
-    runs = len(tracklets.first)
-    votes = np.zeros((runs, count), np.int64)
-    frame, marker = np.nonzero(tracklets.ids >= 0)
-    np.add.at(votes, (tracklets.ids[frame, marker], marker), 1)
-    unknown = np.full((count, count), np.nan)
-    given = votes.argmax(axis=1)
-    work = RunLabels(positions, tracklets, rate, given, unknown)
-    work.settle()
-    return _renamed(markers, tracklets.ids, work.given)
-
-
-def _renamed(
-    markers: Markers, ids: IntArray, given: IntArray
-) -> tuple[Markers, list[Swap]]:
-    """Return markers by the names of runs, where those are others for long enough."""
-    count = len(markers.names)
-    own = np.where(ids >= 0, given[ids], -1)  # whose each position is
-    wrong = (own >= 0) & (own != np.arange(count))
-    source = np.tile(np.arange(count), (len(markers), 1))
-    swaps = []
-    for a, b in _pairs(own, wrong):
-        crossed = (own[:, a] == b) | (own[:, b] == a)
-        straight = (own[:, a] == a) | (own[:, b] == b)
-        for first, last in _spans(crossed, straight):
-            swaps.append(Swap((markers.names[a], markers.names[b]), first, last))
-            source[first : last + 1, [a, b]] = (b, a)
+    positions = markers.positions
+    source = np.tile(np.arange(len(markers.names)), (len(markers), 1))
+    apart: Distances | None = None
+    done: set[tuple[int, int]] = set()
+    for _ in range(ROUNDS):
+        changed = False
+        for a, b in _pairs(positions, rate):
+            if (a, b) in done:
+                continue
+            done.add((a, b))
+            apart = apart or distances(positions)
+            crossed = _crossed(positions, a, b, rate, apart)
+            for first, last in _spans(crossed, positions[:, [a, b]]):
+                swaps.append(Swap((markers.names[a], markers.names[b]), first, last))
+                span = slice(first, last + 1)
+                if not changed:
+                    positions = positions.copy()
+                positions[span, [a, b]] = positions[span, [b, a]]
+                source[span, [a, b]] = source[span, [b, a]]
+                changed = True
+        if not changed:
+            break
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
     return (_taken(markers, source) if swaps else markers), swaps
 
 
-def _pairs(own: IntArray, wrong: BoolArray) -> list[tuple[int, int]]:
-    frame, named = np.nonzero(wrong)
-    pairs = np.stack([own[frame, named], named], axis=1)
-    pairs.sort(axis=1)
-    return [(int(a), int(b)) for a, b in np.unique(pairs, axis=0).tolist()]
+def _expected(
+    positions: FloatArray, rate: float, acceleration: float = ACCELERATION
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return where each marker is expected, how far off it may be [m], and if at all.
+
+    It goes on in a line through what was seen of it in the last frames before.
+    """
+    frames, count, _ = positions.shape
+    seen = np.isfinite(positions[..., 0])
+    rows = np.arange(frames)[:, None]
+    last = np.maximum.accumulate(np.where(seen, rows, -1), axis=0)
+    last = np.vstack([np.full((1, count), -1), last[:-1]])
+    columns = np.arange(count)
+    age = rows - last
+    known = (last >= 0) & (age <= BRIDGE * rate + 1)
+    at = positions[np.maximum(last, 0), columns]
+    speed = np.zeros_like(at)
+    has = np.zeros(seen.shape, bool)
+    for back in range(1, PAST):
+        earlier = positions[np.maximum(last - back, 0), columns]
+        # The farthest sample of an unbroken run gives the speed.
+        ok = (last >= back) & np.isfinite(earlier[..., 0]) & (has | (back == 1))
+        speed[ok] = (at[ok] - earlier[ok]) / back
+        has = ok if back == 1 else has
+    time = age / rate
+    allowed = NOISE + 0.5 * acceleration * time**2 + np.where(has, 0.0, SPEED * time)
+    return at + speed * age[..., None], allowed, known
 
 
-def _spans(crossed: BoolArray, straight: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last frames of spans that are crossed, over gaps too."""
-    frames = np.flatnonzero(crossed)
-    right = np.concatenate([[0], np.cumsum(straight & ~crossed)])
-    parts = np.flatnonzero(np.diff(right[frames]) > 0) + 1
-    spans = [(int(part[0]), int(part[-1])) for part in np.split(frames, parts)]
-    return [(a, b) for a, b in spans if int(crossed[a : b + 1].sum()) >= MIN_SWAP]
+def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
+    """Return pairs of which one jumps to where the other was, most often first."""
+    expected, allowed, known = _expected(positions, rate)
+    seen = np.isfinite(positions[..., 0])
+    off = np.linalg.norm(positions - expected, axis=-1)
+    goes_on = seen & known & (off <= allowed)
+    counts: dict[tuple[int, int], int] = {}
+    frame, marker = np.nonzero(seen & ~goes_on)
+    points = positions[frame, marker]
+    away = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
+    own = np.where(known, off, np.inf)[frame, marker]
+    reach = allowed * (MAX_ACCELERATION / ACCELERATION)
+    there = known[frame] & (away <= reach[frame]) & ~goes_on[frame]
+    there &= NEARER * away < own[:, None]
+    there[np.arange(len(marker)), marker] = False
+    for jump, other in np.argwhere(there).tolist():
+        pair = tuple(sorted((int(marker[jump]), other)))
+        counts[pair] = counts.get(pair, 0) + 1  # type: ignore[index,arg-type]
+    return sorted(counts, key=lambda pair: (-counts[pair], pair))
+
+
+class _Path:
+    """One way to exchange two markers, up to a frame."""
+
+    __slots__ = ("cost", "past", "turns")
+
+    def __init__(self, cost: float, turns: tuple[int, ...], past: list[Any]) -> None:
+        self.cost, self.turns, self.past = cost, turns, past
+
+
+def _crossed(
+    positions: FloatArray, a: int, b: int, rate: float, apart: Distances
+) -> BoolArray:
+    """Return the frames in which two markers have each other's names ``(F,)``.
+
+    Of the paths that end straight and those that end crossed the best is kept from
+    frame to frame, with where it saw both markers last.
+    """
+    both = positions[:, [a, b]]
+    seen = np.isfinite(both[..., 0])
+    acceleration = _acceleration(both, rate)
+    expected, allowed, known = _expected(both, rate, acceleration)
+    off = np.linalg.norm(both - expected, axis=-1)
+    smooth = ~seen | (known & (off <= allowed))
+    # Frames in which nothing begins, ends or jumps: both go on as they are named.
+    same = np.vstack([np.zeros((1, 2), bool), seen[1:] == seen[:-1]])
+    events = np.flatnonzero(~(smooth & same).all(axis=1)).tolist()
+    events = sorted({0, *events})
+    ends = [*events[1:], len(both)]
+    paths = [_Path(0.0, (), [[], []]), _Path(CHANGE, (0,), [[], []])]
+    places = both.tolist()
+    visible = seen.tolist()
+    for start, end in zip(events, ends, strict=True):
+        ahead = []
+        for state in (0, 1):
+            best: _Path | None = None
+            for before, path in enumerate(paths):
+                cost = path.cost + (CHANGE if before != state else 0.0)
+                for marker in (0, 1):
+                    column = marker ^ state
+                    if visible[start][column]:
+                        past = path.past[marker]
+                        cost += _off(
+                            past, start, places[start][column], rate, acceleration
+                        )
+                if start == 0:
+                    cost = path.cost if before == state else np.inf
+                if best is None or cost < best.cost:
+                    turns = path.turns + ((start,) if before != state else ())
+                    best = _Path(cost, turns, path.past)
+            assert best is not None
+            ahead.append(best)
+        shape = _shape(positions, a, b, start, end, apart)
+        length = int(seen[start:end].any(axis=1).sum())
+        for state, path in enumerate(ahead):
+            path.cost += max(0.0, shape if state == 0 else -shape)
+            path.cost += FRAME * length * state
+            path.past = [list(path.past[0]), list(path.past[1])]
+            for marker in (0, 1):
+                column = marker ^ state
+                for frame in range(max(start, end - PAST), end):
+                    if visible[frame][column]:
+                        path.past[marker].append((frame, places[frame][column]))
+                path.past[marker] = path.past[marker][-PAST:]
+        paths = ahead
+    turns = min(paths, key=lambda path: path.cost).turns
+    crossed = np.zeros(len(both), np.int64)
+    for turn in turns:
+        crossed[turn:] ^= 1
+    return crossed.astype(bool)
+
+
+def _acceleration(both: FloatArray, rate: float) -> float:
+    """Return by how much two markers change their speed at most in most frames."""
+    bent = np.linalg.norm(np.diff(both, 2, axis=0), axis=-1)
+    known = bent[np.isfinite(bent)]
+    if not len(known):
+        return ACCELERATION
+    return float(np.clip(TIMES * np.median(known) * rate**2, CALM, ACCELERATION))
+
+
+def _off(
+    past: list[Any], frame: int, point: list[float], rate: float, acceleration: float
+) -> float:
+    """Return the cost of a position after those that were seen before.
+
+    That is how unlikely it is (the negative logarithm), up to anywhere at all.
+    """
+    if not past:
+        return ANYWHERE
+    last, at = past[-1]
+    age = frame - last
+    begin, first = next(entry for entry in past if last - entry[0] < PAST)
+    run = last - begin
+    share = age / run if run else 0.0
+    square = sum(
+        (p - x - share * (x - y)) ** 2 for p, x, y in zip(point, at, first, strict=True)
+    )
+    time = age / rate
+    allowed = NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED * time)
+    volume = 3.0 * math.log(allowed / NOISE)
+    return min(0.5 * square / allowed**2 + volume, ANYWHERE)
+
+
+def _shape(
+    positions: FloatArray, a: int, b: int, start: int, end: int, apart: Distances
+) -> float:
+    """Return how much better two markers are as far from the others if exchanged."""
+    if end - start < MIN_SWAP:
+        return 0.0
+    frames = np.unique(np.linspace(start, end - 1, SAMPLES).astype(np.int64))
+    others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
+    better = []
+    for own, other in ((a, b), (b, a)):
+        lengths = np.linalg.norm(
+            positions[frames][:, others] - positions[frames, own][:, None], axis=-1
+        )
+        worth = []
+        for marker in (own, other):
+            spread = apart.spread[marker, others]
+            mean = apart.mean[marker, others]
+            off = (lengths - mean) / (TOLERANCE + SPREADS * spread)
+            worth.append(np.minimum(off**2, 9.0))
+        known = np.isfinite(worth[0] - worth[1])
+        if known.any():
+            scale = TOLERANCE + np.minimum(
+                apart.spread[own, others], apart.spread[other, others]
+            )
+            weight = np.where(known, (TOLERANCE / scale) ** 2, 0.0)
+            gain = np.where(known, worth[0] - worth[1], 0.0)
+            if weight.sum() > 0:
+                better.append(float((weight * gain).sum() / weight.sum()))
+    return float(np.clip(SHAPE * sum(better), -SHAPE, SHAPE)) if better else 0.0
+
+
+def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
+    """Return first and last frames of spans that are crossed and long enough.
+
+    One that begins or ends where neither is seen does so in the middle of that.
+    """
+    edges = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=0, append=0))
+    seen = np.isfinite(both[..., 0]).any(axis=1)
+    spans = []
+    for first, end in edges.reshape(-1, 2).tolist():
+        frames = first + np.flatnonzero(seen[first:end])
+        if len(frames) < MIN_SWAP:
+            continue
+        before = np.flatnonzero(seen[: frames[0]])
+        after = np.flatnonzero(seen[frames[-1] + 1 :])
+        begin, last = int(frames[0]), int(frames[-1])
+        if len(before):
+            begin = (int(before[-1]) + begin) // 2 + 1 if before[-1] < begin - 1 else begin
+        if len(after):
+            last += int(after[0]) // 2
+        spans.append((begin, last))
+    return spans
 
 
 def _taken(markers: Markers, source: IntArray) -> Markers:
