@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.blas import one_thread
 from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.markers.geometry import distances
@@ -114,7 +115,14 @@ def fill(
     >>> whole.positions[4, 0].round(6).tolist(), report.gaps[0].method
     ([4.0, 4.0, 4.0], 'curve')
     """
-    options = options or FillOptions()
+    with one_thread():
+        return _filled_markers(markers, options or FillOptions(), subject)
+
+
+def _filled_markers(
+    markers: Markers, options: FillOptions, subject: Subject | None
+) -> tuple[Markers, FillReport]:
+    """Return markers that are whole, and what was done."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
     if not options.keep_swaps:

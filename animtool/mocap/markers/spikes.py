@@ -27,7 +27,9 @@ MIN_SUPPORT = DEGREE + 3
 ROUGHNESS = tuple(10.0**power for power in range(-4, 3))
 # What is off by less is noise or motion [m], and so is what is off by so many times
 # what it usually is by.
-LEAST, TIMES = 0.004, 8.0
+LEAST, TIMES = 0.006, 8.0
+# With positions on one side only, the curve goes on as it likes: so many times more.
+ONE_SIDED = 2.0
 # How far the frames around may be off the curve through them, of what is a spike.
 SMOOTH = 0.35
 # A spike that is a frame longer has to explain so much more of what is off.
@@ -108,13 +110,14 @@ def _round(
         starts, off, gain, rest = _deviation(path, seen, length, rough)
         if not len(starts):
             continue
+        factor = np.where(_one_sided(seen, starts, length), ONE_SIDED, 1.0)
         scale = noise[length - 1]
         if usual is None:
             usual = _usual(starts, gain / (3.0 * scale**2), len(path))
         about = usual[starts]
-        limit = np.maximum(TIMES**2, 0.0) * 3.0 * length
+        limit = (factor * TIMES) ** 2 * 3.0 * length
         clear = gain / (scale**2 * about)
-        flags = (off >= LEAST) & (clear > limit)
+        flags = (off >= factor * LEAST) & (clear > limit)
         flags &= rest < SMOOTH**2 * gain / length
         for k in np.flatnonzero(flags).tolist():
             score = float(clear[k]) - PENALTY * length
@@ -127,6 +130,16 @@ def _round(
             taken[max(first - AROUND, 0) : first + length + AROUND] = True
             found.append((first, first + length - 1, size))
     return found
+
+
+def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
+    """Return which spans have no position before or none after them nearby."""
+    padded = np.concatenate([np.zeros(AROUND, bool), seen, np.zeros(AROUND, bool)])
+    sums = np.concatenate([[0], np.cumsum(padded)])
+    before = sums[starts + AROUND] - sums[starts]
+    end = starts + AROUND + length
+    after = sums[end + AROUND] - sums[end]
+    return np.asarray((before == 0) | (after == 0))
 
 
 def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
@@ -198,10 +211,10 @@ def _deviation(
         offsets, weights, inverse, form = _pattern(code, length, rough)
         near = values[starts[rows][:, None] + offsets]  # (S, K, 3)
         inside = values[starts[rows][:, None] + AROUND + np.arange(length)]
-        missed = inside - np.einsum("lk,skc->slc", weights, near)
-        gain[rows] = np.einsum("slc,lm,smc->s", missed, inverse, missed)
+        missed = inside - weights @ near
+        gain[rows] = (missed * (inverse @ missed)).sum(axis=(1, 2))
         off[rows] = np.sqrt((missed**2).sum(axis=2)).min(axis=1)
-        left = np.einsum("skc,kj,sjc->s", near, form, near)
+        left = (near * (form @ near)).sum(axis=(1, 2))
         rest[rows] = left / max(1, len(offsets) - DEGREE - 1)
     return starts, off, gain, rest
 

@@ -35,8 +35,8 @@ ANYWHERE, CHANGE, FRAME = 16.0, 5.0, 0.002
 SHAPE, SAMPLES = 4.0, 24
 # By so much a distance may be off, noise and skin [m], and of how much it varies.
 TOLERANCE, SPREADS = 0.006, 1.5
-# Markers are looked through again, where one was exchanged with two others.
-ROUNDS = 4
+# How much likelier an exchange has to be than none, as a logarithm.
+CLEAR = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,31 +62,34 @@ def unswapped(markers: Markers) -> tuple[Markers, list[Swap]]:
     which both move most smoothly and are as far from the others as they mostly are.
     """
     swaps: list[Swap] = []
-    if len(markers.names) < 2 or not markers.seen.any():
+    count = len(markers.names)
+    if count < 2 or not markers.seen.any():
         return markers, swaps
     rate = float(markers.clock.rate)
-    positions = markers.positions
-    source = np.tile(np.arange(len(markers.names)), (len(markers), 1))
+    positions = markers.positions.copy()
+    source = np.tile(np.arange(count), (len(markers), 1))
     apart: Distances | None = None
-    done: set[tuple[int, int]] = set()
-    for _ in range(ROUNDS):
-        changed = False
+    found: dict[tuple[int, int], tuple[float, BoolArray]] = {}
+    settled: set[tuple[int, int]] = set()
+    while True:
         for a, b in _pairs(positions, rate):
-            if (a, b) in done:
-                continue
-            done.add((a, b))
-            apart = apart or distances(positions)
-            crossed = _crossed(positions, a, b, rate, apart)
-            for first, last in _spans(crossed, positions[:, [a, b]]):
-                swaps.append(Swap((markers.names[a], markers.names[b]), first, last))
-                span = slice(first, last + 1)
-                if not changed:
-                    positions = positions.copy()
-                positions[span, [a, b]] = positions[span, [b, a]]
-                source[span, [a, b]] = source[span, [b, a]]
-                changed = True
-        if not changed:
+            if (a, b) not in found and (a, b) not in settled:
+                apart = apart or distances(positions)
+                found[a, b] = _crossed(positions, a, b, rate, apart)
+        # What is clearest first: of three, it says which of the others are.
+        best = max(found, key=lambda pair: (found[pair][0], pair), default=None)
+        if best is None or found[best][0] < CLEAR:
             break
+        pair = list(best)
+        for first, last in _spans(found[best][1], positions[:, pair]):
+            swaps.append(
+                Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
+            )
+            span = slice(first, last + 1)
+            positions[span, pair] = positions[span, pair[::-1]]
+            source[span, pair] = source[span, pair[::-1]]
+        settled.add(best)
+        found = {other: of for other, of in found.items() if not set(other) & set(best)}
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
     return (_taken(markers, source) if swaps else markers), swaps
 
@@ -141,19 +144,29 @@ def _pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     return sorted(counts, key=lambda pair: (-counts[pair], pair))
 
 
+@dataclass(frozen=True, slots=True)
 class _Path:
-    """One way to exchange two markers, up to a frame."""
+    """One way to exchange two markers, up to a frame.
 
-    __slots__ = ("cost", "past", "turns")
+    Attributes:
+        cost: How unlikely it is.
+        state: 1 where it ends exchanged, else 0.
+        turns: Frames in which it changes.
+        past: Of both markers, where they were seen last: frames and positions.
+    """
 
-    def __init__(self, cost: float, turns: tuple[int, ...], past: list[Any]) -> None:
-        self.cost, self.turns, self.past = cost, turns, past
+    cost: float
+    state: int
+    turns: tuple[int, ...]
+    past: tuple[list[Any], list[Any]]
 
 
 def _crossed(
     positions: FloatArray, a: int, b: int, rate: float, apart: Distances
-) -> BoolArray:
+) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
+
+    And how much likelier that is than that they never have, as a logarithm.
 
     Of the paths that end straight and those that end crossed the best is kept from
     frame to frame, with where it saw both markers last.
@@ -169,47 +182,53 @@ def _crossed(
     events = np.flatnonzero(~(smooth & same).all(axis=1)).tolist()
     events = sorted({0, *events})
     ends = [*events[1:], len(both)]
-    paths = [_Path(0.0, (), [[], []]), _Path(CHANGE, (0,), [[], []])]
-    places = both.tolist()
-    visible = seen.tolist()
+    never = _Path(0.0, 0, (), ([], []))
+    paths = [never, _Path(CHANGE, 1, (0,), ([], []))]
+    places: list[list[Any]] = [
+        [at if has else None for at, has in zip(row, there, strict=True)]
+        for row, there in zip(both.tolist(), seen.tolist(), strict=True)
+    ]
     for start, end in zip(events, ends, strict=True):
-        ahead = []
-        for state in (0, 1):
-            best: _Path | None = None
-            for before, path in enumerate(paths):
-                cost = path.cost + (CHANGE if before != state else 0.0)
-                for marker in (0, 1):
-                    column = marker ^ state
-                    if visible[start][column]:
-                        past = path.past[marker]
-                        cost += _off(
-                            past, start, places[start][column], rate, acceleration
-                        )
-                if start == 0:
-                    cost = path.cost if before == state else np.inf
-                if best is None or cost < best.cost:
-                    turns = path.turns + ((start,) if before != state else ())
-                    best = _Path(cost, turns, path.past)
-            assert best is not None
-            ahead.append(best)
         shape = _shape(positions, a, b, start, end, apart)
         length = int(seen[start:end].any(axis=1).sum())
-        for state, path in enumerate(ahead):
-            path.cost += max(0.0, shape if state == 0 else -shape)
-            path.cost += FRAME * length * state
-            path.past = [list(path.past[0]), list(path.past[1])]
+        worth = max(0.0, shape), max(0.0, -shape) + FRAME * length
+
+        def later(
+            path: _Path,
+            state: int,
+            start: int = start,
+            end: int = end,
+            worth: tuple[float, float] = worth,
+        ) -> _Path:
+            cost, turns, past = path.cost + worth[state], path.turns, path.past
+            if state != path.state:
+                cost, turns = cost + CHANGE, (*turns, start)
+            moved = []
             for marker in (0, 1):
-                column = marker ^ state
-                for frame in range(max(start, end - PAST), end):
-                    if visible[frame][column]:
-                        path.past[marker].append((frame, places[frame][column]))
-                path.past[marker] = path.past[marker][-PAST:]
-        paths = ahead
-    turns = min(paths, key=lambda path: path.cost).turns
+                point = places[start][marker ^ state]
+                if start and point is not None:
+                    cost += _off(past[marker], start, point, rate, acceleration)
+                new = [
+                    (frame, places[frame][marker ^ state])
+                    for frame in range(max(start, end - PAST), end)
+                    if places[frame][marker ^ state] is not None
+                ]
+                moved.append([*past[marker], *new][-PAST:])
+            return _Path(cost, state, turns, (moved[0], moved[1]))
+
+        never = later(never, 0)
+        if start == 0:
+            paths = [later(path, path.state) for path in paths]
+        else:
+            paths = [
+                min((later(path, state) for path in paths), key=lambda path: path.cost)
+                for state in (0, 1)
+            ]
+    best = min(paths, key=lambda path: path.cost)
     crossed = np.zeros(len(both), np.int64)
-    for turn in turns:
+    for turn in best.turns:
         crossed[turn:] ^= 1
-    return crossed.astype(bool)
+    return never.cost - best.cost, crossed.astype(bool)
 
 
 def _acceleration(both: FloatArray, rate: float) -> float:
