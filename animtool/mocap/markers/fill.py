@@ -12,7 +12,7 @@ from animtool.blas import one_thread
 from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.markers.geometry import distances
-from animtool.mocap.markers.predict import follow, predict
+from animtool.mocap.markers.predict import Prediction, follow, predict, turned
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
 from animtool.mocap.options import FillOptions
@@ -25,6 +25,8 @@ CURVE_SECONDS = 0.05
 # Frames on either side that the curve goes by, and the fewest of one side.
 AROUND, MIN_FRAMES = 6, 3
 DEGREE = 5
+# How far a skeleton has a marker off that alone holds its joint, about [m].
+UNHELD = 0.008
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,14 +181,19 @@ def _filled(
         method = ""
         if longest is None or length <= longest * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
+                made = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
-                path = follow(skeleton, positions, measured, marker, gap, rate)
+                if not skeleton.holds(marker, measured[gap].all(axis=0)):
+                    made, method = _loose(
+                        made, skeleton, positions, seen, marker, gap, spread, rate
+                    )
+                path = made.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
                 path = _curve(positions[:, marker], seen[:, marker], gap)
             if path is None:
-                made = predict(positions, seen, marker, gap, spread[marker], rate)
-                path = None if made is None else made.positions
+                learnt = predict(positions, seen, marker, gap, spread[marker], rate)
+                path = None if learnt is None else learnt.positions
                 method = "markers"
         if path is not None:
             positions[gap, marker] = path
@@ -197,6 +204,28 @@ def _filled(
     order = {name: i for i, name in enumerate(markers.names)}
     found.sort(key=lambda gap: (order[gap.marker], gap.first))
     return positions, found
+
+
+def _loose(
+    made: Prediction,
+    skeleton: SkeletonMarkers,
+    positions: FloatArray,
+    seen: BoolArray,
+    marker: int,
+    gap: slice,
+    spread: FloatArray,
+    rate: float,
+) -> tuple[Prediction, str]:
+    """Return what tells best where a marker is that alone holds its joint, and how.
+
+    The pose was solved with the marker where that is seen: there the skeleton is nearer
+    to it than it is in a gap.
+    """
+    held = replace(made, off=max(made.off, UNHELD))
+    where = (positions, seen, marker, gap, spread[marker], rate)
+    others = (("skeleton", turned(skeleton, *where)), ("markers", predict(*where)))
+    ways = [(held, "skeleton"), *((way, name) for name, way in others if way)]
+    return min(ways, key=lambda way: way[0].off)
 
 
 def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:
