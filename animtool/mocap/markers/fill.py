@@ -25,8 +25,11 @@ CURVE_SECONDS = 0.05
 # Frames on either side that the curve goes by, and the fewest of one side.
 AROUND, MIN_FRAMES = 6, 3
 DEGREE = 5
-# How far a skeleton has a marker off that alone holds its joint, about [m].
-UNHELD = 0.008
+# What is about as near as noise is not looked for elsewhere [m], and in which share of
+# a gap another marker is seen that holds a joint.
+CLOSE, MOSTLY = 0.001, 0.8
+# What was left out beside a gap is met so much better than the gap itself.
+DOUBT = 1.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +186,15 @@ def _filled(
             if skeleton is not None and skeleton.tells(marker, gap):
                 made = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
-                if not skeleton.holds(marker, measured[gap].all(axis=0)):
-                    made, method = _loose(
-                        made, skeleton, positions, seen, marker, gap, spread, rate
+                others = measured[gap].mean(axis=0) >= MOSTLY
+                guess = skeleton.drift(marker, others) * length / rate
+                if guess and max(guess, made.off) > CLOSE:
+                    made = replace(made, off=max(guess, made.off))
+                    where = (positions, seen, marker, gap, spread[marker], rate)
+                    made, method = _likeliest(
+                        (made, "skeleton"),
+                        (turned(skeleton, *where), "skeleton"),
+                        (predict(*where), "markers"),
                     )
                 path = made.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
@@ -206,26 +215,11 @@ def _filled(
     return positions, found
 
 
-def _loose(
-    made: Prediction,
-    skeleton: SkeletonMarkers,
-    positions: FloatArray,
-    seen: BoolArray,
-    marker: int,
-    gap: slice,
-    spread: FloatArray,
-    rate: float,
-) -> tuple[Prediction, str]:
-    """Return what tells best where a marker is that alone holds its joint, and how.
-
-    The pose was solved with the marker where that is seen: there the skeleton is nearer
-    to it than it is in a gap.
-    """
-    held = replace(made, off=max(made.off, UNHELD))
-    where = (positions, seen, marker, gap, spread[marker], rate)
-    others = (("skeleton", turned(skeleton, *where)), ("markers", predict(*where)))
-    ways = [(held, "skeleton"), *((way, name) for name, way in others if way)]
-    return min(ways, key=lambda way: way[0].off)
+def _likeliest(*ways: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+    """Return the prediction that is least off, and its method; the first in doubt."""
+    (held, name), *others = ((way, name) for way, name in ways if way is not None)
+    off = held.off / DOUBT
+    return min([(replace(held, off=off), name), *others], key=lambda way: way[0].off)
 
 
 def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:

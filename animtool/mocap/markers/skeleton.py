@@ -15,6 +15,10 @@ from animtool.mocap.template.template import MarkerTemplate
 from animtool.rig.skeleton import JointType, Rig
 from animtool.units import up_from_up
 
+# How far a marker strays in a second whose joint is held by two others, one on it and
+# one below, by fewer, and by none [m].
+DRIFT = (0.004, 0.008, 0.02)
+
 
 @dataclass(frozen=True, slots=True)
 class Subject:
@@ -77,18 +81,21 @@ class SkeletonMarkers:
         same[marker] = False
         return [int(mate) for mate in np.flatnonzero(same)]
 
-    def holds(self, marker: int, seen: BoolArray) -> bool:
-        """Return whether other markers that are seen say how a marker's joint turns.
+    def drift(self, marker: int, seen: BoolArray) -> float:
+        """Return how fast a marker strays from where the skeleton has it [m/s].
 
-        Two on it do, or one on it and one on a joint below; one where it is a hinge.
+        Other markers that are seen hold its joint: three places on it or below do, one
+        on it or below where it is a hinge. The fewer, the more of its pose is a guess.
         """
         joint = int(self.joints[marker])
         mates = len(self.mates(marker, seen))
-        if not self.free[joint]:
-            return mates > 0
         carried = self.joints[seen & (self.joints >= 0)]
         below = int((self.above_joint[carried] == joint).sum())
-        return mates + min(below, mates) >= 2
+        if mates >= 2 or (not self.free[joint] and mates + below):
+            return 0.0
+        if mates and below:
+            return DRIFT[0]
+        return DRIFT[1] if mates or below > 1 else DRIFT[2]
 
 
 def skeleton_markers(markers: Markers, subject: Subject) -> SkeletonMarkers:

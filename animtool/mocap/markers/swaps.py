@@ -310,7 +310,9 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
         after = np.flatnonzero(seen[frames[-1] + 1 :])
         begin, last = int(frames[0]), int(frames[-1])
         if len(before):
-            begin = (int(before[-1]) + begin) // 2 + 1 if before[-1] < begin - 1 else begin
+            begin = (
+                (int(before[-1]) + begin) // 2 + 1 if before[-1] < begin - 1 else begin
+            )
         if len(after):
             last += int(after[0]) // 2
         spans.append((begin, last))
