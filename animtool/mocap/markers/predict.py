@@ -145,7 +145,8 @@ def turned(
     known = len(training)
     origin, above = skeleton.origins[frames, marker], skeleton.parents[frames, marker]
     turns = [above]
-    for mate in skeleton.mates(marker, seen[gap].all(axis=0)):
+    whole = np.asarray(seen[gap].all(axis=0))
+    for mate in skeleton.mates(marker, whole):
         if np.isin(training, np.flatnonzero(seen[:, mate])).all():
             turns.append(_towards(above, positions[frames, mate] - origin))
     found = []

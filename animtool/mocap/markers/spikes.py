@@ -103,7 +103,7 @@ def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
 def _round(
     path: FloatArray, seen: BoolArray, rough: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
-    """Return spikes that do not touch each other, the clearest of each neighbourhood."""
+    """Return spikes that do not touch each other, the clearest of each place."""
     candidates = []
     usual: FloatArray | None = None
     for length in range(1, MAX_LENGTH + 1):
@@ -123,13 +123,44 @@ def _round(
             score = float(clear[k]) - PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(off[k])))
     candidates.sort()
+    scale = noise[0] ** 2
     taken = np.zeros(len(path), bool)
     found = []
     for _, first, length, size in candidates:
-        if not taken[first : first + length].any():
+        if taken[first : first + length].any():
+            continue
+        if not _is_upset(path, seen, first, length, rough, scale):
             taken[max(first - AROUND, 0) : first + length + AROUND] = True
             found.append((first, first + length - 1, size))
     return found
+
+
+def _is_upset(
+    path: FloatArray,
+    seen: BoolArray,
+    first: int,
+    length: int,
+    rough: float,
+    scale: float,
+) -> bool:
+    """Return whether a span is off only for the fewer frames between it and a gap."""
+    begin, end = max(first - AROUND, 0), first + length
+    before = begin + np.flatnonzero(seen[begin:first])
+    after = end + np.flatnonzero(seen[end : end + AROUND])
+    for side in (before, after):
+        if not 0 < len(side) < length:
+            continue
+        other = seen[begin : end + AROUND].copy()
+        other[side - begin] = False
+        starts, off, gain, _ = _deviation(
+            path[begin : end + AROUND], other, length, rough
+        )
+        at = np.flatnonzero(starts == first - begin)
+        if len(at) and (
+            off[at[0]] < LEAST or gain[at[0]] < scale * TIMES**2 * 3.0 * length
+        ):
+            return True
+    return False
 
 
 def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:

@@ -254,7 +254,7 @@ def _off(
     begin, first = next(entry for entry in past if last - entry[0] < PAST)
     run = last - begin
     share = age / run if run else 0.0
-    square = sum(
+    square: float = sum(
         (p - x - share * (x - y)) ** 2 for p, x, y in zip(point, at, first, strict=True)
     )
     time = age / rate
@@ -300,7 +300,7 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
     One that begins or ends where neither is seen does so in the middle of that.
     """
     edges = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=0, append=0))
-    seen = np.isfinite(both[..., 0]).any(axis=1)
+    seen = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
     for first, end in edges.reshape(-1, 2).tolist():
         frames = first + np.flatnonzero(seen[first:end])
