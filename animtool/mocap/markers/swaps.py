@@ -260,7 +260,8 @@ def _off(
     time = age / rate
     allowed = NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED * time)
     volume = 3.0 * math.log(allowed / NOISE)
-    return min(0.5 * square / allowed**2 + volume, ANYWHERE)
+    cost: float = 0.5 * square / allowed**2 + volume
+    return min(cost, ANYWHERE)
 
 
 def _shape(
