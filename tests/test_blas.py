@@ -1,4 +1,4 @@
-"""Linear algebra runs in one thread where that is asked for, and as before behind it."""
+"""Linear algebra runs in one thread where that is asked, and as before after it."""
 
 from __future__ import annotations
 

@@ -89,8 +89,8 @@ class SkeletonMarkers:
         """
         joint = int(self.joints[marker])
         mates = len(self.mates(marker, seen))
-        carried = self.joints[seen & (self.joints >= 0)]
-        below = int((self.above_joint[carried] == joint).sum())
+        joints = self.joints[seen & (self.joints >= 0)]
+        below = int((self.above_joint[joints] == joint).sum())
         if mates >= 2 or (not self.free[joint] and mates + below):
             return 0.0
         if mates and below:

@@ -31,7 +31,7 @@ def exchanged(
         [(0, slice(140, 200)), (1, slice(60, 80))],
     ],
 )
-def test_a_swap_beside_gaps(
+def test_a_swap_next_to_gaps(
     pair: tuple[int, int], gaps: list[tuple[int, slice]]
 ) -> None:
     gone = [(pair[which], frames) for which, frames in gaps]
