@@ -303,7 +303,14 @@ def _spans(crossed: BoolArray, both: FloatArray) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=0, append=0))
     seen = np.asarray(np.isfinite(both[..., 0]).any(axis=1))
     spans = []
+    joined: list[list[int]] = []
     for first, end in edges.reshape(-1, 2).tolist():
+        # What is straight for a few frames between is a spike.
+        if joined and first - joined[-1][1] < MIN_SWAP:
+            joined[-1][1] = end
+        else:
+            joined.append([first, end])
+    for first, end in joined:
         frames = first + np.flatnonzero(seen[first:end])
         if len(frames) < MIN_SWAP:
             continue
