@@ -30,6 +30,7 @@ LAYERS = [
         "config",
         "_types",
         "_kernels",
+        "blas",
         "files",
         "junit",
         "signals",

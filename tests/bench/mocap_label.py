@@ -1,8 +1,10 @@
-"""Time of labelling and filling, and how good they are, over ``$ANIMTOOL_DATA/mocap``.
+"""Time of labelling and filling over ``$ANIMTOOL_DATA``, and how good filling is.
 
-    python tests/bench/mocap_label.py
+    python tests/bench/mocap_label.py           clouds of the data: times
+    python tests/bench/mocap_label.py 1000 10   made clouds from a seed on: scores
 
-CPU seconds of one thread; a row a cloud in ``results/mocap_label.csv``.
+CPU seconds of one thread; a row a cloud in ``results/mocap_label.csv``. Thresholds were
+set on seeds 0 to 99; others are printed: each, and the least, median and worst.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
+from support.clouds import cloud as made_cloud
 from support.mocap_skeleton import rig_of, template_of
 
 from animtool.formats.marker_files import open_markers
@@ -33,7 +36,7 @@ def main() -> None:
     """Measure every cloud, print and write a table."""
     rows = []
     for truth in sorted(
-        Path(os.environ["ANIMTOOL_DATA"], "mocap").glob("cloud_*.truth.npz")
+        Path(os.environ["ANIMTOOL_DATA"]).glob("mocap*/cloud_*.truth.npz")
     ):
         path = truth.with_name(truth.name.replace(".truth", ""))
         generic = json.loads(path.with_name("template_skeleton.json").read_text())
@@ -66,6 +69,52 @@ def main() -> None:
         writer.writerows(rows)
 
 
+def distribution(first: int, count: int) -> None:
+    """Print scores of filling made clouds, and how they are distributed."""
+    rows = []
+    for seed in range(first, first + count):
+        made = made_cloud(seed)
+        rig = rig_of(made.template, "generic")
+        subject = Subject(rig, template_of(made.template), made.markers("static_mm"))
+        markers = made.markers()
+        start = time.process_time()
+        whole, report = fill(markers, subject=subject)
+        seconds = time.process_time() - start
+        row = errors(whole, made.known, made.truth["markers_mm"])
+        row |= {"swaps": swaps(report, made.known, markers)}
+        row |= {"frames_s": len(markers) / seconds}
+        print(seed, " ".join(f"{name} {value:.3g}" for name, value in row.items()))
+        rows.append(row)
+    for name in rows[0]:
+        values = np.array([row[name] for row in rows])
+        low, middle, high = values.min(), np.median(values), values.max()
+        print(f"{name}: least {low:.3g}, median {middle:.3g}, most {high:.3g}")
+
+
+def errors(whole, known, truth) -> dict[str, float]:
+    """Return the RMS of filled positions by kind of gap [mm]."""
+    squares = {"short": [], "medium": [], "long": [], "segment": []}
+    for gap in known["gaps"]:
+        marker = whole.names.index(gap["marker"])
+        frames = slice(gap["start"], gap["end"])
+        off = whole.positions[frames, marker] * 1000.0 - truth[frames, marker]
+        squares[gap["kind"]].append((off**2).sum(axis=1))
+    return {k: float(np.sqrt(np.concatenate(v).mean())) for k, v in squares.items()}
+
+
+def swaps(report, known, markers) -> float:
+    """Return the lesser of precision and recall of frames with exchanged names."""
+    found, truth = (np.zeros((len(markers), len(markers.names)), bool) for _ in "ab")
+    for swap in report.swaps:
+        columns = [markers.names.index(name) for name in swap.markers]
+        found[swap.first : swap.last + 1, columns] = True
+    for entry in known["swaps"]:
+        columns = [markers.names.index(entry[side]) for side in "ab"]
+        truth[entry["start"] : entry["end"], columns] = True
+    both = (found & truth).sum()
+    return float(both / max(1, found.sum(), truth.sum()))
+
+
 def best(work) -> float:
     """Return the least CPU time of some rounds [s]."""
     times = []
@@ -77,4 +126,7 @@ def best(work) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) == 3:
+        distribution(int(sys.argv[1]), int(sys.argv[2]))
+    else:
+        main()

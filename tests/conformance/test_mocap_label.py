@@ -12,7 +12,7 @@ import pytest
 from support.c3d_bytes import read_points
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
-from support.suite import is_full, one_of
+from support.suite import is_full
 
 from animtool.formats.marker_files import open_markers
 from animtool.markers import Markers
@@ -22,12 +22,12 @@ from animtool.mocap.markers.skeleton import Subject
 
 # Recall and precision of names; of spikes, and of frames with swapped names.
 NAMED, FOUND = 0.995, 0.95
-# RMS of filled positions by kind of gap that is aimed at [mm].
+# RMS of filled positions by kind of gap that is owed with a skeleton [mm]; in a take
+# that moves fast, short ones are farther off. A gap inside a longer one of its marker
+# is part of that.
 TARGETS = {"short": 1.2, "medium": 5.0, "long": 10.0, "segment": 3.0}
-# What it comes to, by skeleton and without, and a tenth. The short gaps that miss 1.2
-# with a skeleton are in the midst of a long gap of the same marker. Without one, takes
-# that do not repeat themselves say little of a marker that is alone.
-WITH = TARGETS | {"short": 1.43}
+FAST = 1.6
+# Without one, takes that do not repeat themselves say little of a marker that is alone.
 WITHOUT = {"short": 3.0, "medium": 14.3, "long": 13.2, "segment": 17.3}
 
 
@@ -48,7 +48,7 @@ GAPS = (
 
 
 def clouds() -> list[Any]:
-    return data_files("mocap", "cloud_*.truth.npz")
+    return data_files(".", "mocap*/cloud_*.truth.npz")
 
 
 def cloud_of(truth: Path) -> Path:
@@ -100,7 +100,7 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
 
 @pytest.mark.slow(seconds=8)
 @pytest.mark.parametrize("predictor", PREDICTORS)
-@pytest.mark.parametrize("truth", one_of(clouds(), 1))
+@pytest.mark.parametrize("truth", clouds())
 def test_swaps_spikes_and_gaps(
     truth: Path, predictor: str, record_property: Record
 ) -> None:
@@ -112,7 +112,7 @@ def test_swaps_spikes_and_gaps(
         joints = json.loads(generic)
         static = open_markers(f"{path}#static_mm")
         subject = Subject(rig_of(joints, "generic"), template_of(joints), static)
-        most = WITH
+        most = TARGETS | ({"short": FAST} if "fast" in path.stem else {})
     whole, report = fill(markers, subject=subject)
     known = json.loads(truth.with_suffix(".json").read_text())
     found = {"swaps": _swaps(report, known, markers), "spikes": _spikes(report, known,
@@ -150,10 +150,17 @@ def _spikes(
     report: FillReport, known: dict[str, Any], markers: Markers
 ) -> tuple[float, float]:
     """Return precision and recall of spikes; those in gaps cannot be seen."""
+    right = markers.positions.copy()
+    for swap in known["swaps"]:
+        pair = [markers.names.index(swap["a"]), markers.names.index(swap["b"])]
+        span = slice(swap["start"], swap["end"])
+        right[span, pair] = right[span, pair[::-1]]
     truth = [
         (s["marker"], s["start"], s["end"] - 1)
         for s in known["spikes"]
-        if markers.seen[s["start"] : s["end"], markers.names.index(s["marker"])].any()
+        if np.isfinite(
+            right[s["start"] : s["end"], markers.names.index(s["marker"])]
+        ).any()
     ]
     found = [(s.marker, s.first, s.last) for s in report.spikes]
 
@@ -168,12 +175,20 @@ def _meet(one: tuple[str, int, int], other: tuple[str, int, int]) -> bool:
     return one[0] == other[0] and one[1] <= other[2] and one[2] >= other[1]
 
 
+def _is_inside(gap: dict[str, Any], other: dict[str, Any]) -> bool:
+    longer = other["end"] - other["start"] > gap["end"] - gap["start"]
+    within = other["start"] <= gap["start"] and gap["end"] <= other["end"]
+    return bool(gap["marker"] == other["marker"] and longer and within)
+
+
 def _errors(
     whole: Markers, known: dict[str, Any], truth: Any
 ) -> list[tuple[str, float]]:
     """Return the RMS of filled positions by kind of gap [mm]."""
     squares: dict[str, list[Any]] = {}
     for gap in known["gaps"]:
+        if any(_is_inside(gap, other) for other in known["gaps"]):
+            continue
         marker = whole.names.index(gap["marker"])
         frames = slice(gap["start"], gap["end"])
         off = whole.positions[frames, marker] * 1000.0 - truth[frames, marker]

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.blas import one_thread
 from animtool.errors import Fault, Severity, counted
 from animtool.markers import Markers
 from animtool.mocap.markers.geometry import distances
-from animtool.mocap.markers.predict import follow, predict
+from animtool.mocap.markers.predict import Prediction, follow, predict, turned
 from animtool.mocap.markers.spikes import Spike, find_spikes, without_spikes
 from animtool.mocap.markers.swaps import Swap, unswapped
 from animtool.mocap.options import FillOptions
@@ -24,6 +25,11 @@ CURVE_SECONDS = 0.05
 # Frames on either side that the curve goes by, and the fewest of one side.
 AROUND, MIN_FRAMES = 6, 3
 DEGREE = 5
+# What is about as near as noise is not looked for elsewhere [m], and in which share of
+# a gap another marker is seen that holds a joint.
+CLOSE, MOSTLY = 0.001, 0.8
+# What was left out beside a gap is met so much better than the gap itself.
+DOUBT = 1.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +120,14 @@ def fill(
     >>> whole.positions[4, 0].round(6).tolist(), report.gaps[0].method
     ([4.0, 4.0, 4.0], 'curve')
     """
-    options = options or FillOptions()
+    with one_thread():
+        return _filled_markers(markers, options or FillOptions(), subject)
+
+
+def _filled_markers(
+    markers: Markers, options: FillOptions, subject: Subject | None
+) -> tuple[Markers, FillReport]:
+    """Return markers that are whole, and what was done."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
     if not options.keep_swaps:
@@ -171,14 +184,25 @@ def _filled(
         method = ""
         if longest is None or length <= longest * rate:
             if skeleton is not None and skeleton.tells(marker, gap):
+                made = follow(skeleton, positions, measured, marker, gap, rate)
                 method = "skeleton"
-                path = follow(skeleton, positions, measured, marker, gap, rate)
+                others = measured[gap].mean(axis=0) >= MOSTLY
+                guess = skeleton.drift(marker, others) * length / rate
+                if guess and max(guess, made.off) > CLOSE:
+                    made = replace(made, off=max(guess, made.off))
+                    where = (positions, seen, marker, gap, spread[marker], rate)
+                    made, method = _likeliest(
+                        (made, "skeleton"),
+                        (turned(skeleton, *where), "skeleton"),
+                        (predict(*where), "markers"),
+                    )
+                path = made.positions
             elif length <= CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
                 path = _curve(positions[:, marker], seen[:, marker], gap)
             if path is None:
-                made = predict(positions, seen, marker, gap, spread[marker], rate)
-                path = None if made is None else made.positions
+                learnt = predict(positions, seen, marker, gap, spread[marker], rate)
+                path = None if learnt is None else learnt.positions
                 method = "markers"
         if path is not None:
             positions[gap, marker] = path
@@ -189,6 +213,13 @@ def _filled(
     order = {name: i for i, name in enumerate(markers.names)}
     found.sort(key=lambda gap: (order[gap.marker], gap.first))
     return positions, found
+
+
+def _likeliest(*ways: tuple[Prediction | None, str]) -> tuple[Prediction, str]:
+    """Return the prediction that is least off, and its method; the first in doubt."""
+    (held, name), *others = ((way, name) for way, name in ways if way is not None)
+    off = held.off / DOUBT
+    return min([(replace(held, off=off), name), *others], key=lambda way: way[0].off)
 
 
 def _gaps(markers: Markers, seen: BoolArray) -> list[tuple[int, int, int]]:

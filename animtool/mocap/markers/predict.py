@@ -33,6 +33,8 @@ FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 NOISE = 0.0005
 # How a marker strays from where the pose has it [m], and for how long [s].
 STRAYS = ((0.004, 0.12), (0.03, 0.35))
+# The same where a joint is held by nothing.
+LOOSE = (*STRAYS, (0.05, 1.0))
 # The same of where a skeleton has it: not at all, or as skin moves.
 SKIN = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # How much of the pose changes before what was learnt is forgotten, of its spread [1];
@@ -48,11 +50,11 @@ class Prediction:
 
     Attributes:
         positions: ``(G, 3)`` [m].
-        markers: Those that gave the frame and the pose, nearest first.
+        off: How far it is off spans of the same length that were left out [m].
     """
 
     positions: FloatArray
-    markers: IntArray
+    off: float
 
 
 def predict(
@@ -79,25 +81,98 @@ def predict(
     if len(training) < MIN_TRAINING:
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
-    best: tuple[float, FloatArray] | None = None
-    known = len(training)
+    found = []
     for count in FRAME_MARKERS:
-        if count > len(near):
+        if count <= len(near):
+            local, pose, back = _local(positions, frames, marker, near, count)
+            best = _best(local, pose, frames, gap, rate, STRAYS, count)
+            found.append(Prediction(back(best.positions), best.off))
+    return min(found, key=lambda made: made.off)
+
+
+def _best(
+    local: FloatArray,
+    pose: FloatArray,
+    frames: IntArray,
+    gap: slice,
+    rate: float,
+    strays: tuple[tuple[float, float], ...],
+    least: int = 1,
+) -> Prediction:
+    """Return what the kernel has of a marker that is best where it is left out.
+
+    local: The marker in some frame of reference ``(F, 3)``, seen in all but the frames
+    of the gap, which are last. pose: Others there, the most rigid first ``(F, K, 3)``.
+    least: So many of them are looked at where any are.
+    """
+    known = len(frames) - (gap.stop - gap.start)
+    best: Prediction | None = None
+    for many in POSE_MARKERS:
+        if many > pose.shape[1]:
             continue
-        local, pose, back = _local(positions, frames, marker, near, count)
-        for many in POSE_MARKERS:
-            if many and many > len(near):
+        part = pose[:, : max(many, least)].reshape(len(frames), -1)
+        for reach, (stray, time) in product(REACHES, strays):
+            if not many and reach != REACHES[0]:
                 continue
-            part = pose[:, : max(many, count)].reshape(len(frames), -1)
-            for reach, (stray, time) in product(REACHES, STRAYS):
-                if not many and reach != REACHES[0]:
-                    continue
-                kernel = _kernel(part, frames / rate, reach, stray, time, local[:known])
-                off, found = _regressed(local[:known], kernel, frames, gap)
-                if best is None or off < best[0]:
-                    best = (off, back(found))
+            kernel = _kernel(part, frames / rate, reach, stray, time, local[:known])
+            off, found = _regressed(local[:known], kernel, frames, gap)
+            if best is None or off < best.off:
+                best = Prediction(found, off)
     assert best is not None
-    return Prediction(best[1], near)
+    return best
+
+
+def turned(
+    skeleton: SkeletonMarkers,
+    positions: FloatArray,
+    seen: BoolArray,
+    marker: int,
+    gap: slice,
+    spread: FloatArray,
+    rate: float,
+) -> Prediction | None:
+    """Return where a marker is whose joint no other marker holds; None if unknown.
+
+    It is looked at in the frame of the joint above, and in one that is turned towards a
+    marker on the same joint if there is any. How it moves there is learnt, as of
+    `predict`. Arguments are those of it.
+    """
+    near = _near(seen, marker, gap, spread)
+    training = _training(seen, marker, gap, near, rate)
+    if len(training) < MIN_TRAINING or not skeleton.above(marker):
+        return None
+    frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
+    known = len(training)
+    origin, above = skeleton.origins[frames, marker], skeleton.parents[frames, marker]
+    turns = [above]
+    whole = np.asarray(seen[gap].all(axis=0))
+    for mate in skeleton.mates(marker, whole):
+        if np.isin(training, np.flatnonzero(seen[:, mate])).all():
+            turns.append(_towards(above, positions[frames, mate] - origin))
+    found = []
+    for rotation in turns:
+        local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
+        around = positions[frames][:, near] - origin[:, None]
+        pose = np.einsum("fji,fkj->fki", rotation, around)
+        best = _best(local, pose, frames, gap, rate, LOOSE)
+        back = np.einsum("fij,fj->fi", rotation[known:], best.positions)
+        found.append(Prediction(back + origin[known:], best.off))
+    return min(found, key=lambda made: made.off)
+
+
+def _towards(above: FloatArray, arms: FloatArray) -> FloatArray:
+    """Return frames ``(F, 3, 3)`` turned the shortest way as a point of them is."""
+    local = np.einsum("fji,fj->fi", above, arms)
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    home = local.mean(axis=0)
+    home /= np.linalg.norm(home)
+    axis = np.cross(home, local)
+    bent = np.zeros((len(local), 3, 3))
+    bent[:, 0, 1], bent[:, 0, 2], bent[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    bent -= bent.transpose(0, 2, 1)
+    cosine = np.maximum(local @ home, -0.99)
+    swing = np.eye(3) + bent + bent @ bent / (1.0 + cosine)[:, None, None]
+    return np.asarray(above @ swing)
 
 
 def follow(
@@ -107,8 +182,8 @@ def follow(
     marker: int,
     gap: slice,
     rate: float,
-) -> FloatArray:
-    """Return where a marker is in a gap that a skeleton tells ``(G, 3)`` [m].
+) -> Prediction:
+    """Return where a marker is in a gap that a skeleton tells.
 
     That is where the skeleton has it, and what the marker is off there: a Gaussian
     process over time, in the frame of its joint, that joins the ends. How far and how
@@ -131,9 +206,8 @@ def follow(
         missed, made = _regressed(off, kernel, frames, gap)
         if missed < least:
             least, found = missed, made
-    return np.asarray(
-        places[known:] + np.einsum("fij,fj->fi", turns[known:], found), np.float64
-    )
+    back = np.einsum("fij,fj->fi", turns[known:], found)
+    return Prediction(np.asarray(places[known:] + back, np.float64), least)
 
 
 def _near(seen: BoolArray, marker: int, gap: slice, spread: FloatArray) -> IntArray:

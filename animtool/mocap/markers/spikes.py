@@ -1,27 +1,44 @@
-"""Positions that are off for a few frames: found against the motion around them."""
+"""Positions that are off for a few frames: found against the motion around them.
+
+References:
+    Wahba, G., "Spline Models for Observational Data", SIAM, 1990, chapter 1.
+    Atkinson, A. C., "Two graphical displays for outlying and influential observations
+    in regression", Biometrika 68(1), 1981.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.markers import Markers
 
 # Longer ones are motion [frame].
 MAX_LENGTH = 4
 # Frames on either side that say where a marker should be.
-AROUND = 3
+AROUND = 7
+# A curve of a marker's motion needs more positions than its polynomial has terms.
+DEGREE = 2
+MIN_SUPPORT = DEGREE + 3
+# How rough a motion is: variance of its third differences, of that of its noise.
+ROUGHNESS = tuple(10.0**power for power in range(-4, 3))
 # What is off by less is noise or motion [m], and so is what is off by so many times
-# what the marker's positions usually are.
-LEAST, TIMES = 0.004, 8.0
+# what it usually is by.
+LEAST, TIMES = 0.006, 8.0
+# With positions on one side only, the curve goes on as it likes: so many times more.
+ONE_SIDED = 2.0
 # How far the frames around may be off the curve through them, of what is a spike.
 SMOOTH = 0.35
-# Beside a gap there are frames on one side only: a spike is so many times larger.
-ONE_SIDED = 4.0
-# Frames of one side that say where a marker should be.
-ALONE = 6
+# A spike that is a frame longer has to explain so much more of what is off.
+PENALTY = 60.0
+# Half the frames that say how well a curve fits about a frame, and which share of them
+# is better: others are spikes, and what they upset.
+LOCAL, BETTER = 24, 0.4
+# A spike can hide others beside it, which are seen when it is gone.
+ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +61,9 @@ class Spike:
 def find_spikes(markers: Markers) -> list[Spike]:
     """Return the spikes of all markers, by marker and frame.
 
-    A spike is up to four frames long. Its frames are far off a cubic through the three
-    frames before and the three after, which themselves are near it.
+    A spike is up to four frames long. Its frames are far off the smooth curve through
+    the frames around, those beyond a gap too, and the others are near that. How smooth
+    a curve is, and how much is far, is what the motion of the marker mostly shows.
     """
     found = []
     for index, name in enumerate(markers.names):
@@ -69,68 +87,194 @@ def _spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     seen = np.isfinite(path[:, 0])
     if int(seen.sum()) < 2 * AROUND + 1:
         return []
-    usual = _usual(path)
-    limit = max(LEAST, TIMES * usual)
-    candidates = []
-    for length in range(1, MAX_LENGTH + 1):
-        for sides, factor in (((True, True), 1.0), ((True, False), ONE_SIDED),
-                              ((False, True), ONE_SIDED)):  # fmt: skip
-            off, around = _deviation(path, seen, length, *sides)
-            size = factor * limit
-            flags = (off > size) & (around < SMOOTH * off)
-            for first in np.flatnonzero(flags).tolist():
-                score = off[first] - around[first]
-                candidates.append((factor, -score, first, length, float(off[first])))
-    candidates.sort()
-    taken = np.zeros(len(path), bool)
-    found = []
-    for _, _, first, length, size in candidates:
-        if not taken[first : first + length].any():
-            taken[max(first - AROUND, 0) : first + length + AROUND] = True
-            found.append((first, first + length - 1, size))
+    path = np.where(seen[:, None], path, 0.0)
+    rough, noise = _model(path, seen)
+    found: list[tuple[int, int, float]] = []
+    for _ in range(ROUNDS):
+        new = _round(path, seen, rough, noise)
+        if not new:
+            break
+        found += new
+        for first, last, _ in new:
+            seen[first : last + 1] = False
     return sorted(found)
 
 
-def _usual(path: FloatArray) -> float:
-    """Return how far a position usually is off those around it [m]."""
-    off, _ = _deviation(path, np.isfinite(path[:, 0]), 1, True, True)
-    known = off[off >= 0]
-    return float(np.median(known)) if len(known) else 0.0
+def _round(
+    path: FloatArray, seen: BoolArray, rough: float, noise: FloatArray
+) -> list[tuple[int, int, float]]:
+    """Return spikes that do not touch each other, the clearest of each place."""
+    candidates = []
+    usual: FloatArray | None = None
+    for length in range(1, MAX_LENGTH + 1):
+        starts, off, gain, rest = _deviation(path, seen, length, rough)
+        if not len(starts):
+            continue
+        factor = np.where(_one_sided(seen, starts, length), ONE_SIDED, 1.0)
+        scale = noise[length - 1]
+        if usual is None:
+            usual = _usual(starts, gain / (3.0 * scale**2), len(path))
+        about = usual[starts]
+        limit = (factor * TIMES) ** 2 * 3.0 * length
+        clear = gain / (scale**2 * about)
+        flags = (off >= factor * LEAST) & (clear > limit)
+        flags &= rest < SMOOTH**2 * gain / length
+        for k in np.flatnonzero(flags).tolist():
+            score = float(clear[k]) - PENALTY * length
+            candidates.append((-score, int(starts[k]), length, float(off[k])))
+    candidates.sort()
+    scale = noise[0] ** 2
+    taken = np.zeros(len(path), bool)
+    found = []
+    for _, first, length, size in candidates:
+        if taken[first : first + length].any():
+            continue
+        if not _is_upset(path, seen, first, length, rough, scale):
+            taken[max(first - AROUND, 0) : first + length + AROUND] = True
+            found.append((first, first + length - 1, size))
+    return found
+
+
+def _is_upset(
+    path: FloatArray,
+    seen: BoolArray,
+    first: int,
+    length: int,
+    rough: float,
+    scale: float,
+) -> bool:
+    """Return whether a span is off only for the fewer frames between it and a gap."""
+    begin, end = max(first - AROUND, 0), first + length
+    before = begin + np.flatnonzero(seen[begin:first])
+    after = end + np.flatnonzero(seen[end : end + AROUND])
+    for side in (before, after):
+        if not 0 < len(side) < length:
+            continue
+        other = seen[begin : end + AROUND].copy()
+        other[side - begin] = False
+        starts, off, gain, _ = _deviation(
+            path[begin : end + AROUND], other, length, rough
+        )
+        at = np.flatnonzero(starts == first - begin)
+        if len(at) and (
+            off[at[0]] < LEAST or gain[at[0]] < scale * TIMES**2 * 3.0 * length
+        ):
+            return True
+    return False
+
+
+def _one_sided(seen: BoolArray, starts: IntArray, length: int) -> BoolArray:
+    """Return which spans have no position before or none after them nearby."""
+    padded = np.concatenate([np.zeros(AROUND, bool), seen, np.zeros(AROUND, bool)])
+    sums = np.concatenate([[0], np.cumsum(padded)])
+    before = sums[starts + AROUND] - sums[starts]
+    end = starts + AROUND + length
+    after = sums[end + AROUND] - sums[end]
+    return np.asarray((before == 0) | (after == 0))
+
+
+def _usual(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
+    """Return how much more than mostly single frames are off about each ``(F,)``."""
+    level = np.ones(frames)
+    order = np.searchsorted(starts, np.arange(frames))
+    low = np.maximum(order - LOCAL, 0)
+    high = np.minimum(order + LOCAL, len(starts))
+    padded = np.concatenate([square, [np.inf]])
+    width = 2 * LOCAL
+    rows = low[:, None] + np.arange(width)
+    rows = np.where(rows < high[:, None], rows, len(square))
+    windows = np.sort(padded[rows], axis=1)
+    at = (BETTER * (high - low)).astype(np.int64)
+    level = windows[np.arange(frames), np.minimum(at, width - 1)]
+    # Of a chi-squared of three, over three, that share is below 0.63.
+    return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
+
+
+def _model(path: FloatArray, seen: BoolArray) -> tuple[float, FloatArray]:
+    """Return how rough a motion is, and its noise by length of a span [m].
+
+    That roughness is best by which positions are nearest to where those around have
+    them, in most frames.
+    """
+    best = (np.inf, ROUGHNESS[0])
+    for rough in ROUGHNESS:
+        _, off, _, _ = _deviation(path, seen, 2, rough, whole=True)
+        if len(off):
+            best = min(best, (float(np.median(off)), rough))
+    noise = np.zeros(MAX_LENGTH)
+    for length in range(1, MAX_LENGTH + 1):
+        starts, _, gain, _ = _deviation(path, seen, length, best[1], whole=True)
+        if not len(starts):
+            starts, _, gain, _ = _deviation(path, seen, length, best[1])
+        if len(starts):
+            # The median of a chi-squared of k is about k - 2/3.
+            noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
+    noise = np.maximum.accumulate(noise)
+    return best[1], np.maximum(noise, 1e-6)
 
 
 def _deviation(
-    path: FloatArray, seen: BoolArray, length: int, before: bool, after: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return by how much each span is off the frames around it, and those themselves.
+    path: FloatArray, seen: BoolArray, length: int, rough: float, *, whole: bool = False
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return spans, and by how much they are off the curve through the frames around.
 
-    The first is the least of the span's frames, -1 where the span or a frame around is
-    not seen. With one side, more frames of that are taken and a parabola is fitted.
+    That is first frames ``(S,)``, the least that a frame of each is off [m], what
+    leaving the span out takes from the squares of the fit [m^2], and the mean square of
+    the rest. whole: Only spans around which all is seen.
     """
-    frames = len(path)
-    off, around = np.full(frames, -1.0), np.zeros(frames)
-    reach = AROUND if before and after else ALONE
-    steps = [*(range(-reach, 0) if before else ()),
-             *(range(length, length + reach) if after else ())]  # fmt: skip
-    inside = np.arange(length)
-    low, high = min(steps[0], 0), max(steps[-1], length - 1)
-    starts = np.arange(-low, frames - high)
-    if not len(starts):
-        return off, around
-    whole = seen[starts[:, None] + np.array([*steps, *inside])].all(axis=1)
-    if not (before and after):
-        # Only where the other side is a gap or the end.
-        edge = starts + length if before else starts - 1
-        outside = (edge < 0) | (edge >= frames)
-        whole &= outside | ~seen[np.clip(edge, 0, frames - 1)]
-    starts = starts[whole]
-    degree = 3 if before and after else 2
-    powers = np.vander(np.array(steps, np.float64), degree + 1)
-    inverse = np.linalg.pinv(powers)
-    support = path[starts[:, None] + steps]  # (S, K, 3)
-    curve = np.einsum("pk,skc->spc", inverse, support)
-    fit = np.einsum("kp,spc->skc", powers, curve)
-    expected = np.einsum("kp,spc->skc", np.vander(inside * 1.0, degree + 1), curve)
-    missed = np.linalg.norm(path[starts[:, None] + inside] - expected, axis=-1)
-    off[starts] = missed.min(axis=1)
-    around[starts] = np.linalg.norm(support - fit, axis=-1).max(axis=1)
-    return off, around
+    size = length + 2 * AROUND
+    padded = np.zeros(len(path) + 2 * AROUND, bool)
+    padded[AROUND : AROUND + len(path)] = seen
+    windows = np.lib.stride_tricks.sliding_window_view(padded, size)
+    spans = windows[:, AROUND : AROUND + length].all(axis=1)
+    around = np.concatenate(
+        [windows[:, :AROUND], windows[:, AROUND + length :]], axis=1
+    )
+    support = around.sum(axis=1)
+    spans &= support == 2 * AROUND if whole else support >= MIN_SUPPORT
+    starts = np.flatnonzero(spans)
+    values = np.zeros((len(path) + 2 * AROUND, 3))
+    values[AROUND : AROUND + len(path)] = path
+    codes = around[starts] @ (1 << np.arange(2 * AROUND))
+    off, gain, rest = (np.zeros(len(starts)) for _ in range(3))
+    for code in np.unique(codes).tolist():
+        rows = np.flatnonzero(codes == code)
+        offsets, weights, inverse, form = _pattern(code, length, rough)
+        near = values[starts[rows][:, None] + offsets]  # (S, K, 3)
+        inside = values[starts[rows][:, None] + AROUND + np.arange(length)]
+        missed = inside - weights @ near
+        gain[rows] = (missed * (inverse @ missed)).sum(axis=(1, 2))
+        off[rows] = np.sqrt((missed**2).sum(axis=2)).min(axis=1)
+        left = (near * (form @ near)).sum(axis=(1, 2))
+        rest[rows] = left / max(1, len(offsets) - DEGREE - 1)
+    return starts, off, gain, rest
+
+
+@lru_cache(maxsize=4096)
+def _pattern(
+    code: int, length: int, rough: float
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return how positions around a span say where it is.
+
+    code: Which of the frames around are seen, a bit each. The result is which frames of
+    the window they are, their weights, the inverse of the variance of what is then off,
+    and the quadratic form that is the misfit of the positions themselves.
+    """
+    around = np.array([*range(AROUND), *range(AROUND + length, 2 * AROUND + length)])
+    offsets = around[[bool(code >> k & 1) for k in range(2 * AROUND)]]
+    frames = np.concatenate([offsets, np.arange(AROUND, AROUND + length)]) + 1.0
+    # An integral of white noise, three times: its expected curve is a quintic spline.
+    early = np.minimum(frames[:, None], frames)
+    late = np.abs(frames[:, None] - frames)
+    curve = early**5 / 20.0 + early**4 * late / 8.0 + early**3 * late**2 / 12.0
+    kernel = rough * curve + np.eye(len(frames))
+    terms = np.vander((frames - frames.mean()) / AROUND, DEGREE + 1)
+    known = len(offsets)
+    inverse = np.linalg.inv(kernel)
+    outer = inverse - inverse @ terms @ np.linalg.solve(
+        terms.T @ inverse @ terms, terms.T @ inverse
+    )
+    block = outer[known:, known:]
+    weights = -np.linalg.solve(block, outer[known:, :known])
+    form = outer[:known, :known] - weights.T @ block @ weights
+    return offsets, weights, block, form

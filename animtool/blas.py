@@ -1,0 +1,64 @@
+"""One thread for linear algebra on small matrices, for which more only wait."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import sysconfig
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from pathlib import Path
+
+# What OpenBLAS calls these functions in the wheels of numpy and scipy, and elsewhere.
+_NAMES = (
+    "scipy_openblas_{}_num_threads64_",
+    "scipy_openblas_{}_num_threads",
+    "openblas_{}_num_threads64_",
+    "openblas_{}_num_threads",
+)
+_FOLDERS = ("numpy.libs", "scipy.libs", "numpy/.dylibs", "scipy/.dylibs")
+_Threads = tuple[Callable[[], int], Callable[[int], None]]
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Run linear algebra in one thread; where that cannot be had, as it is.
+
+    The threads of OpenBLAS busily wait for each other: for matrices of some hundred
+    rows on a machine with other work that takes many times what one thread does, and
+    with another count of threads results may differ in their last bits.
+    """
+    libraries = _libraries()
+    before = [count() for count, _ in libraries]
+    try:
+        for _, limit in libraries:
+            limit(1)
+        yield
+    finally:
+        for (_, limit), threads in zip(libraries, before, strict=True):
+            limit(threads)
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> tuple[_Threads, ...]:
+    """Return how to ask and set the threads of each OpenBLAS that came with a wheel."""
+    import numpy.linalg
+    import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
+
+    site = Path(numpy.__file__).parent.parent
+    places = dict.fromkeys((site, Path(sysconfig.get_path("platlib"))))
+    found = []
+    for folder in (place / name for place in places for name in _FOLDERS):
+        for path in sorted(folder.glob("*openblas*")) if folder.is_dir() else ():
+            with contextlib.suppress(OSError):
+                found += _threads(ctypes.CDLL(str(path)))
+    return tuple(found)
+
+
+def _threads(library: ctypes.CDLL) -> list[_Threads]:
+    for name in _NAMES:
+        count = getattr(library, name.format("get"), None)
+        limit = getattr(library, name.format("set"), None)
+        if count is not None and limit is not None:
+            return [(count, limit)]
+    return []
