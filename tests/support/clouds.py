@@ -237,7 +237,7 @@ def _stored(values: FloatArray) -> Any:
 
 def template(markers: str) -> dict[str, Any]:
     """Return the generic skeleton with a set of markers, as the data state one."""
-    rows = [*_SPINE]
+    rows: list[tuple[str, str, Any, Any]] = [*_SPINE]
     for side, sign in (("Left", 1), ("Right", -1)):
         for name, parent, (x, y, z), limits in _ARM + _LEG:
             above = parent if parent in ("Chest", "Hips") else side + parent
