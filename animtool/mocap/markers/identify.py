@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
+from itertools import combinations
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.mocap.markers.evidence import evidence, renamed
 from animtool.mocap.markers.geometry import Distances, distances, fitted
-from animtool.mocap.markers.runs import (
-    GHOST,
-    SPREADS,
-    TOLERANCE,
-    WEIGHT_SPREAD,
-    WORST,
-)
 
 # A distance that varies less is one within a segment [m].
 RIGID = 0.006
 # How far the shape of a group of four may be off, for it to be named first [m].
 SEED = 0.003
-# Points apart say less of which marker each is [m].
-WEIGHT_FAR = 0.25
-# A joint between two markers changes their distance by such a share of it, and [m]; a
-# pair that has to bend for its distance counts as much as this off.
-PLAY, PLAY_LEAST, ARTICULATED = 0.35, 0.03, 1.5
+# How far the distances of such a group may be off, and what is tried where none is so
+# near [m]; and how many runs a run is grouped with.
+NEAREST, FARTHEST, COMPANY = 0.002, 0.006, 7
 MAX_GROUPS = 400
-# Weights of distances to what is known, all together: fewer name nothing, and more
-# than this are no better.
-MIN_SHARE, FULL_SHARE = 0.05, 3.0
+# Groups that naming is begun with, of which the one that explains most is taken.
+STARTS = 6
+# What a run is named for at least, in all its distances together [nat].
+WORTH = 1.0
+PASSES = 3
 
 
 def identify(
@@ -38,79 +31,88 @@ def identify(
     """Return which marker each run of a window is ``(R,)``; None where nothing fits."""
     moving = distances(points)
     seen = np.isfinite(points[..., 0]).astype(np.float64)
-    together = seen.T @ seen > 0
-    seeds = _seeds(points, moving, shape, rest)
-    given = _agreeing(seeds, together)
-    return _grown(given, moving, rest, together) if given else None
+    overlap = seen.T @ seen
+    groups = _fours(moving)
+    seeds = _seeds(points, groups, moving, shape, rest, NEAREST)
+    if not seeds:
+        seeds = _seeds(points, groups, moving, shape, rest, FARTHEST)
+    best, most = None, -np.inf
+    for seed in _distinct(seeds):
+        found = _Naming(moving, overlap, rest)
+        found.grow(seed)
+        total = found.total()
+        if total > most:
+            best, most = found, total
+    if best is None:
+        return None
+    for _ in range(PASSES):
+        if not best.improve(points):
+            break
+    return best.given
 
 
-def _agreeing(
-    seeds: list[list[tuple[int, int]]], together: BoolArray
-) -> dict[int, int]:
-    """Return the markers of groups that do not contradict each other, best first."""
-    given: dict[int, int] = {}
-    for pairs in seeds:
-        merged = dict(pairs)
-        known = [(run, given[run]) for run, _ in pairs if run in given]
-        if any(merged[run] != marker for run, marker in known):
-            continue
-        both = given | merged
-        runs = np.array(list(both))
-        markers = np.array(list(both.values()))
-        clash = together[np.ix_(runs, runs)] & (markers[:, None] == markers)
-        np.fill_diagonal(clash, False)
-        if not clash.any():
-            given = both
-    return given
+def _distinct(seeds: list[dict[int, int]]) -> list[dict[int, int]]:
+    """Return the first seeds of which none is part of what another says."""
+    kept: list[dict[int, int]] = []
+    for seed in seeds:
+        items = set(seed.items())
+        if all(len(items & set(other.items())) < 3 for other in kept):
+            kept.append(seed)
+        if len(kept) == STARTS:
+            break
+    return kept
 
 
 def _seeds(
-    points: FloatArray, moving: Distances, shape: FloatArray, rest: FloatArray
-) -> list[list[tuple[int, int]]]:
+    points: FloatArray,
+    groups: list[tuple[int, ...]],
+    moving: Distances,
+    shape: FloatArray,
+    rest: FloatArray,
+    tolerance: float,
+) -> list[dict[int, int]]:
     """Return groups of rigid runs with the markers that they may be, best first."""
-    rigid = (moving.spread < RIGID) & np.isfinite(moving.mean)
-    np.fill_diagonal(rigid, False)
-    groups = list(islice(_fours(rigid), MAX_GROUPS))
     found = []
     for group in groups:
-        for markers in _matches(group, moving.mean, rest):
+        for markers in _matches(group, moving.mean, rest, tolerance):
             off = _misfit(points[:, group], shape[list(markers)])
             if off < SEED:
-                pairs = list(zip(group, markers, strict=True))
-                found.append((off, pairs))
+                found.append((off, dict(zip(group, markers, strict=True))))
     found.sort(key=lambda entry: entry[0])
     return [pairs for _, pairs in found]
 
 
-def _fours(rigid: BoolArray) -> Iterator[tuple[int, ...]]:
-    """Yield four runs of which any two are rigid, in order of their numbers."""
-    after = [np.flatnonzero(row[i:]) + i for i, row in enumerate(rigid)]
-    for i, others in enumerate(after):
-        for j in others.tolist():
-            both = after[j][rigid[i, after[j]]]
-            for k in both.tolist():
-                all_three = after[k][rigid[i, after[k]] & rigid[j, after[k]]]
-                for m in all_three.tolist():
-                    yield i, j, k, m
+def _fours(moving: Distances) -> list[tuple[int, ...]]:
+    """Return groups of four runs of which any two are rigid, the most rigid first."""
+    spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
+    np.fill_diagonal(spread, np.inf)
+    worst: dict[tuple[int, ...], float] = {}
+    for run, row in enumerate(spread):
+        company = np.argsort(row, kind="stable")[:COMPANY]
+        company = company[row[company] < RIGID]
+        for others in combinations(company.tolist(), 3):
+            group = tuple(sorted((run, *others)))
+            if group not in worst:
+                pairs = combinations(group, 2)
+                worst[group] = max(float(spread[a, b]) for a, b in pairs)
+    order = sorted((value, group) for group, value in worst.items() if value < RIGID)
+    return [group for _, group in order[:MAX_GROUPS]]
 
 
 def _matches(
-    group: tuple[int, ...], apart: FloatArray, rest: FloatArray
+    group: tuple[int, ...], apart: FloatArray, rest: FloatArray, tolerance: float
 ) -> list[tuple[int, ...]]:
     """Return the markers whose distances at rest are those of a group of runs."""
-    partial: list[tuple[int, ...]] = [(marker,) for marker in range(len(rest))]
-    for k in range(1, len(group)):
-        longer: list[tuple[int, ...]] = []
-        for markers in partial:
-            off = np.zeros(len(rest))
-            for earlier, marker in enumerate(markers):
-                distance = apart[group[k], group[earlier]]
-                off = np.maximum(off, np.abs(rest[:, marker] - distance))
-            off[list(markers)] = np.inf
-            fitting = np.flatnonzero(off < TOLERANCE)
-            longer += [(*markers, marker) for marker in fitting.tolist()]
-        partial = longer
-    return partial
+    first, second = np.nonzero(np.abs(rest - apart[group[1], group[0]]) < tolerance)
+    partial = np.stack([first, second], axis=1)
+    partial = partial[first != second]
+    for k in range(2, len(group)):
+        off = np.abs(rest[partial] - apart[group[k], group[:k]][None, :, None])
+        fits = (off < tolerance).all(axis=1)
+        fits[np.arange(len(partial))[:, None], partial] = False
+        row, marker = np.nonzero(fits)
+        partial = np.concatenate([partial[row], marker[:, None]], axis=1)
+    return [tuple(markers) for markers in partial.tolist()]
 
 
 def _misfit(points: FloatArray, shape: FloatArray) -> float:
@@ -123,45 +125,90 @@ def _misfit(points: FloatArray, shape: FloatArray) -> float:
     return float(np.sqrt(np.median(((fit - whole) ** 2).sum(axis=-1).mean(axis=1))))
 
 
-def _grown(
-    given: dict[int, int], moving: Distances, rest: FloatArray, together: BoolArray
-) -> IntArray:
-    """Return markers of all runs that fit, found one by one from a few that are known.
+class _Naming:
+    """Names of runs, and what the distances of all that have one say of each name.
 
-    The run that fits one marker best, and by far, comes first. Runs that are seen
-    together are not the same marker.
+    Attributes:
+        given: Which marker each run is ``(R,)``; -1 for none.
     """
-    count, markers = len(moving.mean), len(rest)
-    weight = 1.0 / (1.0 + (moving.spread / WEIGHT_SPREAD) ** 2)
-    weight = np.nan_to_num(weight / (1.0 + (moving.mean / WEIGHT_FAR) ** 2))
-    allowed = TOLERANCE + SPREADS * moving.spread
-    total = np.zeros((count, markers))
-    share = np.zeros(count)
-    barred = np.zeros((count, markers), bool)
-    found = np.full(count, -1)
-    waiting = list(given.items())
-    while True:
-        for run, marker in waiting:
-            found[run] = marker
-            off = np.nan_to_num(rest[marker][None] - moving.mean[run][:, None])
-            loose = ARTICULATED + (off / (PLAY * rest[marker] + PLAY_LEAST)) ** 2
-            cost = np.minimum((off / allowed[run][:, None]) ** 2, loose)
-            cost = np.minimum(np.nan_to_num(cost), WORST)
-            total += weight[run][:, None] * cost
-            share += weight[run]
-            barred[together[run], marker] = True
-        mean = total / np.maximum(share, 1e-9)[:, None]
-        mean[barred] = np.inf
-        mean[(found >= 0) | (share <= MIN_SHARE)] = np.inf
-        order = np.sort(mean, axis=1)
-        finite = np.isfinite(order[:, 0])
-        rival = np.minimum(order[:, 1], order[:, 0] + WORST, where=finite,
-                           out=np.zeros(count))  # fmt: skip
-        margin = np.where(finite, rival - np.where(finite, order[:, 0], 0.0), -1.0)
-        worth = np.where(
-            order[:, 0] < GHOST, margin * np.minimum(share, FULL_SHARE), -1
-        )
-        run = int(worth.argmax())
-        if worth[run] <= 0.0:
-            return found
-        waiting = [(run, int(mean[run].argmin()))]
+
+    def __init__(
+        self, moving: Distances, overlap: FloatArray, rest: FloatArray
+    ) -> None:
+        self.moving, self.rest = moving, rest
+        self.together: BoolArray = overlap > 0
+        # A pair counts by how long it was seen, of what could be.
+        self.share = overlap / max(1.0, float(overlap.max()))
+        np.fill_diagonal(self.share, 0.0)
+        count, markers = len(overlap), len(rest)
+        self.given = np.full(count, -1)
+        self.said = np.zeros((count, markers))
+        self.taken = np.zeros((count, markers), np.int64)
+
+    def total(self) -> float:
+        """Return how well names explain all distances [nat]."""
+        named = np.flatnonzero(self.given >= 0)
+        return float(self.said[named, self.given[named]].sum())
+
+    def put(self, run: int, marker: int) -> None:
+        """Give a run a name, or take it with -1."""
+        before = int(self.given[run])
+        for name, sign in ((before, -1), (marker, 1)):
+            if name < 0:
+                continue
+            says = evidence(self.moving.mean[run], self.moving.spread[run],
+                            self.rest[name])  # fmt: skip
+            self.said += sign * self.share[run][:, None] * says
+            self.taken[self.together[run], name] += sign
+        self.given[run] = marker
+
+    def grow(self, seed: dict[int, int]) -> None:
+        """Name runs one by one from a few that are known, those that are clearest first.
+
+        Runs that are seen together are not the same marker.
+        """
+        for run, marker in seed.items():
+            self.put(run, marker)
+        rows = np.arange(len(self.given))
+        while True:
+            score = np.where(self.taken > 0, -np.inf, self.said)
+            marker = score.argmax(axis=1)
+            best = score[rows, marker]
+            score[rows, marker] = -np.inf
+            rival = np.maximum(score.max(axis=1), 0.0)
+            length = self.share.sum(axis=1) / max(1, len(rows))
+            clear = np.where(best > WORTH * np.minimum(1.0, length), best - rival, -1.0)
+            clear[self.given >= 0] = -1.0
+            run = int(clear.argmax())
+            if clear[run] <= 0.0:
+                return
+            self.put(run, int(marker[run]))
+
+    def improve(self, points: FloatArray) -> bool:
+        """Give runs other names where all distances then fit better; return if any."""
+        changed = False
+        for run in np.flatnonzero(self.given >= 0).tolist():
+            now = int(self.given[run])
+            own = self.taken[run].copy()
+            own[now] -= 1
+            score = np.where(own > 0, -np.inf, self.said[run])
+            other = int(score.argmax())
+            if other != now and score[other] > score[now]:
+                self.put(run, other)
+                changed = True
+        new = renamed(_named(points, self.given, len(self.rest)), self.rest)
+        if new is not None:
+            for run in np.flatnonzero(self.given >= 0).tolist():
+                if new[self.given[run]] != self.given[run]:
+                    self.put(run, int(new[self.given[run]]))
+            changed = True
+        return changed
+
+
+def _named(points: FloatArray, given: IntArray, markers: int) -> FloatArray:
+    """Return the positions of runs by their names ``(F, M, 3)``."""
+    marked = np.full((len(points), markers, 3), np.nan)
+    for run in np.flatnonzero(given >= 0).tolist():
+        seen = np.isfinite(points[:, run, 0])
+        marked[seen, given[run]] = points[seen, run]
+    return marked
