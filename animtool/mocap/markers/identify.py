@@ -52,7 +52,7 @@ def identify(
         naming.grow()
         if best is None or naming.total() > best.total():
             best = naming
-    return None if best is None else searched(best).given[chain]
+    return None if best is None else searched(best, rest).given[chain]
 
 
 def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:

@@ -11,7 +11,8 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.markers import Markers
-from animtool.mocap.markers.geometry import fitted
+from animtool.mocap.markers.evidence import explained
+from animtool.mocap.markers.geometry import distances, fitted
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import Tracklets, follow
@@ -29,6 +30,8 @@ SAMPLES, BEST = 240, 0.1
 MIN_SAMPLES = 8
 # An exchange has to bring shapes nearer by this share, and by this much [m].
 SHARE, LEAST = 0.8, 0.001
+# What all distances may speak against an exchange [nat]: those of twins are as good.
+AGAINST = 3.0
 
 
 def better_names(positions: FloatArray, shape: FloatArray) -> IntArray | None:
@@ -51,6 +54,8 @@ def better_names(positions: FloatArray, shape: FloatArray) -> IntArray | None:
     for one, other in combinations(pairs, 2):
         if not set(one) & set(other) and _near(apart, one, other):
             moves.append((one, other))  # type: ignore[arg-type]
+    moving = distances(positions)
+    least = explained(moving, apart) - AGAINST
     best, gain = None, 0.0
     for move in moves:
         changed = [marker for pair in move for marker in pair]
@@ -64,9 +69,10 @@ def better_names(positions: FloatArray, shape: FloatArray) -> IntArray | None:
         now = _off(points, shape[group])
         then = _off(points, shape[group[names]])
         if then < SHARE * now and now - then > max(LEAST, gain):
-            gain = now - then
-            best = np.arange(len(shape))
-            best[group] = group[names]
+            new = np.arange(len(shape))
+            new[group] = group[names]
+            if explained(moving, apart[np.ix_(new, new)]) >= least:
+                gain, best = now - then, new
     return best
 
 

@@ -16,11 +16,13 @@ WORTH = 1.0
 # Points that stay as near are named in twos [m], with so many others each.
 RIGID, PARTNERS = 0.006, 3
 # Names taken away and given anew, and what has to be gained by it [nat].
-TRIALS, GAIN = 80, 0.05
+TRIALS, GAIN = 40, 0.05
+# Markers about one whose name is in doubt [m].
+AROUND = 0.3
 # Names of markers so near at rest are exchanged in threes, and two and two [m].
 NEAR = 0.28
 # How far below the best names may be, before exchanges, for those to be tried [nat].
-WITHIN = 25.0
+WITHIN = 10.0
 MAX_CHANGES = 40
 
 
@@ -171,12 +173,16 @@ class Naming:
         of two and two.
         """
         named = np.flatnonzero(self.given >= 0)
-        order = named[np.argsort(self.given[named], kind="stable")]
-        have, start = np.unique(self.given[order], return_index=True)
+        have, first = np.unique(self.given[named], return_index=True)
         count = self.said.shape[1]
-        part = np.add.reduceat(self.says[np.ix_(order, order)], start, axis=0)
+        rows = self.says[named[first]]
+        more = np.setdiff1d(np.arange(len(named)), first)
+        for point in named[more].tolist():
+            rows[np.searchsorted(have, self.given[point])] += self.says[point]
         says = np.zeros((count,) * 4, np.float32)
-        says[np.ix_(have, have)] = np.add.reduceat(part, start, axis=1)
+        says[np.ix_(have, have)] = rows[:, named[first]]
+        for point in named[more].tolist():
+            says[have, self.given[point]] += rows[:, point]
         names = np.arange(count)
         for _ in range(MAX_CHANGES):
             # What each marker by each name would say, with the names of all others.
@@ -206,18 +212,25 @@ class Naming:
         point, marker = divmod(int(regret.argmax()), regret.shape[1])
         return (point, marker) if regret[point, marker] > 0.0 else None
 
-    def eject(self, point: int, marker: int) -> None:
-        """Give a point a name, take it from those in the way, and name them anew."""
-        out = np.flatnonzero(self.together[point] & (self.given == marker)).tolist()
-        for other in out:
-            if other != point:
-                self.put(other, -1)
+    def eject(self, point: int, marker: int, around: BoolArray) -> None:
+        """Give a point a name, take it from those in the way, and name them anew.
+
+        around: Markers whose names are given anew too ``(M,)``.
+        """
+        barred = self.together[point] & (self.given == marker)
+        barred |= (self.given >= 0) & around[self.given]
+        for other in np.flatnonzero(barred).tolist():
+            self.put(other, -1)
         self.put(point, marker)
         self.grow()
 
 
-def searched(best: Naming) -> Naming:
-    """Return names that explain more, found by taking some away and naming anew."""
+def searched(best: Naming, rest: FloatArray) -> Naming:
+    """Return names that explain more, found by taking some away and naming anew.
+
+    What is taken away is the name that distances speak for, of a point that has another
+    one, and where that is not enough those of all markers about the two.
+    """
     best.improve()
     most = best.total()
     tried: set[tuple[int, int]] = set()
@@ -226,12 +239,18 @@ def searched(best: Naming) -> Naming:
         if move is None:
             break
         tried.add(move)
-        other = best.copy()
-        other.eject(*move)
-        other.improve(most)
-        total = other.total()
-        if total > most + GAIN:
-            best, most = other, total
+        point, marker = move
+        about = rest[marker] < AROUND
+        if best.given[point] >= 0:
+            about = about | (rest[best.given[point]] < AROUND)
+        for around in (np.zeros(len(rest), bool), about):
+            other = best.copy()
+            other.eject(point, marker, around)
+            other.improve(most)
+            total = other.total()
+            if total > most + GAIN:
+                best, most = other, total
+                break
     return best
 
 
