@@ -24,7 +24,7 @@ def chained(moving: Distances, overlap: FloatArray) -> IntArray:
     """
     count = len(overlap)
     chain = np.arange(count)
-    alike = _alike(moving, overlap)
+    alike = alike_of(moving, overlap)
     together = overlap > 0
     alike[together] = -np.inf
     beside = together & ~np.eye(count, dtype=bool)
@@ -51,7 +51,7 @@ def chained(moving: Distances, overlap: FloatArray) -> IntArray:
     return np.unique(chain, return_inverse=True)[1]
 
 
-def _alike(moving: Distances, overlap: FloatArray) -> FloatArray:
+def alike_of(moving: Distances, overlap: FloatArray) -> FloatArray:
     """Return how much all distances say that two runs are one marker [nat]."""
     count = len(overlap)
     alike = np.zeros((count, count))

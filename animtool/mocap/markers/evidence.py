@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.mocap.markers.geometry import Distances
 
 # Of a pair on one segment, distances are as at rest but for noise and skin [m], and
 # more where they vary; and how likely a pair is on one that varies by so much [m].
@@ -39,14 +38,3 @@ def evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArr
     weight = 1.0 / ((1.0 + (mean / FAR) ** 2) * (1.0 + (spread / UNSTEADY) ** 2))
     said = weight * np.log(other / ANY) + np.log1p(rigid / other)
     return np.asarray(np.where(known[..., None] & np.isfinite(rest), said, 0.0))
-
-
-def explained(moving: Distances, rest: FloatArray) -> float:
-    """Return how much all distances of markers speak for those at rest [nat]."""
-    first, second = np.triu_indices(len(rest), 1)
-    said = evidence(
-        moving.mean[first, second],
-        moving.spread[first, second],
-        rest[first, second][:, None],
-    )
-    return float(said.sum())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,98 +10,14 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.markers import Markers
-from animtool.mocap.markers.evidence import explained
-from animtool.mocap.markers.geometry import distances, fitted
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import Tracklets, follow
+from animtool.mocap.markers.twins import Exchange, told_apart
 
 # Runs that are named first are as long [frame], in a part of a take as long [s].
 MIN_RUN = 30
 BASE = 10.0
-MAX_EXCHANGES = 12
-# Markers so near may be taken for each other [m].
-NEAR = 0.16
-# Markers around those in question that give them a frame.
-AROUND = 3
-# Frames looked at, and those of them that are nearest to the pose of the trial [1].
-SAMPLES, BEST = 240, 0.1
-MIN_SAMPLES = 8
-# An exchange has to bring shapes nearer by this share, and by this much [m].
-SHARE, LEAST = 0.8, 0.001
-# What all distances may speak against an exchange [nat]: those of twins are as good.
-AGAINST = 3.0
-
-
-def better_names(positions: FloatArray, shape: FloatArray) -> IntArray | None:
-    """Return which name each marker should have ``(M,)``, where some are exchanged.
-
-    Looks at pairs of near markers, and at two pairs at once. The measure is how far the
-    shape at rest is off the points in the frames in which it is least so, turned but
-    not mirrored.
-
-    positions: ``(F, M, 3)``. shape: ``(M, 3)`` at rest.
-
-    Returns:
-        None where no exchange is clearly better.
-    """
-    apart = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    pairs = [
-        (i, j) for i, j in combinations(range(len(shape)), 2) if apart[i, j] < NEAR
-    ]
-    moves = [(pair,) for pair in pairs]
-    for one, other in combinations(pairs, 2):
-        if not set(one) & set(other) and _near(apart, one, other):
-            moves.append((one, other))  # type: ignore[arg-type]
-    moving = distances(positions)
-    least = explained(moving, apart) - AGAINST
-    best, gain = None, 0.0
-    for move in moves:
-        changed = [marker for pair in move for marker in pair]
-        group = np.array([*changed, *_around(apart, changed)])
-        points = _samples(positions[:, group])
-        if points is None:
-            continue
-        names = np.arange(len(group))
-        for k in range(0, len(changed), 2):
-            names[k], names[k + 1] = k + 1, k
-        now = _off(points, shape[group])
-        then = _off(points, shape[group[names]])
-        if then < SHARE * now and now - then > max(LEAST, gain):
-            new = np.arange(len(shape))
-            new[group] = group[names]
-            if explained(moving, apart[np.ix_(new, new)]) >= least:
-                gain, best = now - then, new
-    return best
-
-
-def _near(apart: FloatArray, one: tuple[int, int], other: tuple[int, int]) -> bool:
-    return bool(apart[np.ix_(one, other)].min() < NEAR)
-
-
-def _around(apart: FloatArray, markers: list[int]) -> list[int]:
-    """Return the markers nearest to some, beside them."""
-    distance = apart[markers].min(axis=0)
-    distance[markers] = np.inf
-    return [int(i) for i in np.argsort(distance, kind="stable")[:AROUND]]
-
-
-def _samples(points: FloatArray) -> FloatArray | None:
-    """Return frames in which all of some markers are seen; None where they are few."""
-    whole = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(whole) < MIN_SAMPLES:
-        return None
-    step = max(1, len(whole) // SAMPLES)
-    return np.asarray(points[whole[::step]])
-
-
-def _off(points: FloatArray, shape: FloatArray) -> float:
-    """Return how far a shape is off points in the frames that fit it best [m]."""
-    rotation, shift = fitted(points, shape)
-    fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
-    count = max(1, int(BEST * len(off)))
-    return float(np.partition(off, count - 1)[:count].mean())
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +79,8 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         raise OptionError(Fault("MKR021", message, hint=hint))
     apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     work = RunLabels(cloud.positions, tracklets, rate, given, apart)
-    _exchange(work, rest)
+    names_of, doubts = told_apart(work.by_marker(), rest)
+    work.given = np.where(work.given >= 0, names_of[work.given], -1)
     work.settle()
     return _labelled(cloud, names, tracklets, work.given)
 
@@ -266,15 +182,3 @@ def _window(
     frame, slot = np.nonzero(where >= 0)
     points[frame, where[frame, slot]] = positions[frames][frame, slot]
     return points
-
-
-def _exchange(work: RunLabels, rest: FloatArray) -> None:
-    """Exchange names of markers that are near where the shapes then fit better.
-
-    Distances alone do not tell two pairs from their mirror image, handedness does.
-    """
-    for _ in range(MAX_EXCHANGES):
-        new = better_names(work.by_marker(), rest)
-        if new is None:
-            return
-        work.given = np.where(work.given >= 0, new[work.given], -1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.mocap.markers.chains import alike_of
 from animtool.mocap.markers.evidence import evidence
 from animtool.mocap.markers.geometry import Distances
 
@@ -47,9 +48,14 @@ class Naming:
         share = overlap / max(1.0, float(overlap.max()))
         self.length = np.diag(share).copy()
         np.fill_diagonal(share, 0.0)
-        self.says = _says(moving, share, rest)
+        self.says = said_of(moving, share, rest)
+        # Points that are not seen together and have one name should be one marker.
+        part = np.minimum(self.length[:, None], self.length) * ~self.together
+        linked = (part * alike_of(moving, overlap)).astype(np.float32)
+        for name in range(markers):
+            self.says[:, :, name, name] += linked
         self.pairs = _rigid_pairs(moving, share)
-        self.moves = _moves(rest)
+        self.moves = exchanges(rest)
         self.given = np.full(count, -1)
         self.said = np.zeros((count, markers))
         self.taken = np.zeros((count, markers), np.int64)
@@ -183,6 +189,7 @@ class Naming:
         says[np.ix_(have, have)] = rows[:, named[first]]
         for point in named[more].tolist():
             says[have, self.given[point]] += rows[:, point]
+        says[np.arange(count), np.arange(count)] = 0.0
         names = np.arange(count)
         for _ in range(MAX_CHANGES):
             # What each marker by each name would say, with the names of all others.
@@ -191,7 +198,7 @@ class Naming:
                 alone += says[:, other, :, names[other]]
             best, gain = None, GAIN
             for old, new in self.moves:
-                value = _gain(says, alone, names, old, new)
+                value = gain_of(says, alone, names, old, new)
                 top = int(value.argmax()) if len(value) else 0
                 if len(value) and value[top] > gain:
                     best, gain = (old[top], new[top]), float(value[top])
@@ -254,7 +261,7 @@ def searched(best: Naming, rest: FloatArray) -> Naming:
     return best
 
 
-def _says(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArray:
+def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArray:
     """Return what each pair of points says of each two names ``(R, R, M, M)``."""
     count, markers = len(share), len(rest)
     says = np.zeros((count, count, markers, markers), np.float32)
@@ -286,7 +293,7 @@ def _rigid_pairs(moving: Distances, share: FloatArray) -> tuple[IntArray, IntArr
     return listed[:, 0], listed[:, 1]
 
 
-def _gain(
+def gain_of(
     says: FloatArray, alone: FloatArray, names: IntArray, old: IntArray, new: IntArray
 ) -> FloatArray:
     """Return what is gained where markers take the names of others ``(N,)`` [nat]."""
@@ -301,7 +308,7 @@ def _gain(
     return np.asarray(value)
 
 
-def _moves(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
+def exchanges(rest: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges: the markers ``(N, K)``, and whose name each takes."""
     near = rest < NEAR
     first, second = np.triu_indices(len(rest), 1)
