@@ -20,7 +20,7 @@ SEED = 0.003
 NEAREST, FARTHEST, COMPANY = 0.002, 0.006, 7
 MAX_GROUPS = 400
 # Groups that naming is begun with, of which the one that explains most is taken.
-STARTS = 3
+STARTS, GROUPS = 3, 12
 # How often runs are joined to chains: longer ones are known better.
 ROUNDS = 2
 
@@ -52,7 +52,7 @@ def identify(
         naming.grow()
         if best is None or naming.total() > best.total():
             best = naming
-    return None if best is None else searched(best, rest).given[chain]
+    return None if best is None else searched(best, rest, seeds[:GROUPS]).given[chain]
 
 
 def _agreeing(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -18,6 +19,9 @@ WORTH = 1.0
 RIGID, PARTNERS = 0.006, 3
 # Names taken away and given anew, and what has to be gained by it [nat].
 TRIALS, GAIN = 40, 0.05
+# Markers found for less than this, of what was seen longest, are looked for by naming
+# those around them anew, in turn by chance: how often, how far [m], and chance [nat].
+LACKING, RESTARTS, RADIUS, BIAS, ANEW = 0.5, 60, (0.3, 1.2), 2.0, 0.4
 # Markers about one whose name is in doubt [m].
 AROUND = 0.3
 # Names of markers so near at rest are exchanged in threes, and two and two [m].
@@ -82,14 +86,16 @@ class Naming:
                 self.taken[self.together[point], name] += sign
         self.given[point] = marker
 
-    def grow(self) -> None:
+    def grow(self, bias: FloatArray | float = 0.0) -> None:
         """Name points one by one, or two rigid ones, those that are clearest first.
 
         Points that are seen together are not the same marker.
+
+        bias: What speaks for names besides ``(R, M)`` [nat].
         """
         rows = np.arange(len(self.given))
         while True:
-            score = np.where(self.taken > 0, -np.inf, self.said)
+            score = np.where(self.taken > 0, -np.inf, self.said + bias)
             score[self.given >= 0] = -np.inf
             pair = self._pair(score)
             marker = score.argmax(axis=1)
@@ -231,13 +237,56 @@ class Naming:
         self.put(point, marker)
         self.grow()
 
+    def lacking(self) -> IntArray:
+        """Return the markers of which no point, or little, was found."""
+        found = np.zeros(self.said.shape[1])
+        named = self.given >= 0
+        np.add.at(found, self.given[named], self.length[named])
+        return np.flatnonzero(found < LACKING)
 
-def searched(best: Naming, rest: FloatArray) -> Naming:
+    def restart(
+        self, around: BoolArray, seed: dict[int, int], bias: FloatArray
+    ) -> None:
+        """Take the names of some markers ``(M,)`` away, and name anew from a seed."""
+        for point in np.flatnonzero((self.given >= 0) & around[self.given]).tolist():
+            self.put(point, -1)
+        for point, marker in seed.items():
+            self.put(point, marker)
+        self.grow(bias)
+
+
+def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) -> Naming:
     """Return names that explain more, found by taking some away and naming anew.
 
     What is taken away is the name that distances speak for, of a point that has another
     one, and where that is not enough those of all markers about the two.
     """
+    best = _redoubted(best, rest)
+    most = best.total()
+    # What lacks a point is where another one is named as it.
+    rng = np.random.default_rng(0)
+    for _ in range(RESTARTS):
+        lacking = best.lacking()
+        if not len(lacking):
+            break
+        centre = int(rng.choice(lacking))
+        around = rest[centre] < rng.uniform(*RADIUS)
+        around |= (rest[lacking] < AROUND).any(axis=0) & (rng.random() < 0.5)
+        bias = rng.normal(0.0, BIAS, best.said.shape) * best.length[:, None]
+        other = best.copy()
+        # Now and then all begins anew, with another group.
+        seed = seeds[int(rng.integers(len(seeds)))] if rng.random() < ANEW else {}
+        other.restart(around | bool(seed), seed, bias)
+        other.improve(most)
+        total = other.total()
+        if total > most + GAIN:
+            best = _redoubted(other, rest)
+            most = best.total()
+    return best
+
+
+def _redoubted(best: Naming, rest: FloatArray) -> Naming:
+    """Return names in which those that distances speak against most were tried."""
     best.improve()
     most = best.total()
     tried: set[tuple[int, int]] = set()
