@@ -64,7 +64,9 @@ def _quantiles(values: FloatArray) -> FloatArray:
     low = ordered[below, columns]
     high = ordered[np.minimum(below + 1, last), columns]
     step = high - low
-    return np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
+    return np.asarray(
+        np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
+    )
 
 
 def joined(rest: Distances, moving: Distances) -> Distances:

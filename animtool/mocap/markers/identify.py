@@ -115,7 +115,7 @@ def _matches(
     partial = partial[first != second]
     for k in range(2, len(group)):
         off = np.abs(rest[partial] - apart[group[k], group[:k]][None, :, None])
-        fits = (off < tolerance).all(axis=1)
+        fits: BoolArray = np.asarray((off < tolerance).all(axis=1))
         fits[np.arange(len(partial))[:, None], partial] = False
         row, marker = np.nonzero(fits)
         partial = np.concatenate([partial[row], marker[:, None]], axis=1)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import span_label
 from animtool.errors import Fault, OptionError, Severity
 from animtool.markers import Markers
 from animtool.mocap.markers.identify import identify
@@ -18,6 +19,24 @@ from animtool.mocap.markers.twins import Exchange, told_apart
 # Runs that are named first are as long [frame], in a part of a take as long [s].
 MIN_RUN = 30
 BASE = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Markers whose names could as well be exchanged.
+
+    Attributes:
+        markers: Their names.
+        first: First frame in which all of them are seen, from 0.
+        last: Last such frame.
+        score: How much speaks for the exchange [nat]: 0 where as much as for the names
+            that were given, below 0 less.
+    """
+
+    markers: tuple[str, ...]
+    first: int
+    last: int
+    score: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +52,7 @@ class LabelReport:
         runs: Points joined to runs without a gap.
         missing: Names that no point got in any frame.
         coverage: Share of frames in which each name has a point.
+        doubts: Markers that neither distances nor shapes tell apart.
         notices: Warnings.
     """
 
@@ -44,11 +64,13 @@ class LabelReport:
     runs: int
     missing: list[str]
     coverage: dict[str, float]
+    doubts: list[Doubt]
     notices: list[Fault] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain values."""
         found = {f.name: getattr(self, f.name) for f in fields(self)}
+        found["doubts"] = [asdict(doubt) for doubt in self.doubts]
         return {**found, "notices": [notice.as_dict() for notice in self.notices]}
 
 
@@ -79,10 +101,10 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         raise OptionError(Fault("MKR021", message, hint=hint))
     apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     work = RunLabels(cloud.positions, tracklets, rate, given, apart)
-    names_of, doubts = told_apart(work.by_marker(), rest)
+    names_of, exchanges = told_apart(work.by_marker(), rest)
     work.given = np.where(work.given >= 0, names_of[work.given], -1)
     work.settle()
-    return _labelled(cloud, names, tracklets, work.given)
+    return _labelled(cloud, names, tracklets, work.given, exchanges)
 
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -97,7 +119,11 @@ def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _labelled(
-    cloud: Markers, names: tuple[str, ...], tracklets: Tracklets, given: IntArray
+    cloud: Markers,
+    names: tuple[str, ...],
+    tracklets: Tracklets,
+    given: IntArray,
+    exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
     """Return a cloud by name."""
     frames = len(cloud)
@@ -130,11 +156,41 @@ def _labelled(
     if missing:
         message = f"no points were found for {', '.join(missing)}"
         notices.append(Fault("MKR110", message, severity=Severity.WARNING))
+    doubts = _doubts(labelled, exchanges)
+    if doubts:
+        notices.append(_doubted(doubts, cloud))
     report = LabelReport(
         frames, len(names), points, got, points - got, len(tracklets.first), missing,
-        shares, notices,
+        shares, doubts, notices,
     )  # fmt: skip
     return labelled, report
+
+
+def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
+    """Return exchanges by name, with the frames in which they would be seen."""
+    found = []
+    for exchange in exchanges:
+        markers = list(exchange.markers)
+        seen = np.flatnonzero(labelled.seen[:, markers].all(axis=1))
+        if len(seen):
+            names = tuple(labelled.names[marker] for marker in markers)
+            score = round(exchange.score, 3)
+            found.append(Doubt(names, int(seen[0]), int(seen[-1]), score))
+    return found
+
+
+def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
+    """Return the warning that some markers are not told apart."""
+    parts = []
+    for doubt in doubts:
+        first, last = cloud.clock.times[[doubt.first, doubt.last]]
+        parts.append(f"{', '.join(doubt.markers)} (frames {span_label(first, last)})")
+    message = (
+        "the names given could as well be exchanged, by distances and shapes: "
+        + "; ".join(parts)
+    )
+    hint = "look at a frame; a trial whose pose is nearer to the take tells them apart"
+    return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 
 def _first_names(

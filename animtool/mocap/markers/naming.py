@@ -19,9 +19,10 @@ WORTH = 1.0
 RIGID, PARTNERS = 0.006, 3
 # Names taken away and given anew, and what has to be gained by it [nat].
 TRIALS, GAIN = 40, 0.05
-# Markers found for less than this, of what was seen longest, are looked for by naming
-# those around them anew, in turn by chance: how often, how far [m], and chance [nat].
-LACKING, RESTARTS, RADIUS, BIAS, ANEW = 0.5, 60, (0.3, 1.2), 2.0, 0.4
+# Markers found for less than this, of what was seen longest, and points without a name
+# that were seen for longer than that, have names around them given anew: how often, how
+# far [m], how much is left to chance [nat], and how often all names are.
+LACKING, LONG, RESTARTS, RADIUS, BIAS, ANEW = 0.5, 0.3, 60, (0.3, 1.2), 2.0, 0.4
 # Markers about one whose name is in doubt [m].
 AROUND = 0.3
 # Names of markers so near at rest are exchanged in threes, and two and two [m].
@@ -191,7 +192,7 @@ class Naming:
         more = np.setdiff1d(np.arange(len(named)), first)
         for point in named[more].tolist():
             rows[np.searchsorted(have, self.given[point])] += self.says[point]
-        says = np.zeros((count,) * 4, np.float32)
+        says: FloatArray = np.zeros((count,) * 4, self.says.dtype)
         says[np.ix_(have, have)] = rows[:, named[first]]
         for point in named[more].tolist():
             says[have, self.given[point]] += rows[:, point]
@@ -238,11 +239,17 @@ class Naming:
         self.grow()
 
     def lacking(self) -> IntArray:
-        """Return the markers of which no point, or little, was found."""
+        """Return the markers of which no point, or little, was found.
+
+        All of them, where it is a point seen for long that lacks a name.
+        """
         found = np.zeros(self.said.shape[1])
         named = self.given >= 0
         np.add.at(found, self.given[named], self.length[named])
-        return np.flatnonzero(found < LACKING)
+        lacking = np.flatnonzero(found < LACKING)
+        if not len(lacking) and (self.length[~named] > LONG).any():
+            return np.arange(len(found))
+        return lacking
 
     def restart(
         self, around: BoolArray, seed: dict[int, int], bias: FloatArray
@@ -271,7 +278,8 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
             break
         centre = int(rng.choice(lacking))
         around = rest[centre] < rng.uniform(*RADIUS)
-        around |= (rest[lacking] < AROUND).any(axis=0) & (rng.random() < 0.5)
+        if len(lacking) < len(rest) and rng.random() < 0.5:
+            around |= (rest[lacking] < AROUND).any(axis=0)
         bias = rng.normal(0.0, BIAS, best.said.shape) * best.length[:, None]
         other = best.copy()
         # Now and then all begins anew, with another group.
@@ -313,7 +321,8 @@ def _redoubted(best: Naming, rest: FloatArray) -> Naming:
 def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArray:
     """Return what each pair of points says of each two names ``(R, R, M, M)``."""
     count, markers = len(share), len(rest)
-    says = np.zeros((count, count, markers, markers), np.float32)
+    # Single precision: the table is large, and nats need no more.
+    says: Any = np.zeros((count, count, markers, markers), np.float32)
     for point in range(count - 1):
         others = slice(point + 1, count)
         table = evidence(
@@ -324,7 +333,7 @@ def said_of(moving: Distances, share: FloatArray, rest: FloatArray) -> FloatArra
         table *= share[point, others, None, None]
         says[point, others] = table
         says[others, point] = table.transpose(0, 2, 1)
-    return says
+    return np.asarray(says)
 
 
 def _rigid_pairs(moving: Distances, share: FloatArray) -> tuple[IntArray, IntArray]:
