@@ -21,9 +21,9 @@ BESIDE = 0.26
 SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
 # Shapes are off by as much for noise alone [m]; a shape that is off e times more is
 # spoken against by so much [nat].
-NOISE, SHAPES = 0.001, 5.0
+NOISE, SHAPES = 0.001, 10.0
 # An exchange is made for more than this, and is in doubt for more than that [nat].
-MADE, DOUBTED = 0.05, -0.3
+MADE, DOUBTED = 0.05, -0.8
 MAX_EXCHANGES = 12
 
 
