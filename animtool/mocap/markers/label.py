@@ -14,7 +14,7 @@ from animtool.markers import Markers
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import Tracklets, follow
-from animtool.mocap.markers.twins import Exchange, told_apart
+from animtool.mocap.markers.twins import Exchange, exchanged_in, told_apart
 
 # Runs that are named first are as long [frame], in a part of a take as long [s].
 MIN_RUN = 30
@@ -101,8 +101,10 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         raise OptionError(Fault("MKR021", message, hint=hint))
     apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     work = RunLabels(cloud.positions, tracklets, rate, given, apart)
-    names_of, exchanges = told_apart(work.by_marker(), rest)
+    names_of, exchanges, pairs = told_apart(work.by_marker(), rest)
     work.given = np.where(work.given >= 0, names_of[work.given], -1)
+    for pair in pairs:
+        _exchange_parts(work, rest, pair)
     work.settle()
     return _labelled(cloud, names, tracklets, work.given, exchanges)
 
@@ -238,3 +240,22 @@ def _window(
     frame, slot = np.nonzero(where >= 0)
     points[frame, where[frame, slot]] = positions[frames][frame, slot]
     return points
+
+
+def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) -> None:
+    """Exchange two names in the parts of a take in which shapes say so.
+
+    A part ends where a gap of both markers lets nothing tell whose runs go on.
+    """
+    runs = np.flatnonzero(np.isin(work.given, pair))
+    first, last = work.tracklets.first, work.tracklets.last
+    runs = runs[np.argsort(first[runs], kind="stable")]
+    ends = np.maximum.accumulate(last[runs])
+    parts = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
+    if len(parts) < 2:
+        return
+    marked = work.by_marker()
+    for part in parts:
+        frames = slice(int(first[part].min()), int(last[part].max()) + 1)
+        if exchanged_in(marked[frames], rest, pair):
+            work.given[part] = sum(pair) - work.given[part]

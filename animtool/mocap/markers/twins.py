@@ -24,6 +24,8 @@ SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
 NOISE, SHAPES = 0.001, 10.0
 # An exchange is made for more than this, and is in doubt for more than that [nat].
 MADE, DOUBTED = 0.05, -0.8
+# In a part of a take, more than this [nat].
+IN_PART = 2.0
 MAX_EXCHANGES = 12
 
 
@@ -42,8 +44,10 @@ class Exchange:
 
 def told_apart(
     positions: FloatArray, shape: FloatArray
-) -> tuple[IntArray, list[Exchange]]:
+) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
     """Return which name each marker should have ``(M,)``, and what stays in doubt.
+
+    The pairs are those that distances leave open, by the names that they should have.
 
     Exchanges of markers that distances do not rule out are looked at: what distances
     say of them, and how far the shape at rest is off the points, by any two markers
@@ -61,15 +65,19 @@ def told_apart(
     names = np.arange(len(shape))
     known: dict[tuple[int, ...], float] = {}
     doubts: list[Exchange] = []
+    pairs: list[tuple[int, int]] = []
     for _ in range(MAX_EXCHANGES):
         alone = np.zeros(rest.shape)
         for other, name in enumerate(names.tolist()):
             alone += says[:, other, :, name]
         best, most = None, MADE
-        doubts = []
+        doubts, pairs = [], []
         for old, new in moves:
             gains = gain_of(says, alone, names, old, new)
             for row in np.flatnonzero(gains > -AGAINST).tolist():
+                if old.shape[1] == 2:
+                    a, b = names[old[row]].tolist()
+                    pairs.append((a, b))
                 changed = names.copy()
                 changed[old[row]] = names[new[row]]
                 score = float(gains[row])
@@ -84,7 +92,22 @@ def told_apart(
         if best is None:
             break
         names = best
-    return names, doubts
+    return names, doubts, pairs
+
+
+def exchanged_in(
+    positions: FloatArray, shape: FloatArray, pair: tuple[int, int]
+) -> bool:
+    """Return whether shapes say clearly that two markers are exchanged in some frames.
+
+    positions: Of these frames, by the names they have ``(F, M, 3)``.
+    """
+    names = np.arange(len(shape))
+    then = names.copy()
+    then[list(pair)] = pair[::-1]
+    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    says = _shape_says(positions, shape, rest, list(pair), names, then, {})
+    return SHAPES * says > IN_PART
 
 
 def _near_only(

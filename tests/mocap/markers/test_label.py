@@ -68,7 +68,7 @@ def test_markers_that_lie_alike_are_named_with_their_frames() -> None:
     positions[:, 3, 1:] = turned[:, 1:]
     positions[:, 4, 1:] = -turned[:, 1:]
     positions += rng.normal(0.0, 3e-4, positions.shape)
-    names, doubts = told_apart(positions, shape)
+    names, doubts, _ = told_apart(positions, shape)
     assert names.tolist() == [0, 1, 2, 3, 4]
     assert (3, 4) in {doubt.markers for doubt in doubts}
     assert all(doubt.score <= 0.0 for doubt in doubts)
@@ -82,7 +82,7 @@ def test_exchanged_twins_are_put_right() -> None:
     wrong = np.arange(len(names))
     a, b = names.index("LWRA"), names.index("LWRB")
     wrong[[a, b]] = b, a
-    told, _ = told_apart(true[:, wrong], rest)
+    told, _, _ = told_apart(true[:, wrong], rest)
     assert told[a] == b
     assert told[b] == a
     assert (np.delete(told, [a, b]) == np.delete(np.arange(len(names)), [a, b])).all()
