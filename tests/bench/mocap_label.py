@@ -1,10 +1,11 @@
-"""Time of labelling and filling over ``$ANIMTOOL_DATA``, and how good filling is.
+"""Time of labelling and filling over ``$ANIMTOOL_DATA``, and how good both are.
 
-    python tests/bench/mocap_label.py           clouds of the data: times
-    python tests/bench/mocap_label.py 1000 10   made clouds from a seed on: scores
+    python tests/bench/mocap_label.py              clouds of the data: times
+    python tests/bench/mocap_label.py 1000 1010    made clouds of seeds: scores
 
-CPU seconds of one thread; a row a cloud in ``results/mocap_label.csv``. Thresholds were
-set on seeds 0 to 99; others are printed: each, and the least, median and worst.
+CPU seconds of one thread; a row a cloud in ``results/mocap_label.csv``. Of made clouds,
+from a seed to another, each is printed, and the least, median and most. Thresholds were
+set on seeds 0 to 99.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
-from support.clouds import cloud as made_cloud
+from support.clouds import cloud
 from support.mocap_skeleton import rig_of, template_of
+from support.named import scores_of
 
 from animtool.formats.marker_files import open_markers
 from animtool.mocap.markers.fill import fill
@@ -35,25 +37,24 @@ ROUNDS = 3
 def main() -> None:
     """Measure every cloud, print and write a table."""
     rows = []
-    for truth in sorted(
-        Path(os.environ["ANIMTOOL_DATA"]).glob("mocap*/cloud_*.truth.npz")
-    ):
+    data = Path(os.environ["ANIMTOOL_DATA"])
+    for truth in sorted(data.glob("mocap*/cloud_*.truth.npz")):
         path = truth.with_name(truth.name.replace(".truth", ""))
         generic = json.loads(path.with_name("template_skeleton.json").read_text())
-        cloud, static, named = (
+        points, static, named = (
             open_markers(f"{path}#{name}")
             for name in ("unlabelled_mm", "static_mm", "markers_mm")
         )
-        labelling = best(lambda c=cloud, s=static: label(c, s))
+        labelling = best(lambda c=points, s=static: label(c, s))
         filling = best(lambda m=named: fill(m))
         subject = Subject(rig_of(generic, "generic"), template_of(generic), static)
         solved = best(lambda m=named, s=subject: fill(m, subject=s))
         rows.append(
             {
                 "cloud": path.stem,
-                "frames": len(cloud),
+                "frames": len(points),
                 "label_cpu_s": round(labelling, 3),
-                "label_frames_s": round(len(cloud) / labelling),
+                "label_frames_s": round(len(points) / labelling),
                 "fill_cpu_s": round(filling, 3),
                 "fill_frames_s": round(len(named) / filling),
                 "skeleton_cpu_s": round(solved, 3),
@@ -69,26 +70,31 @@ def main() -> None:
         writer.writerows(rows)
 
 
-def distribution(first: int, count: int) -> None:
-    """Print scores of filling made clouds, and how they are distributed."""
+def distribution(first: int, last: int) -> None:
+    """Print scores of names and filling of made clouds, and their distribution."""
     rows = []
-    for seed in range(first, first + count):
-        made = made_cloud(seed)
+    for seed in range(first, last):
+        made = cloud(seed)
+        points, static = made.markers("unlabelled_mm"), made.markers("static_mm")
+        start = time.process_time()
+        named, doubts = label(points, static)
+        row = {"names": min(scores_of(named, points, made.truth["perm"]))}
+        row |= {"doubts": len(doubts.doubts), "names_s": time.process_time() - start}
         rig = rig_of(made.template, "generic")
-        subject = Subject(rig, template_of(made.template), made.markers("static_mm"))
+        subject = Subject(rig, template_of(made.template), static)
         markers = made.markers()
         start = time.process_time()
         whole, report = fill(markers, subject=subject)
         seconds = time.process_time() - start
-        row = errors(whole, made.known, made.truth["markers_mm"])
+        row |= errors(whole, made.known, made.truth["markers_mm"])
         row |= {"swaps": swaps(report, made.known, markers)}
         row |= {"frames_s": len(markers) / seconds}
-        print(seed, " ".join(f"{name} {value:.3g}" for name, value in row.items()))
+        print(seed, " ".join(f"{name} {value:.4g}" for name, value in row.items()))
         rows.append(row)
     for name in rows[0]:
         values = np.array([row[name] for row in rows])
         low, middle, high = values.min(), np.median(values), values.max()
-        print(f"{name}: least {low:.3g}, median {middle:.3g}, most {high:.3g}")
+        print(f"{name}: least {low:.4g}, median {middle:.4g}, most {high:.4g}")
 
 
 def errors(whole, known, truth) -> dict[str, float]:

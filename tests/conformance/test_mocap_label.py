@@ -12,6 +12,7 @@ import pytest
 from support.c3d_bytes import read_points
 from support.data import data_files
 from support.mocap_skeleton import rig_of, template_of
+from support.named import scores_of
 from support.suite import is_full
 
 from animtool.formats.marker_files import open_markers
@@ -48,6 +49,7 @@ GAPS = (
 
 
 def clouds() -> list[Any]:
+    """Return all clouds with a truth, of whichever folder of captures."""
     return data_files(".", "mocap*/cloud_*.truth.npz")
 
 
@@ -82,17 +84,7 @@ def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     path = cloud_of(truth)
     cloud = open_markers(f"{path}#unlabelled_mm")
     named, report = label(cloud, open_markers(f"{path}#static_mm"))
-    slots = np.load(truth)["perm"]
-    right = given = 0
-    for marker in range(len(named.names)):
-        slot = (slots == marker).argmax(axis=1)
-        own = cloud.positions[np.arange(len(cloud)), slot]
-        own[~(slots == marker).any(axis=1)] = np.nan
-        has = named.seen[:, marker]
-        given += int(has.sum())
-        right += int((has & (named.positions[:, marker] == own).all(axis=1)).sum())
-    there = int(((slots >= 0) & cloud.seen).sum())
-    precision, recall = right / given, right / there
+    precision, recall = scores_of(named, cloud, np.load(truth)["perm"])
     scores = f"{precision:.4f} {recall:.4f} {report.runs} {report.rejected}"
     record_property(NAMES, f"  {path.stem:20} {scores}")
     assert min(precision, recall) >= NAMED

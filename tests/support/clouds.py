@@ -446,10 +446,10 @@ def _walk(
     for k, (side, sign, phase) in enumerate((("Left", 1, 0.0), ("Right", -1, 0.5))):
         own = cycle + phase
         step, part = np.floor(own), own - np.floor(own)
-        aside = sign * wide
+        across = sign * wide
 
-        def foot(at: FloatArray, aside: float = aside) -> FloatArray:
-            turned = so3.rotate(so3.exp(heading(at)[:, None] * y_axis), aside * x_axis)
+        def foot(at: FloatArray, apart: float = across) -> FloatArray:
+            turned = so3.rotate(so3.exp(heading(at)[:, None] * y_axis), apart * x_axis)
             return np.asarray(ground(at) + turned)
 
         middle = step + 0.5 * stance - phase

@@ -12,6 +12,8 @@ from animtool._types import FloatArray
 MAX_FRAMES = 1500
 # Frames from which a spread is known.
 MIN_FRAMES = 12
+# Middle, and one standard deviation below and above [%].
+QUANTILES = (15.87, 50.0, 84.13)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,27 @@ def distances(positions: FloatArray) -> Distances:
         enough = np.flatnonzero(known.sum(axis=0) >= least)
         if not len(enough):
             continue
-        low, middle, high = np.nanpercentile(apart[:, enough], (15.87, 50, 84.13), 0)
+        low, middle, high = _quantiles(apart[:, enough])
         columns = enough + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
     return Distances(mean, spread)
+
+
+def _quantiles(values: FloatArray) -> FloatArray:
+    """Return those of `QUANTILES` of each column ``(3, N)``, NaN left out."""
+    ordered = np.sort(values, axis=0)
+    last = np.isfinite(values).sum(axis=0) - 1
+    at = np.array(QUANTILES)[:, None] / 100.0 * last
+    below = at.astype(np.int64)
+    part = at - below
+    columns = np.arange(values.shape[1])
+    low = ordered[below, columns]
+    high = ordered[np.minimum(below + 1, last), columns]
+    step = high - low
+    return np.asarray(
+        np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
+    )
 
 
 def joined(rest: Distances, moving: Distances) -> Distances:

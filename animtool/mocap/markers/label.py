@@ -2,101 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from itertools import combinations
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import span_label
 from animtool.errors import Fault, OptionError, Severity
 from animtool.markers import Markers
-from animtool.mocap.markers.geometry import fitted
 from animtool.mocap.markers.identify import identify
 from animtool.mocap.markers.runs import RunLabels
 from animtool.mocap.markers.tracklets import Tracklets, follow
+from animtool.mocap.markers.twins import Exchange, exchanged_in, told_apart
 
 # Runs that are named first are as long [frame], in a part of a take as long [s].
 MIN_RUN = 30
 BASE = 10.0
-MAX_EXCHANGES = 12
-# Markers so near may be taken for each other [m].
-NEAR = 0.16
-# Markers around those in question that give them a frame.
-AROUND = 3
-# Frames looked at, and those of them that are nearest to the pose of the trial [1].
-SAMPLES, BEST = 240, 0.1
-MIN_SAMPLES = 8
-# An exchange has to bring shapes nearer by this share, and by this much [m].
-SHARE, LEAST = 0.8, 0.001
 
 
-def better_names(positions: FloatArray, shape: FloatArray) -> IntArray | None:
-    """Return which name each marker should have ``(M,)``, where some are exchanged.
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Markers whose names could as well be exchanged.
 
-    Looks at pairs of near markers, and at two pairs at once. The measure is how far the
-    shape at rest is off the points in the frames in which it is least so, turned but
-    not mirrored.
-
-    positions: ``(F, M, 3)``. shape: ``(M, 3)`` at rest.
-
-    Returns:
-        None where no exchange is clearly better.
+    Attributes:
+        markers: Their names.
+        first: First frame in which all of them are seen, from 0.
+        last: Last such frame.
+        score: How much speaks for the exchange [nat]: 0 where as much as for the names
+            that were given, below 0 less.
     """
-    apart = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    pairs = [
-        (i, j) for i, j in combinations(range(len(shape)), 2) if apart[i, j] < NEAR
-    ]
-    moves = [(pair,) for pair in pairs]
-    for one, other in combinations(pairs, 2):
-        if not set(one) & set(other) and _near(apart, one, other):
-            moves.append((one, other))  # type: ignore[arg-type]
-    best, gain = None, 0.0
-    for move in moves:
-        changed = [marker for pair in move for marker in pair]
-        group = np.array([*changed, *_around(apart, changed)])
-        points = _samples(positions[:, group])
-        if points is None:
-            continue
-        names = np.arange(len(group))
-        for k in range(0, len(changed), 2):
-            names[k], names[k + 1] = k + 1, k
-        now = _off(points, shape[group])
-        then = _off(points, shape[group[names]])
-        if then < SHARE * now and now - then > max(LEAST, gain):
-            gain = now - then
-            best = np.arange(len(shape))
-            best[group] = group[names]
-    return best
 
-
-def _near(apart: FloatArray, one: tuple[int, int], other: tuple[int, int]) -> bool:
-    return bool(apart[np.ix_(one, other)].min() < NEAR)
-
-
-def _around(apart: FloatArray, markers: list[int]) -> list[int]:
-    """Return the markers nearest to some, beside them."""
-    distance = apart[markers].min(axis=0)
-    distance[markers] = np.inf
-    return [int(i) for i in np.argsort(distance, kind="stable")[:AROUND]]
-
-
-def _samples(points: FloatArray) -> FloatArray | None:
-    """Return frames in which all of some markers are seen; None where they are few."""
-    whole = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(whole) < MIN_SAMPLES:
-        return None
-    step = max(1, len(whole) // SAMPLES)
-    return np.asarray(points[whole[::step]])
-
-
-def _off(points: FloatArray, shape: FloatArray) -> float:
-    """Return how far a shape is off points in the frames that fit it best [m]."""
-    rotation, shift = fitted(points, shape)
-    fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    off = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
-    count = max(1, int(BEST * len(off)))
-    return float(np.partition(off, count - 1)[:count].mean())
+    markers: tuple[str, ...]
+    first: int
+    last: int
+    score: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +52,7 @@ class LabelReport:
         runs: Points joined to runs without a gap.
         missing: Names that no point got in any frame.
         coverage: Share of frames in which each name has a point.
+        doubts: Markers that neither distances nor shapes tell apart.
         notices: Warnings.
     """
 
@@ -123,11 +64,13 @@ class LabelReport:
     runs: int
     missing: list[str]
     coverage: dict[str, float]
+    doubts: list[Doubt]
     notices: list[Fault] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain values."""
         found = {f.name: getattr(self, f.name) for f in fields(self)}
+        found["doubts"] = [asdict(doubt) for doubt in self.doubts]
         return {**found, "notices": [notice.as_dict() for notice in self.notices]}
 
 
@@ -158,9 +101,12 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
         raise OptionError(Fault("MKR021", message, hint=hint))
     apart = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     work = RunLabels(cloud.positions, tracklets, rate, given, apart)
-    _exchange(work, rest)
+    names_of, exchanges, pairs = told_apart(work.by_marker(), rest)
+    work.given = np.where(work.given >= 0, names_of[work.given], -1)
+    for pair in pairs:
+        _exchange_parts(work, rest, pair)
     work.settle()
-    return _labelled(cloud, names, tracklets, work.given)
+    return _labelled(cloud, names, tracklets, work.given, exchanges)
 
 
 def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -175,7 +121,11 @@ def _template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _labelled(
-    cloud: Markers, names: tuple[str, ...], tracklets: Tracklets, given: IntArray
+    cloud: Markers,
+    names: tuple[str, ...],
+    tracklets: Tracklets,
+    given: IntArray,
+    exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
     """Return a cloud by name."""
     frames = len(cloud)
@@ -208,11 +158,41 @@ def _labelled(
     if missing:
         message = f"no points were found for {', '.join(missing)}"
         notices.append(Fault("MKR110", message, severity=Severity.WARNING))
+    doubts = _doubts(labelled, exchanges)
+    if doubts:
+        notices.append(_doubted(doubts, cloud))
     report = LabelReport(
         frames, len(names), points, got, points - got, len(tracklets.first), missing,
-        shares, notices,
+        shares, doubts, notices,
     )  # fmt: skip
     return labelled, report
+
+
+def _doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
+    """Return exchanges by name, with the frames in which they would be seen."""
+    found = []
+    for exchange in exchanges:
+        markers = list(exchange.markers)
+        seen = np.flatnonzero(labelled.seen[:, markers].all(axis=1))
+        if len(seen):
+            names = tuple(labelled.names[marker] for marker in markers)
+            score = round(exchange.score, 3)
+            found.append(Doubt(names, int(seen[0]), int(seen[-1]), score))
+    return found
+
+
+def _doubted(doubts: list[Doubt], cloud: Markers) -> Fault:
+    """Return the warning that some markers are not told apart."""
+    parts = []
+    for doubt in doubts:
+        first, last = cloud.clock.times[[doubt.first, doubt.last]]
+        parts.append(f"{', '.join(doubt.markers)} (frames {span_label(first, last)})")
+    message = (
+        "the names given could as well be exchanged, by distances and shapes: "
+        + "; ".join(parts)
+    )
+    hint = "look at a frame; a trial whose pose is nearer to the take tells them apart"
+    return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 
 def _first_names(
@@ -262,13 +242,20 @@ def _window(
     return points
 
 
-def _exchange(work: RunLabels, rest: FloatArray) -> None:
-    """Exchange names of markers that are near where the shapes then fit better.
+def _exchange_parts(work: RunLabels, rest: FloatArray, pair: tuple[int, int]) -> None:
+    """Exchange two names in the parts of a take in which shapes say so.
 
-    Distances alone do not tell two pairs from their mirror image, handedness does.
+    A part ends where a gap of both markers lets nothing tell whose runs go on.
     """
-    for _ in range(MAX_EXCHANGES):
-        new = better_names(work.by_marker(), rest)
-        if new is None:
-            return
-        work.given = np.where(work.given >= 0, new[work.given], -1)
+    runs = np.flatnonzero(np.isin(work.given, pair))
+    first, last = work.tracklets.first, work.tracklets.last
+    runs = runs[np.argsort(first[runs], kind="stable")]
+    ends = np.maximum.accumulate(last[runs])
+    parts = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
+    if len(parts) < 2:
+        return
+    marked = work.by_marker()
+    for part in parts:
+        frames = slice(int(first[part].min()), int(last[part].max()) + 1)
+        if exchanged_in(marked[frames], rest, pair):
+            work.given[part] = sum(pair) - work.given[part]
