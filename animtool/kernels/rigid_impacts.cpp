@@ -13,7 +13,7 @@ constexpr double TOGETHER = 1e-3;
 constexpr double SOLVED = 1e-12;
 constexpr int ROUNDS_OF_ONE = 1000;
 // Impacts of a small step: as many as bodies pass on in turn; what is left comes to rest.
-constexpr std::size_t IMPACTS = 64, IMPACTS_PER_PATCH = 16;
+constexpr std::size_t IMPACTS = 64, IMPACTS_PER_PATCH = 4;
 // Rounding of a sum of energies.
 constexpr double EXACT = 1e-13;
 
@@ -27,25 +27,48 @@ Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
       speeds_(speeds), tolerance_(tolerance), soon_(soon) {}
 
 void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<char>& pushed) {
+  list_patches();
+  std::vector<double> speeds(patches_.size());
+  const auto look = [&](std::size_t k) {
+    const double speed = closing(patches_[k]);
+    speeds[k] = speed > std::max(tolerance_, rests(patches_[k])) ? speed : 0;
+  };
+  for (std::size_t k = 0; k < patches_.size(); ++k) look(k);
   const std::size_t most = IMPACTS + IMPACTS_PER_PATCH * patches_.size();
   for (std::size_t i = 0; i < most; ++i) {
-    double fastest = 0;
-    const Patch* first = nullptr;
-    for (const Patch& patch : patches_) {
-      const double speed = closing(patch);
-      if (speed > fastest) fastest = speed, first = &patch;
-    }
-    if (!(fastest > tolerance_)) return;
+    const auto fastest = std::max_element(speeds.begin(), speeds.end());
+    if (fastest == speeds.end() || *fastest == 0) return;
+    const Patch& first = patches_[static_cast<std::size_t>(fastest - speeds.begin())];
+    const double speed = *fastest, together = speed * (1 - TOGETHER);
     bodies_.clear(), pulls_.clear();
-    for (const Patch& patch : patches_) {
-      const bool same = patch.a == first->a && patch.b == first->b;
-      if (same || closing(patch) >= fastest * (1 - TOGETHER)) gather(patch, rests(patch));
+    for (std::size_t k = 0; k < patches_.size(); ++k) {
+      const Patch& patch = patches_[k];
+      const bool same = patch.a == first.a && patch.b == first.b;
+      if (same || speeds[k] >= together) gather(patch, rests(patch));
     }
     gather_joints();
     before_.clear();
     for (const std::size_t b : bodies_) before_.push_back(speeds_[b]), pushed[b] = 1;
-    solve(fastest);
+    solve(speed);
     bound_energy();
+    for (const std::size_t b : bodies_)
+      for (std::size_t at = starts_[b]; at < starts_[b + 1]; ++at) look(listed_[at]);
+  }
+}
+
+// Which patches each body has.
+void Impacts::list_patches() {
+  const std::size_t count = world_.bodies.size();
+  starts_.assign(count + 2, 0);
+  for (const Patch& patch : patches_) {
+    ++starts_[patch.a + 2];
+    if (patch.b < count) ++starts_[patch.b + 2];
+  }
+  for (std::size_t i = 2; i < starts_.size(); ++i) starts_[i] += starts_[i - 1];
+  listed_.resize(starts_.back());
+  for (std::size_t k = 0; k < patches_.size(); ++k) {
+    listed_[starts_[patches_[k].a + 1]++] = k;
+    if (patches_[k].b < count) listed_[starts_[patches_[k].b + 1]++] = k;
   }
 }
 

@@ -39,6 +39,7 @@ class Impacts {
     double friction = 0;
   };
 
+  void list_patches();
   double closing(const Patch& patch) const;
   bool meets(const Patch& patch, const Point& p) const;
   void gather(const Patch& patch, double rest);
@@ -55,6 +56,7 @@ class Impacts {
   const std::vector<Rows>& rows_;
   std::vector<Speed>& speeds_;
   double tolerance_, soon_;
+  std::vector<std::size_t> starts_, listed_;  // patches of each body
   std::vector<Pull> pulls_;
   std::vector<std::size_t> bodies_;  // of an impact, ascending
   std::vector<Speed> before_;        // theirs

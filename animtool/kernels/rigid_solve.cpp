@@ -27,11 +27,18 @@ constexpr std::size_t SMALL = 512, MOST = 32;
 // Who arrives within so many small steps is not stopped before; who arrives within such a share
 // of one is there.
 constexpr double FLIES = 2, SOON = 1.0 / 64;
-// Most impacts of an island in a small step, one after the other and at once; and most looks
-// for the time of one.
-constexpr int LEGS = 32, AGAIN = 4, ARRIVES = 16;
+// Most times at which an island is stopped for impacts in a small step, fewer for a crowd of
+// pairs; most rounds at one, and most looks for when it is.
+constexpr std::size_t LEGS = 32, CROWD = 256;
+constexpr int AGAIN = 4, ARRIVES = 16;
 // Arms of contacts follow bodies that turn by more than this share of their size.
 constexpr double TURNED = 1e-3;
+// Friction at so many points holds a body; what leans on fewer, or is not held at all, falls
+// asleep below such a share of the speed of sleep.
+constexpr int HELD = 3;
+constexpr double LEANING = 0.1, CREEP = 0.01;
+// Friction this near its limit slides.
+constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
 constexpr double PARTING = 0.02;
 
@@ -81,6 +88,7 @@ class Solver {
     make_islands();
     speeds_.assign(count_ + 1, {});
     pushed_.assign(count_ + 1, 0);
+    held_at_.assign(count_, 0);
     turns_.resize(count_);
     for (auto& island : islands_) solve(island);
     keep();
@@ -190,6 +198,7 @@ class Solver {
       const double slack = PARTING * world_.bodies[patch.a].reach;
       for (std::size_t k = patch.begin; k < patch.end; ++k)
         island.parting |= points_[k].now < -slack;
+      note_held(patch);
     }
     for (std::size_t k = 0; k < island.joints.size(); ++k) {
       auto& slots = held_[island.joints[k]];
@@ -197,6 +206,22 @@ class Solver {
       for (std::size_t r = 0; r < rows_[k].count; ++r)
         slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / h_;
     }
+  }
+
+  // Counts the points at which friction holds bodies: what slides is not held, and what is
+  // round rolls on.
+  void note_held(const Patch& patch) {
+    if (!(patch.friction > 0)) return;
+    int count = 0;
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      const Point& p = points_[k];
+      const double limit = patch.friction * p.force * (1 - SLIDING);
+      count += p.across[0] * p.across[0] + p.across[1] * p.across[1] < limit * limit;
+    }
+    const Contact& c = *patch.contact;
+    if (world_.shapes[c.first].core.faces()) held_at_[patch.a] += count;
+    if (patch.b < count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.faces())
+      held_at_[patch.b] += count;
   }
 
   void refresh(std::size_t i) {
@@ -319,7 +344,9 @@ class Solver {
       for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, true);
     }
     double left = small_;
-    for (int leg = 0; bouncy_ && leg < LEGS; ++leg) {
+    const int legs = static_cast<int>(
+        std::clamp<std::size_t>(CROWD / std::max<std::size_t>(patches_.size(), 1), 1, LEGS));
+    for (int leg = 0; bouncy_ && leg < legs; ++leg) {
       const double time = until_impact(island, left, begin, end);
       if (!(time < left)) break;
       left -= time;
@@ -434,8 +461,8 @@ class Solver {
 
   // Speed below which a patch does not bounce: what is back within a small step rests.
   double rest_of(const Patch& patch) const {
-    if (!(patch.restitution > 0)) return 0;
-    return std::max(pull_along(patch, relative_pull(patch)), 0.0) * small_ / patch.restitution;
+    const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
+    return pull * small_ / (patch.restitution > 0 ? patch.restitution : 1);
   }
 
   // Where points are now.
@@ -810,17 +837,22 @@ class Solver {
     kept_ = std::move(saved_);
   }
 
-  // Lets islands fall asleep that have been slow for long enough.
+  // Lets islands fall asleep that have been slow for long enough and that friction holds. What
+  // nothing holds, or only a joint, goes on however slow it is, until it hardly moves at all.
   void rest() {
     for (const auto& island : islands_) {
       double speed = 0, least = std::numeric_limits<double>::infinity();
+      bool held = !island.parting;
       for (const std::size_t i : island.bodies) {
         const State& s = states_[i];
         const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
-        speed = std::max(speed, length(s.velocity) + turning);
+        const double own = length(s.velocity) + turning;
+        speed = std::max(speed, own);
+        const double share = held_at_[i] >= HELD ? 1 : held_at_[i] ? LEANING : CREEP;
+        held &= own < settings_.drowsy * share && (held_at_[i] || supported(island));
       }
       for (const std::size_t i : island.bodies) {
-        const bool slow = speed < settings_.drowsy && !island.parting;
+        const bool slow = speed < settings_.drowsy && held;
         states_[i].idle = slow ? states_[i].idle + step_ : 0;
         least = std::min(least, states_[i].idle);
       }
@@ -829,6 +861,16 @@ class Solver {
         if (least >= settings_.rest) states_[i].velocity = states_[i].momentum = {};
       }
     }
+  }
+
+  // Whether anything holds an island; without, it is at rest only where nothing pulls.
+  bool supported(const Island& island) const {
+    if (!island.contacts.empty() || !island.joints.empty()) return true;
+    return std::all_of(island.bodies.begin(), island.bodies.end(), [&](std::size_t i) {
+      const State& s = states_[i];
+      const Vec sum = forces_[i] + torques_[i] + s.velocity + s.momentum;
+      return dot(sum, sum) == 0;
+    });
   }
 
   const World& world_;
@@ -849,6 +891,7 @@ class Solver {
   std::vector<Speed> speeds_;  // of the bodies, and of what does not move
   std::vector<Pose> turns_;
   std::vector<char> pushed_;
+  std::vector<int> held_at_;  // points
   bool bouncy_ = false;  // whether somebody may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;
