@@ -10,10 +10,12 @@ namespace {
 // Pairs that approach as fast as the fastest, up to this share, are solved together.
 constexpr double TOGETHER = 1e-3;
 // An impact is solved until velocities change by less than this share of the fastest approach.
-constexpr double SOLVED = 1e-12;
-constexpr int ROUNDS_OF_ONE = 1000;
+constexpr double SOLVED = 1e-7;
+constexpr int ROUNDS_OF_ONE = 40, ROUNDS_PER_JOINT = 8;
 // Impacts of a small step: as many as bodies pass on in turn; what is left comes to rest.
-constexpr std::size_t IMPACTS = 64, IMPACTS_PER_PATCH = 4;
+constexpr std::size_t IMPACTS = 16, IMPACTS_PER_PATCH = 4;
+// After the first of them, what approaches slower than this share of the fastest is left too.
+constexpr double LITTLE = 0.05;
 // Rounding of a sum of energies.
 constexpr double EXACT = 1e-13;
 
@@ -35,9 +37,12 @@ void Impacts::run(const std::function<double(const Patch&)>& rests, std::vector<
   };
   for (std::size_t k = 0; k < patches_.size(); ++k) look(k);
   const std::size_t most = IMPACTS + IMPACTS_PER_PATCH * patches_.size();
+  double least = 0;
   for (std::size_t i = 0; i < most; ++i) {
     const auto fastest = std::max_element(speeds.begin(), speeds.end());
     if (fastest == speeds.end() || *fastest == 0) return;
+    if (i == 0) least = *fastest * LITTLE;
+    if (*fastest < least && i >= IMPACTS) return;
     const Patch& first = patches_[static_cast<std::size_t>(fastest - speeds.begin())];
     const double speed = *fastest, together = speed * (1 - TOGETHER);
     bodies_.clear(), pulls_.clear();
@@ -135,7 +140,7 @@ void Impacts::gather_joints() {
         pull.arm_a = row.arm_a, pull.arm_b = row.arm_b;
         pull.turn_a = speeds_[a].turned(row.arm_a), pull.turn_b = speeds_[joint.b].turned(row.arm_b);
         pull.mass = row.mass, pull.given = row.given;
-        pull.one_sided = row.kind == Row::LIMIT;
+        pull.one_sided = row.kind == Row::LIMIT, pull.joint = true;
         pulls_.push_back(pull);
       }
     }
@@ -155,7 +160,11 @@ void Impacts::add(Pull& pull, double impulse) {
 }
 
 void Impacts::solve(double speed) {
-  for (int round = 0; round < ROUNDS_OF_ONE; ++round) {
+  const int joined = static_cast<int>(
+      std::count_if(pulls_.begin(), pulls_.end(), [](const Pull& p) { return p.joint; }));
+  const int most = ROUNDS_OF_ONE + ROUNDS_PER_JOINT * joined;
+  for (int round = 0; round < most; ++round) {
+
     double change = 0;
     for (std::size_t k = 0; k < pulls_.size(); ++k) {
       Pull& pull = pulls_[k];

@@ -34,7 +34,7 @@ class Impacts {
     double mass, given;
     double target = 0;      // speed after it
     double impulse = 0;
-    bool one_sided = false;
+    bool one_sided = false, joint = false;
     int across = 0;         // of friction, 1 or 2; the normal's is before both
     double friction = 0;
   };

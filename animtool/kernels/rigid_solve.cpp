@@ -59,12 +59,12 @@ class Solver {
       const State& a = states_[c.a];
       const Vec spin = spin_of(world_.bodies[c.a], a);
       const Pose pose = pose_of(a);
-      double pull = dot(forces_[c.a], c.normal) * world_.bodies[c.a].ease;
+      double pull = length(forces_[c.a]) * world_.bodies[c.a].ease;
       if (c.b >= 0) {
         const auto b = static_cast<std::size_t>(c.b);
-        pull -= dot(forces_[b], c.normal) * world_.bodies[b].ease;
+        pull = std::max(pull, length(forces_[b]) * world_.bodies[b].ease);
       }
-      const double rest = std::max(pull, 0.0) * small_ / c.material.restitution;
+      const double rest = pull * small_ / c.material.restitution;
       for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
         Vec off = a.velocity + cross(spin, pose.rotated(c.own[k]));
         if (c.b < 0) {
@@ -204,7 +204,7 @@ class Solver {
       auto& slots = held_[island.joints[k]];
       slots.fill(0);
       for (std::size_t r = 0; r < rows_[k].count; ++r)
-        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / h_;
+        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / small_;
     }
   }
 
@@ -319,7 +319,7 @@ class Solver {
       const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
                         patch.tangents[1] * p.across[1];
       // In the frame of the body where the step begins; it turns little in one.
-      const Vec own = turns_[patch.a].unrotated(force) * (1 / h_);
+      const Vec own = turns_[patch.a].unrotated(force) * (1 / small_);
       saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
                         p.own, own});
       if (-p.now > report_.deepest) {
@@ -360,11 +360,13 @@ class Solver {
   // right there.
   void advance(const Island& island, double time, double end) {
     const std::size_t joints = island.joints.size();
-    const double scale = time / h_;
+
+    // What stopped bodies at once is no force that lasts: it does not grow with the time.
+    const double scale = std::min(time / h_, 1.0);
     if (time != h_) {
       h_ = time;
-      contact_ = Softness::of(STIFF / h_, CONTACT_DAMPING, h_);
-      joint_ = Softness::of(STIFF / h_, JOINT_DAMPING, h_);
+      contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
+      joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
       for (std::size_t k = 0; k < joints; ++k)
         write_rows(island.joints[k], k, end - time / step_, false);
     }
@@ -459,9 +461,12 @@ class Solver {
     return p.gap + dot(patch.normal, far - own) - patch.skin;
   }
 
-  // Speed below which a patch does not bounce: what is back within a small step rests.
+  // Speed below which a patch does not bounce: what forces on either of both bring back within a
+  // small step rests.
   double rest_of(const Patch& patch) const {
-    const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
+    double pull = length(forces_[patch.a]) * world_.bodies[patch.a].ease;
+    if (patch.b < count_)
+      pull = std::max(pull, length(forces_[patch.b]) * world_.bodies[patch.b].ease);
     return pull * small_ / (patch.restitution > 0 ? patch.restitution : 1);
   }
 
@@ -883,8 +888,8 @@ class Solver {
   const Settings& settings_;
   double step_, small_, h_;  // whole, of small steps, and from impact to impact [s]
   std::size_t count_;
-  Softness contact_ = Softness::of(STIFF / h_, CONTACT_DAMPING, h_);
-  Softness joint_ = Softness::of(STIFF / h_, JOINT_DAMPING, h_);
+  Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
+  Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
   std::vector<std::size_t> parents_;
   std::vector<Island> islands_;
