@@ -164,7 +164,6 @@ void Impacts::solve(double speed) {
       std::count_if(pulls_.begin(), pulls_.end(), [](const Pull& p) { return p.joint; }));
   const int most = ROUNDS_OF_ONE + ROUNDS_PER_JOINT * joined;
   for (int round = 0; round < most; ++round) {
-
     double change = 0;
     for (std::size_t k = 0; k < pulls_.size(); ++k) {
       Pull& pull = pulls_[k];
