@@ -6,6 +6,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "rigid_impacts.h"
+#include "rigid_points.h"
 #include "rigid_world.h"
 
 namespace animtool::rigid {
@@ -22,35 +24,23 @@ constexpr double PUSH = 2;
 constexpr double SAME = 0.1;
 // Islands of fewer points than these are corrected more often, and at most so much more.
 constexpr std::size_t SMALL = 512, MOST = 32;
+// Who arrives within so many small steps is not stopped before; who arrives within such a share
+// of one is there.
+constexpr double FLIES = 2, SOON = 1.0 / 64;
+// Most times at which an island is stopped for impacts in a small step, fewer for a crowd of
+// pairs; most rounds at one, and most looks for when it is.
+constexpr std::size_t LEGS = 32, CROWD = 256;
+constexpr int AGAIN = 4, ARRIVES = 16;
 // Arms of contacts follow bodies that turn by more than this share of their size.
 constexpr double TURNED = 1e-3;
+// Friction at so many points holds a body; what leans on fewer, or is not held at all, falls
+// asleep below such a share of the speed of sleep.
+constexpr int HELD = 3;
+constexpr double LEANING = 0.1, CREEP = 0.01;
+// Friction this near its limit slides.
+constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
 constexpr double PARTING = 0.02;
-// Rounds in which bounces of several points settle.
-constexpr int BOUNCES = 8;
-
-struct Point {
-  Vec own, other;          // in the frames of both
-  Vec arm_a, arm_b;        // in the world, where the step begins
-  double gap = 0, now = 0; // where the manifold is, and now
-  double given = 0;        // speed of a collider along the normal
-  Vec slide;               // and whole
-  double coming = 0;       // speed into the other where a small step begins, as it arrives
-  double mass = 0, force = 0, across[2] = {0, 0}, masses[2] = {0, 0};
-  double half[3] = {0, 0, 0};  // what is held for half a small step
-  Vec arms_a[3], arms_b[3];    // r x n, r x t1, r x t2
-  Vec turns_a[3], turns_b[3];  // what these turn
-};
-
-struct Patch {
-  std::size_t a, b;
-  Vec normal, tangents[2];
-  double friction, restitution, push;
-  double skin = 0;    // of both together [m]
-  double turned = 0;  // square of how far arms may be off [m²]
-  std::size_t begin, end;  // points
-  const Contact* contact;
-};
 
 class Solver {
  public:
@@ -60,14 +50,45 @@ class Solver {
          const std::vector<collide::Motion>& anchors, const Settings& settings, double step)
       : world_(world), states_(states), kept_(kept), held_(held), forces_(forces),
         torques_(torques), colliders_(colliders), anchors_(anchors), settings_(settings),
-        step_(step), h_(step / settings.substeps), count_(states.size()) {}
+        step_(step), small_(step / settings.substeps), h_(small_), count_(states.size()) {}
+
+  // Whether somebody comes so fast that he will bounce within the step.
+  bool bounces() {
+    for (const Contact& c : find_contacts(world_, states_, colliders_, settings_, step_)) {
+      if (!(c.material.restitution > 0)) continue;
+      const State& a = states_[c.a];
+      const Vec spin = spin_of(world_.bodies[c.a], a);
+      const Pose pose = pose_of(a);
+      double pull = length(forces_[c.a]) * world_.bodies[c.a].ease;
+      if (c.b >= 0) {
+        const auto b = static_cast<std::size_t>(c.b);
+        pull = std::max(pull, length(forces_[b]) * world_.bodies[b].ease);
+      }
+      const double rest = pull * small_ / c.material.restitution;
+      for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
+        Vec off = a.velocity + cross(spin, pose.rotated(c.own[k]));
+        if (c.b < 0) {
+          const Pose other = c.motion->at(0);
+          off = off - c.motion->displacement(other.to_world(c.other[k]), other) * (1 / step_);
+        } else {
+          const State& b = states_[static_cast<std::size_t>(c.b)];
+          off = off - b.velocity -
+                cross(spin_of(world_.bodies[static_cast<std::size_t>(c.b)], b),
+                      rotate(b.turn, c.other[k]));
+        }
+        if (dot(off, c.normal) > rest) return true;
+      }
+    }
+    return false;
+  }
 
   Report run() {
     contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
     if (wake()) contacts_ = find_contacts(world_, states_, colliders_, settings_, step_);
     make_islands();
     speeds_.assign(count_ + 1, {});
-    pushed_.assign(count_, 0);
+    pushed_.assign(count_ + 1, 0);
+    held_at_.assign(count_, 0);
     turns_.resize(count_);
     for (auto& island : islands_) solve(island);
     keep();
@@ -168,19 +189,39 @@ class Solver {
     patches_.reserve(island.contacts.size()), points_.reserve(MOST_POINTS * island.contacts.size());
     for (const std::size_t k : island.contacts) add_patch(contacts_[k]);
     rows_.assign(island.joints.size(), {});
+    bouncy_ = std::any_of(patches_.begin(), patches_.end(),
+                          [](const Patch& patch) { return patch.restitution > 0; });
+    h_ = small_;
     for (int s = 0; s < settings_.substeps; ++s) small_step(island, s);
     for (const Patch& patch : patches_) {
       save(patch);
       const double slack = PARTING * world_.bodies[patch.a].reach;
       for (std::size_t k = patch.begin; k < patch.end; ++k)
         island.parting |= points_[k].now < -slack;
+      note_held(patch);
     }
     for (std::size_t k = 0; k < island.joints.size(); ++k) {
       auto& slots = held_[island.joints[k]];
       slots.fill(0);
       for (std::size_t r = 0; r < rows_[k].count; ++r)
-        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / h_;
+        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / small_;
     }
+  }
+
+  // Counts the points at which friction holds bodies: what slides is not held, and what is
+  // round rolls on.
+  void note_held(const Patch& patch) {
+    if (!(patch.friction > 0)) return;
+    int count = 0;
+    for (std::size_t k = patch.begin; k < patch.end; ++k) {
+      const Point& p = points_[k];
+      const double limit = patch.friction * p.force * (1 - SLIDING);
+      count += p.across[0] * p.across[0] + p.across[1] * p.across[1] < limit * limit;
+    }
+    const Contact& c = *patch.contact;
+    if (world_.shapes[c.first].core.faces()) held_at_[patch.a] += count;
+    if (patch.b < count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.faces())
+      held_at_[patch.b] += count;
   }
 
   void refresh(std::size_t i) {
@@ -278,7 +319,7 @@ class Solver {
       const Vec force = patch.normal * p.force + patch.tangents[0] * p.across[0] +
                         patch.tangents[1] * p.across[1];
       // In the frame of the body where the step begins; it turns little in one.
-      const Vec own = turns_[patch.a].unrotated(force) * (1 / h_);
+      const Vec own = turns_[patch.a].unrotated(force) * (1 / small_);
       saved_.push_back({static_cast<std::int64_t>(patch.contact->first), patch.contact->second,
                         p.own, own});
       if (-p.now > report_.deepest) {
@@ -292,23 +333,47 @@ class Solver {
 
   // ---- one small step
 
-  // As RATTLE does (Andersen 1983): forces act for half the time, bodies go on with what leaves
-  // joints and contacts right at the end, forces act for the other half, and velocities are made
-  // right there.
+  // Goes from impact to impact, and what is left in one.
   void small_step(const Island& island, int s) {
     const double begin = static_cast<double>(s) / settings_.substeps;
     const double end = static_cast<double>(s + 1) / settings_.substeps;
     const std::size_t joints = island.joints.size();
-    for (const std::size_t i : island.bodies) pushed_[i] = 0;
     // Later ones begin where the one before ended.
     if (s == 0) {
       look(begin);
       for (std::size_t k = 0; k < joints; ++k) write_rows(island.joints[k], k, begin, true);
     }
-    note_coming();
+    double left = small_;
+    const int legs = static_cast<int>(
+        std::clamp<std::size_t>(CROWD / std::max<std::size_t>(patches_.size(), 1), 1, LEGS));
+    for (int leg = 0; bouncy_ && leg < legs; ++leg) {
+      const double time = until_impact(island, left, begin, end);
+      if (!(time < left)) break;
+      left -= time;
+      advance(island, time, begin + (end - begin) * (1 - left / small_));
+    }
+    advance(island, left, end);
+  }
+
+  // As RATTLE does (Andersen 1983): forces act for half the time, bodies go on with what leaves
+  // joints and contacts right at the end, forces act for the other half, and velocities are made
+  // right there.
+  void advance(const Island& island, double time, double end) {
+    const std::size_t joints = island.joints.size();
+
+    // What stopped bodies at once is no force that lasts: it does not grow with the time.
+    const double scale = std::min(time / h_, 1.0);
+    if (time != h_) {
+      h_ = time;
+      contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
+      joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
+      for (std::size_t k = 0; k < joints; ++k)
+        write_rows(island.joints[k], k, end - time / step_, false);
+    }
+    for (const std::size_t i : island.bodies) pushed_[i] = 0;
     for (const std::size_t i : island.bodies) push(i);
-    for (Patch& p : patches_) begin_warm(p);
-    for (std::size_t k = 0; k < joints; ++k) begin_warm(world_.joints[island.joints[k]], rows_[k]);
+    for (Patch& p : patches_) begin_warm(p, scale);
+    for (std::size_t k = 0; k < joints; ++k) begin_warm(world_.joints[island.joints[k]], rows_[k], scale);
     for (std::size_t k = 0; k < joints; ++k) bend(island.joints[k], rows_[k], end);
     iterate(island, true);
     mark(island);
@@ -319,9 +384,90 @@ class Solver {
     for (Patch& p : patches_) end_warm(p);
     for (std::size_t k = 0; k < joints; ++k) end_warm(world_.joints[island.joints[k]], rows_[k]);
     iterate(island, false);
-    bounce();
     mark(island);
     for (const std::size_t i : island.bodies) settle(i);
+  }
+
+  // ---- impacts
+
+  // How long nobody arrives who bounces, at most what is left; who is there bounces before.
+  double until_impact(const Island& island, double left, double begin, double end) {
+    const double soon = small_ * SOON;
+    for (int again = 0; again < AGAIN; ++again) {
+      const double share = begin + (end - begin) * (1 - left / small_);
+      const double time = next_arrival(left, share);
+      if (time > soon || !(time < left)) return time;
+      for (const std::size_t i : island.bodies) pushed_[i] = 0;
+      Impacts impacts(world_, patches_, points_, island.joints, rows_, speeds_,
+                      settings_.tolerance, soon);
+      impacts.run([&](const Patch& patch) { return rest_of(patch); }, pushed_);
+      for (const std::size_t i : island.bodies) settle(i);
+    }
+    return left;
+  }
+
+  // Notes who comes so fast that he bounces; returns when the first arrives, or the time that
+  // is left.
+  double next_arrival(double left, double share) {
+    double first = left;
+    for (Patch& patch : patches_) {
+      if (!(patch.restitution > 0)) continue;
+      const double pull = pull_along(patch, relative_pull(patch)), rest = rest_of(patch);
+      for (std::size_t k = patch.begin; k < patch.end; ++k) {
+        Point& p = points_[k];
+        const double into = -approach(patch, p), gap = std::max(p.now, 0.0);
+        // As fast as it is when the gap is closed.
+        const double coming = std::sqrt(std::max(into * std::fabs(into) + 2 * pull * gap, 0.0));
+        p.flies = coming > rest && 2 * gap < FLIES * left * (into + coming);
+        if (!p.flies) continue;
+        p.force = p.across[0] = p.across[1] = 0;
+        first = std::min(first, arrival(patch, p, share, first));
+      }
+    }
+    return first;
+  }
+
+  // When a point closes its gap as bodies go on and turn, within a time: by false position, of
+  // Illinois.
+  double arrival(const Patch& patch, const Point& p, double share, double within) const {
+    double low = 0, high = within, at_low = p.now, at_high = gap_at(patch, p, share, within);
+    if (at_low <= 0) return 0;
+    if (at_high > 0) return within;
+    const double near = TOUCHING * world_.bodies[patch.a].reach / 8;
+    for (int i = 0; i < ARRIVES && high - low > small_ * SOON / 4; ++i) {
+      const double time = low + (high - low) * at_low / (at_low - at_high);
+      const double gap = gap_at(patch, p, share, time);
+      if (std::fabs(gap) < near) return time;
+      if (gap > 0) {
+        low = time, at_low = gap, at_high /= 2;
+      } else {
+        high = time, at_high = gap, at_low /= 2;
+      }
+    }
+    return high;
+  }
+
+  double gap_at(const Patch& patch, const Point& p, double share, double time) const {
+    const auto place = [&](std::size_t i, Vec own) {
+      const State& s = states_[i];
+      const Vec pulled = forces_[i] * (world_.bodies[i].ease * time * time / 2);
+      const Vec arm = rotate(turn_of(speeds_[i].w * time), turns_[i].rotated(own));
+      return s.at + s.velocity * time + pulled + arm;
+    };
+    const Vec own = place(patch.a, p.own);
+    const Vec far = patch.b < count_
+                        ? place(patch.b, p.other)
+                        : patch.contact->motion->at(share + time / step_).to_world(p.other);
+    return p.gap + dot(patch.normal, far - own) - patch.skin;
+  }
+
+  // Speed below which a patch does not bounce: what forces on either of both bring back within a
+  // small step rests.
+  double rest_of(const Patch& patch) const {
+    double pull = length(forces_[patch.a]) * world_.bodies[patch.a].ease;
+    if (patch.b < count_)
+      pull = std::max(pull, length(forces_[patch.b]) * world_.bodies[patch.b].ease);
+    return pull * small_ / (patch.restitution > 0 ? patch.restitution : 1);
   }
 
   // Where points are now.
@@ -345,20 +491,6 @@ class Solver {
     }
   }
 
-  // How fast points come, as it is when the gap is closed.
-  void note_coming() {
-    for (Patch& patch : patches_) {
-      if (!(patch.restitution > 0)) continue;
-      const double pull = pull_along(patch, relative_pull(patch));
-      for (std::size_t k = patch.begin; k < patch.end; ++k) {
-        Point& p = points_[k];
-        const double into = -approach(patch, p);
-        const double energy = into * std::fabs(into) + 2 * pull * std::max(p.now, 0.0);
-        p.coming = std::sqrt(std::max(energy, 0.0));
-      }
-    }
-  }
-
   // Acceleration of the second as the first sees it.
   Vec relative_pull(const Patch& patch) const {
     Vec pull = forces_[patch.a] * -world_.bodies[patch.a].ease;
@@ -367,10 +499,8 @@ class Solver {
   }
   static double pull_along(const Patch& patch, Vec pull) { return -dot(pull, patch.normal); }
 
-  // Speed of the second away from the first.
   double approach(const Patch& patch, const Point& p) const {
-    const Speed &a = speeds_[patch.a], &b = speeds_[patch.b];
-    return dot(patch.normal, b.v - a.v) + dot(p.arms_b[0], b.w) - dot(p.arms_a[0], a.w) + p.given;
+    return speed_along(speeds_, patch, p, 0);
   }
 
   // Forces act for half a small step.
@@ -384,16 +514,14 @@ class Solver {
   }
 
   void apply(std::size_t a, std::size_t b, Vec line, Vec turn_a, Vec turn_b, double impulse) {
-    Speed &sa = speeds_[a], &sb = speeds_[b];
-    sa.v = sa.v - line * (impulse * sa.ease), sa.w = sa.w - turn_a * impulse;
-    sb.v = sb.v + line * (impulse * sb.ease), sb.w = sb.w + turn_b * impulse;
+    rigid::apply(speeds_, a, b, line, turn_a, turn_b, impulse);
   }
 
   // Contacts and joints hold for half the time what they held in the small step before.
-  void begin_warm(Patch& patch) {
+  void begin_warm(Patch& patch, double scale) {
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
-      p.force /= 2, p.across[0] /= 2, p.across[1] /= 2;
+      p.force *= scale / 2, p.across[0] *= scale / 2, p.across[1] *= scale / 2;
       p.half[0] = p.force, p.half[1] = p.across[0], p.half[2] = p.across[1];
       hold(patch, p);
     }
@@ -413,10 +541,10 @@ class Solver {
       apply(patch.a, patch.b, patch.tangents[d], p.turns_a[d + 1], p.turns_b[d + 1],
             p.half[d + 1]);
   }
-  void begin_warm(const Joint& joint, Rows& rows) {
+  void begin_warm(const Joint& joint, Rows& rows, double scale) {
     for (std::size_t r = 0; r < rows.count; ++r) {
       Row& row = rows.of[r];
-      row.half = row.impulse = row.impulse / 2;
+      row.half = row.impulse = row.impulse * (scale / 2);
     }
     hold(joint, rows);
   }
@@ -567,6 +695,7 @@ class Solver {
     const double h = h_;
     for (std::size_t k = patch.begin; k < patch.end; ++k) {
       Point& p = points_[k];
+      if (p.flies) continue;
       double bias = 0, mass = 1, leak = 0;
       if (p.now > 0) {
         // Who is on the way has not arrived: only places count.
@@ -689,38 +818,6 @@ class Solver {
         }
   }
 
-  void bounce() {
-    for (int round = 0; round < BOUNCES; ++round) {
-      bool any = false;
-      for (Patch& patch : patches_) {
-        if (!(patch.restitution > 0)) continue;
-        const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
-        for (std::size_t k = patch.begin; k < patch.end; ++k) {
-          Point& p = points_[k];
-          const double out = patch.restitution * p.coming;
-          // What is back within a small step rests.
-          if (p.force == 0 || out <= pull * h_) continue;
-          const double change = std::max(out - approach(patch, p), 0.0) * p.mass;
-          if (!(change > settings_.tolerance * p.mass * 1e-3)) continue;
-          p.force += change;
-          apply(patch.a, patch.b, patch.normal, p.turns_a[0], p.turns_b[0], change);
-          any = true;
-        }
-      }
-      if (!any) break;
-    }
-    // A bounce is no force that lasts.
-    for (Patch& patch : patches_) {
-      if (!(patch.restitution > 0)) continue;
-      const double pull = std::max(pull_along(patch, relative_pull(patch)), 0.0);
-      for (std::size_t k = patch.begin; k < patch.end; ++k) {
-        Point& p = points_[k];
-        if (p.force > 0 && patch.restitution * p.coming > pull * h_)
-          p.force = p.across[0] = p.across[1] = 0;
-      }
-    }
-  }
-
   // Velocities as states have them.
   void settle(std::size_t i) {
     State& s = states_[i];
@@ -745,17 +842,22 @@ class Solver {
     kept_ = std::move(saved_);
   }
 
-  // Lets islands fall asleep that have been slow for long enough.
+  // Lets islands fall asleep that have been slow for long enough and that friction holds. What
+  // nothing holds, or only a joint, goes on however slow it is, until it hardly moves at all.
   void rest() {
     for (const auto& island : islands_) {
       double speed = 0, least = std::numeric_limits<double>::infinity();
+      bool held = !island.parting;
       for (const std::size_t i : island.bodies) {
         const State& s = states_[i];
         const double turning = length(spin_of(world_.bodies[i], s)) * world_.bodies[i].reach;
-        speed = std::max(speed, length(s.velocity) + turning);
+        const double own = length(s.velocity) + turning;
+        speed = std::max(speed, own);
+        const double share = held_at_[i] >= HELD ? 1 : held_at_[i] ? LEANING : CREEP;
+        held &= own < settings_.drowsy * share && (held_at_[i] || supported(island));
       }
       for (const std::size_t i : island.bodies) {
-        const bool slow = speed < settings_.drowsy && !island.parting;
+        const bool slow = speed < settings_.drowsy && held;
         states_[i].idle = slow ? states_[i].idle + step_ : 0;
         least = std::min(least, states_[i].idle);
       }
@@ -766,6 +868,16 @@ class Solver {
     }
   }
 
+  // Whether anything holds an island; without, it is at rest only where nothing pulls.
+  bool supported(const Island& island) const {
+    if (!island.contacts.empty() || !island.joints.empty()) return true;
+    return std::all_of(island.bodies.begin(), island.bodies.end(), [&](std::size_t i) {
+      const State& s = states_[i];
+      const Vec sum = forces_[i] + torques_[i] + s.velocity + s.momentum;
+      return dot(sum, sum) == 0;
+    });
+  }
+
   const World& world_;
   std::vector<State>& states_;
   std::vector<Kept>& kept_;
@@ -774,16 +886,18 @@ class Solver {
   const std::vector<collide::Collider>& colliders_;
   const std::vector<collide::Motion>& anchors_;
   const Settings& settings_;
-  double step_, h_;
+  double step_, small_, h_;  // whole, of small steps, and from impact to impact [s]
   std::size_t count_;
-  Softness contact_ = Softness::of(STIFF / h_, CONTACT_DAMPING, h_);
-  Softness joint_ = Softness::of(STIFF / h_, JOINT_DAMPING, h_);
+  Softness contact_ = Softness::of(STIFF / small_, CONTACT_DAMPING, h_);
+  Softness joint_ = Softness::of(STIFF / small_, JOINT_DAMPING, h_);
   std::vector<Contact> contacts_;
   std::vector<std::size_t> parents_;
   std::vector<Island> islands_;
   std::vector<Speed> speeds_;  // of the bodies, and of what does not move
   std::vector<Pose> turns_;
   std::vector<char> pushed_;
+  std::vector<int> held_at_;  // points
+  bool bouncy_ = false;  // whether somebody may bounce
   std::vector<Patch> patches_;
   std::vector<Point> points_;
   std::vector<Rows> rows_;
@@ -799,8 +913,26 @@ Report step_world(const World& world, std::vector<State>& states, std::vector<Ke
                   const std::vector<collide::Collider>& colliders,
                   const std::vector<collide::Motion>& anchors, const Settings& settings,
                   double step) {
-  return Solver(world, states, kept, held, forces, torques, colliders, anchors, settings, step)
-      .run();
+  Solver whole(world, states, kept, held, forces, torques, colliders, anchors, settings, step);
+  if (settings.substeps == 1 || !whole.bounces()) return whole.run();
+  // Who bounces meets others than those that were on his way: all look for contacts anew in
+  // each small step.
+  Settings small = settings;
+  small.substeps = 1;
+  std::vector<collide::Collider> around = colliders;
+  std::vector<collide::Motion> frames = anchors;
+  Report report;
+  for (int s = 0; s < settings.substeps; ++s) {
+    const double begin = static_cast<double>(s) / settings.substeps;
+    const double end = static_cast<double>(s + 1) / settings.substeps;
+    for (std::size_t i = 0; i < around.size(); ++i)
+      around[i].motion = colliders[i].motion.part(begin, end);
+    for (std::size_t i = 0; i < frames.size(); ++i) frames[i] = anchors[i].part(begin, end);
+    report.add(Solver(world, states, kept, held, forces, torques, around, frames, small,
+                      step / settings.substeps)
+                   .run());
+  }
+  return report;
 }
 
 }  // namespace animtool::rigid

@@ -65,6 +65,15 @@ struct Report {
   std::int64_t first = -1, second = -1;  // shapes of it; colliders come behind the shapes
   double residual = 0;   // velocity that the last corrections changed [m/s]
   std::int64_t contacts = 0, rounds = 0, awake = 0, unsolved = 0;
+
+  // Goes on with what came after.
+  void add(const Report& later) {
+    if (later.deepest > deepest)
+      deepest = later.deepest, first = later.first, second = later.second;
+    residual = std::max(residual, later.residual);
+    contacts = later.contacts, awake = later.awake;
+    rounds += later.rounds, unsolved += later.unsolved;
+  }
 };
 
 // A pair that may touch, and how: the second may be a collider.

@@ -1,0 +1,131 @@
+"""Impacts: heights, energy, what is passed on, and what friction does in one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from support.rigid import FLOOR, Rigid, ball, box
+
+AWAKE = {"sleep": {"speed": 0}}
+FREE = {"forces": [], **AWAKE}
+# Of heights and speeds after an impact.
+HEIGHT, SPEED = 0.01, 1e-6
+# Of energy, where neither friction nor restitution takes any.
+GAIN, KEPT = 1e-3, 0.98
+
+FEET = [{"shape": {"box": {"size": [0.1] * 3}}, "at": [x, 0, 0]} for x in (-0.3, 0.3)]
+LYING: dict[str, tuple[Any, float]] = {
+    "cube": ({"box": {"size": [0.4, 0.4, 0.4]}}, 0.2),
+    "slab": ({"box": {"size": [0.6, 0.2, 0.9]}}, 0.1),
+    "two boxes": (FEET, 0.05),
+    "capsule": ({"capsule": {"radius": 0.1, "length": 0.4, "axis": [1, 0, 0]}}, 0.1),
+    "ball": ({"sphere": {"radius": 0.2}}, 0.2),
+}
+
+
+@pytest.mark.parametrize("step", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("e", [0.2, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("name", LYING)
+def test_what_falls_flat_rises_and_does_not_turn(
+    tmp_path: Path, name: str, e: float, step: float
+) -> None:
+    shape, low = LYING[name]
+    body = {"name": "it", "at": [0, low + 1, 0], "restitution": e}
+    body |= {"shapes" if isinstance(shape, list) else "shape": shape}
+    found = Rigid(tmp_path, body, colliders=[FLOOR], step=step, **AWAKE)
+    lands = np.sqrt(2 / 9.81)
+    top = lands * (1 + e)
+    rise = found.path(top + np.linspace(-0.02, 0.02, 9))[:, 0, 1].max() - low
+    assert rise == pytest.approx(e**2, rel=HEIGHT)
+    assert np.abs(found.spins()).max() < 1e-4
+
+
+@pytest.mark.parametrize("step", [None, 1 / 240, 1 / 1000])
+def test_energy_is_kept_and_never_grows(tmp_path: Path, step: float | None) -> None:
+    """A box that tumbles, a capsule, and five boxes above each other, without loss."""
+    bodies = [
+        box([0.4, 0.3, 0.2], at=[0, 1.5, 0], rotate=[0.1, 0.3, 0.2, 0.9]),
+        {
+            "name": "c",
+            "shape": {"capsule": {"radius": 0.1, "length": 0.4}},
+            "at": [9, 1.5, 0],
+            "rotate": [0, 0, 0.26, 0.97],
+            "velocity": [2, 0, 0],
+        },
+        *(box([0.2] * 3, at=[-9, 0.1 + k / 2, k / 100]) for k in range(5)),
+    ]
+    for k, body in enumerate(bodies):
+        body |= {"name": f"b{k}", "restitution": 1, "friction": 0}
+    keys = AWAKE if step is None else {"step": step, **AWAKE}
+    found = Rigid(tmp_path, *bodies, colliders=[FLOOR], **keys)
+    found.to(0.0)
+    begin = found.energy()
+    for t in np.arange(1, 60) / 20:
+        found.to(float(t))
+        assert KEPT < found.energy() / begin < 1 + GAIN
+
+
+@pytest.mark.parametrize("coming", [1, 2, 3])
+def test_as_many_leave_a_row_as_come(tmp_path: Path, coming: int) -> None:
+    row = [
+        ball(0.1, at=[0.2 * k - 0.3 * (k < coming), 0, 0], friction=0, restitution=1)
+        for k in range(6)
+    ]
+    for k, one in enumerate(row):
+        one |= {"name": f"b{k}", "velocity": [2.0 * (k < coming), 0, 0]}
+    found = Rigid(tmp_path, *row, **FREE)
+    found.to(0.5)
+    expected = [2.0 * (k >= 6 - coming) for k in range(6)]
+    assert_allclose(found.velocities()[:, 0], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("ratio", [0.01, 0.5, 7.0, 1000.0])
+def test_unequal_masses_meet(tmp_path: Path, ratio: float, e: float) -> None:
+    """v1 = (m1 - e m2) u / (m1 + m2), v2 = (1 + e) m1 u / (m1 + m2)."""
+    keys = {"friction": 0, "restitution": e}
+    one = box([0.2] * 3, at=[-1, 0, 0], velocity=[3, 0, 0], mass=1.0, **keys)
+    other = {**box([0.2] * 3, mass=ratio, **keys), "name": "other"}
+    found = Rigid(tmp_path, one, other, **FREE)
+    found.to(0.6)
+    expected = [3 * (1 - e * ratio) / (1 + ratio), 3 * (1 + e) / (1 + ratio)]
+    assert_allclose(found.velocities()[:, 0], expected, atol=1e-3 if e == 0 else SPEED)
+
+
+@pytest.mark.parametrize(("friction", "slides"), [(0.1, True), (2.0, False)])
+def test_friction_acts_in_an_impact(
+    tmp_path: Path, friction: float, slides: bool
+) -> None:
+    """A ball without spin: it loses mu (1 + e) v, or 2/7 of its speed where it grips."""
+    e, down, along = 0.8, 3.0, 4.0
+    body = ball(0.1, at=[0, 0.4, 0], velocity=[along, -down, 0], restitution=e)
+    body |= {"friction": friction}
+    floor = {**FLOOR, "friction": 0}
+    found = Rigid(tmp_path, body, colliders=[floor], **FREE)
+    found.to(0.2)
+    speed = along - friction * (1 + e) * down if slides else along * 5 / 7
+    assert_allclose(found.velocities()[0], [speed, e * down, 0], atol=1e-4)
+    spin = 2.5 * (along - speed) / 0.1
+    assert_allclose(found.spins()[0], [0, 0, -spin], atol=1e-2)
+
+
+def test_bounces_of_a_crowd_settle(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    turns = rng.normal(size=(24, 4))
+    walls = [
+        {"shape": {"plane": {"normal": n, "offset": -0.4}}}
+        for n in ([1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1])
+    ]
+    boxes = []
+    for k, turn in enumerate(turns / np.linalg.norm(turns, axis=1, keepdims=True)):
+        at = [0.36 * (k % 2 - 0.5), 0.36 * (k // 4 + 0.8), 0.36 * (k // 2 % 2 - 0.5)]
+        one = box([0.2] * 3, at=at, rotate=turn.tolist(), restitution=0.5)
+        boxes.append(one | {"name": f"b{k}"})
+    found = Rigid(tmp_path, *boxes, colliders=[FLOOR, *walls])
+    found.to(8.0)
+    assert np.abs(found.velocities()).max() < 5e-3
+    assert found.state.deepest[0] < 0.01
