@@ -11,7 +11,19 @@ from support.reported.rows import Row, reported_rows
 from support.reported.running import Run, commands, run_row
 
 # Folders whose rows are to hold; what is right already is run of all of them.
-OWED = ("ik", "keys", "retarget", "turned", "units", "usd")
+OWED = (
+    "c3d",
+    "ik",
+    "keys",
+    "retarget",
+    "rigid",
+    "sto",
+    "timelines",
+    "trc",
+    "turned",
+    "units",
+    "usd",
+)
 
 
 @pytest.fixture(scope="module")
