@@ -36,7 +36,7 @@ constexpr double TURNED = 1e-3;
 // Friction at so many points holds a body; what leans on fewer, or is not held at all, falls
 // asleep below such a share of the speed of sleep.
 constexpr int HELD = 3;
-constexpr double LEANING = 0.1, CREEP = 0.01;
+constexpr double LEANING = 0.25, CREEP = 0.01;
 // Friction this near its limit slides.
 constexpr double SLIDING = 1e-6;
 // Who is deeper in another than this share of his size does not fall asleep.
