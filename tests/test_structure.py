@@ -38,6 +38,7 @@ LAYERS = [
         "similar",
         "scores",
         "spool",
+        "timecode",
         "toml_text",
     },
     {"options", "plugins", "ranges", "shot"},

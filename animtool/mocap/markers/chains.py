@@ -27,7 +27,7 @@ def chained(moving: Distances, overlap: FloatArray) -> IntArray:
     alike = alike_of(moving, overlap)
     together = overlap > 0
     alike[together] = -np.inf
-    beside = together & ~np.eye(count, dtype=bool)
+    concurrent = together & ~np.eye(count, dtype=bool)
     # Of two runs that are one marker each is the other's best among those that are seen
     # along with one of them.
     order = np.argwhere(alike > SURE)
@@ -35,8 +35,8 @@ def chained(moving: Distances, overlap: FloatArray) -> IntArray:
     scored = []
     for a, b in order.tolist():
         value = alike[a, b]
-        rivals_b = alike[a][beside[b]]  # what could be a instead of b
-        rivals_a = alike[b][beside[a]]
+        rivals_b = alike[a][concurrent[b]]  # what could be a instead of b
+        rivals_a = alike[b][concurrent[a]]
         rival = max(rivals_a.max(initial=0.0), rivals_b.max(initial=0.0))
         if value > rival + CLEAR:
             scored.append((value - rival, a, b))

@@ -22,7 +22,14 @@ TRIALS, GAIN = 40, 0.05
 # Markers found for less than this, of what was seen longest, and points without a name
 # that were seen for longer than that, have names around them given anew: how often, how
 # far [m], how much is left to chance [nat], and how often all names are.
-LACKING, LONG, RESTARTS, RADIUS, BIAS, ANEW = 0.5, 0.3, 60, (0.3, 1.2), (0.5, 6.0), 0.4
+LACKING, LONG, RESTARTS, RADIUS, BIAS, EMPTY_START = (
+    0.5,
+    0.3,
+    60,
+    (0.3, 1.2),
+    (0.5, 6.0),
+    0.4,
+)
 # Markers about one whose name is in doubt [m].
 AROUND = 0.3
 # Names of markers so near at rest are exchanged in threes, and two and two [m].
@@ -284,7 +291,9 @@ def searched(best: Naming, rest: FloatArray, seeds: Sequence[dict[int, int]]) ->
         bias = rng.normal(0.0, 1.0, best.said.shape) * chance
         other = best.copy()
         # Now and then all begins anew, with another group.
-        seed = seeds[int(rng.integers(len(seeds)))] if rng.random() < ANEW else {}
+        seed = (
+            seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
+        )
         other.restart(around | bool(seed), seed, bias)
         other.improve(-np.inf if seed else most)
         total = other.total()

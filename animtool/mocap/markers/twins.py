@@ -16,7 +16,7 @@ AGAINST = 6.0
 # Markers around those exchanged, of which any two give them a frame.
 AROUND = 5
 # Two pairs are exchanged at once where they are so near [m].
-BESIDE = 0.26
+NEAR_DISTANCE = 0.26
 # Frames looked at, and those of them that are nearest to the pose of the trial [1].
 SAMPLES, BEST, MIN_SAMPLES = 120, 0.1, 8
 # Shapes are off by as much for noise alone [m]; a shape that is off e times more is
@@ -119,7 +119,7 @@ def _near_only(
         near = np.ones(len(old), bool)
         if old.shape[1] == 4:
             between = rest[old[:, :2, None], old[:, None, 2:]]
-            near = between.min(axis=(1, 2)) < BESIDE
+            near = between.min(axis=(1, 2)) < NEAR_DISTANCE
         kept.append((old[near], new[near]))
     return kept
 
@@ -136,9 +136,9 @@ def _shape_says(
     """Return how much shapes speak for other names, a mean over neighbours [nat]."""
     distance = rest[now[changed]][:, now].min(axis=0)
     distance[changed] = np.inf
-    beside = np.argsort(distance, kind="stable")[:AROUND]
+    nearest = np.argsort(distance, kind="stable")[:AROUND]
     ratios = []
-    for pair in combinations(beside.tolist(), 2):
+    for pair in combinations(nearest.tolist(), 2):
         group = [*changed, *pair]
         offs = []
         for names in (now, then):

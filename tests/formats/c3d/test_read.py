@@ -194,7 +194,7 @@ def test_a_file_that_is_cut_short_anywhere(tmp_path: Path, points: Any) -> None:
 
 
 @pytest.mark.parametrize("path", data_files("mocap", "**/*.c3d"))
-def test_captures_beside_ezc3d(path: Path) -> None:
+def test_captures_equal_ezc3d(path: Path) -> None:
     ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed")
     other = ezc3d.c3d(str(path))
     markers = read_c3d(path, up=UpAxis.Z)

@@ -100,7 +100,7 @@ def test_unequal_masses_meet(tmp_path: Path, ratio: float, e: float) -> None:
 def test_friction_acts_in_an_impact(
     tmp_path: Path, friction: float, slides: bool
 ) -> None:
-    """A ball without spin: it loses mu (1 + e) v, or 2/7 of its speed where it grips."""
+    """A ball without spin loses mu (1 + e) v, or 2/7 of its speed where it grips."""
     e, down, along = 0.8, 3.0, 4.0
     body = ball(0.1, at=[0, 0.4, 0], velocity=[along, -down, 0], restitution=e)
     body |= {"friction": friction}

@@ -39,7 +39,9 @@ def test_a_pendulum_that_swings_little_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_door_on_its_hinge_turns_on(tmp_path: Path) -> None:
-    door = box([1, 2, 0.04], at=[0.5, 0, 0], spin=[0, 0.5, 0], velocity=[0, 0, -0.00436])
+    door = box(
+        [1, 2, 0.04], at=[0.5, 0, 0], spin=[0, 0.5, 0], velocity=[0, 0, -0.00436]
+    )
     joint = {"type": "pin", "body": "box", "at": [0, 0, 0], "axis": [0, 1, 0]}
     found = Rigid(tmp_path, door, joints=[joint])
     begin = found.to(0.5)[0]

@@ -51,6 +51,6 @@ def test_a_travel_that_feet_tread_has_none(walking: Take) -> None:
     assert list(foot_slide(subject(walking))) == []
 
 
-def test_a_body_that_is_carried_aside_slides(walking: Take) -> None:
+def test_a_body_moved_sideways_slides(walking: Take) -> None:
     slides = [bool(list(foot_slide(subject(drift(v, 0)(walking))))) for v in (0.0, 0.4)]
     assert slides == [False, True]
