@@ -105,8 +105,8 @@ class RigidSimulation:
         parts, given = context.parts, context.colliders
         stages: Sequence[Physics] = parts.get("stages", ())
         models, entries = list(spec.bodies), list(parts.get("bodies", ()))
-        for stage in stages:
-            more = body_entries(stage)
+        for k, stage in enumerate(stages):
+            more = body_entries(stage, f"stages[{k}].prim")
             models += more[0]
             entries += more[1]
         bodies = Bodies.of_models(models, entries, context.begin)
