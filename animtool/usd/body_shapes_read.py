@@ -46,8 +46,8 @@ def read_shapes(
         case "Capsule":
             own, sizes = "capsule", (read["radius"] * size, read["height"] * size)
         case "Cube":
-            sides = np.abs(scale) * read["size"] * source.unit
-            own, sizes = "box", tuple(sides.tolist())
+            sides = [side * source.unit for side in np.abs(scale).tolist()]
+            own, sizes = "box", tuple(side * read["size"] for side in sides)
         case "Plane" if still:
             own = "plane"
         case "Mesh":

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.sim.colliders import Colliders
+from animtool.sim.colliders import Collider, Colliders, Plane
+from animtool.sim.colliders.shapes import bounds
 from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.ground import Frame, Ground, walkable
 from animtool.systems.crowds.routes import MAX_NODES, Grid
@@ -184,7 +185,8 @@ def grids(
 ) -> tuple[Grid | None, Grid | None]:
     """Return grids of where agents may walk and of where ground is.
 
-    None where nothing is in the way, and where the ground has no end.
+    None where nothing is in the way, and where the ground has no end. Where agents are
+    too far apart for one grid, it is what is near obstacles.
     """
     still = [one for one in colliders if len(one.poses.moments) == 1]
     if ground.flat and not still:
@@ -202,7 +204,12 @@ def grids(
             np.minimum(high, ground.bounds[1]),
         )
         high = np.maximum(high, low)
-    cell = max(spec.cell or radius, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
+    wanted = spec.cell or radius
+    if ground.flat and np.prod((high - low) / wanted) > MAX_NODES:
+        low, high = _about(still, frame, low, high, RADII_BEYOND * radius)
+        if not (low < high).all():
+            return None, None
+    cell = max(wanted, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
     nodes = Grid.nodes(low, cell, shape)
@@ -224,6 +231,31 @@ def grids(
         free[within] = clear
     edge = None if on_ground.all() and ground.flat else Grid(low, cell, on_ground)
     return Grid(low, cell, free.reshape(shape)), edge
+
+
+def _about(
+    still: Sequence[Collider],
+    frame: Frame,
+    low: FloatArray,
+    high: FloatArray,
+    margin: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what is near obstacles of least and largest x and z ``(2,)`` [m].
+
+    Elsewhere nothing is in the way. Walls without an end are near everything.
+    """
+    corners = []
+    for one in still:
+        if isinstance(one.shape, Plane):
+            return low, high
+        ends = bounds(one.shape)
+        box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
+        corners.append(frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]])
+    around = np.concatenate(corners)
+    return (
+        np.maximum(low, around.min(axis=0) - margin),
+        np.minimum(high, around.max(axis=0) + margin),
+    )
 
 
 def lost(grid: Grid, x: FloatArray) -> BoolArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool import BakeOptions, bake
 from animtool.errors import AnimtoolError, Fault
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
@@ -18,6 +20,8 @@ from animtool.usd.layers import compute_alone, forget_layers
 ABOUT = "UsdPhysics stages of rigid bodies, with odd values, simulated"
 
 FPS, FRAMES = 24, 3
+# Share of cases whose result is written too.
+BAKED = 0.05
 # A stage is odd as a whole: none of its values is, some are, or many.
 _ODD = (0.0, 0.003, 0.01, 0.03, 0.1, 0.4)
 _NUMBERS = (
@@ -54,18 +58,22 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
             entry["prim"] = str(rng.choice(["/", "/W/b0", "/W/floor", "/no"]))
         if rng.random() < 0.1:
             entry["frame"] = float(rng.choice([-1e6, 0.0, 5.5, 1e6]))
+        written: dict[str, Any] = {}
+        if rng.random() < 0.5:
+            written = {"prims": "xforms", "physics": bool(rng.integers(2))}
+        baked = rng.random() < BAKED
         scene = {
             "scene": "animtool/1",
             "fps": FPS,
             "range": [1, FRAMES],
-            "systems": [{"rigid": {"name": "y", "stages": [entry]}}],
+            "systems": [{"rigid": {"name": "y", "stages": [entry], **written}}],
             "output": {"file": "shot.usda"},
         }
         path.write_text(json.dumps(scene), "utf-8")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                return _simulated(path)
+                return _baked(path) if baked else _simulated(path)
         except AnimtoolError as error:
             _check(error.faults)
             return error.code
@@ -92,6 +100,14 @@ def _simulated(path: Path) -> str:
     notices = sorted({notice.code for notice in system.notices})
     json.dumps(system.report(), allow_nan=False)
     return " ".join(["simulated", *notices])
+
+
+def _baked(path: Path) -> str:
+    output = path.with_name("shot.usda")
+    bake(path, output, BakeOptions(overwrite=True))
+    # Limits that joints do not have are infinite.
+    assert not re.search(r"[\s(,\[-]nan\b", output.read_text("utf-8")), "not finite"
+    return "baked"
 
 
 class _Stage:
