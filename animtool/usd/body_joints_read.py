@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -113,7 +114,9 @@ def _side(
         return -1, source.up(own)
     prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
     if not prim:
-        message = f"names {excerpt(str(target))} as body{side}, and there is no such prim"
+        message = (
+            f"names {excerpt(str(target))} as body{side}, and there is no such prim"
+        )
         hint = nearest_prim(source.stage, str(target))
         Spot.of(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
@@ -140,8 +143,8 @@ def _limits(
         return None, None
     if kind == "ball":
         names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
-        ends = [f"limit:{axis}:physics:{e}" for axis in FREEDOMS for e in ("low", "high")]
-        for name in (*names, *ends):
+        ends = product(FREEDOMS, ("low", "high"))
+        for name in (*names, *(f"limit:{axis}:physics:{end}" for axis, end in ends)):
             source.endless(prim.GetAttribute(name))
         ball = read_ball(prim, (1.0, 0.0, 0.0))
         if ball is None:

@@ -108,9 +108,13 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     above = source.cache.GetParentToWorldTransform(prim)
     outer = source.pose(np.array(above, np.float64))[0][3:]
     outer = so3.multiply(source.turn, outer)
-    still = np.zeros(3)
-    velocity = source.numbers(rigid.GetVelocityAttr(), 3)
-    spin = source.numbers(rigid.GetAngularVelocityAttr(), 3)
+    velocity, spin = (
+        np.zeros(3) if given is None else so3.rotate(outer, given)
+        for given in (
+            source.numbers(rigid.GetVelocityAttr(), 3),
+            source.numbers(rigid.GetAngularVelocityAttr(), 3),
+        )
+    )
     times, path = np.zeros(1), None
     if kinematic:
         times, path = _moves(source, prim)
@@ -119,8 +123,8 @@ def _body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         source.up(pose),
         shapes,
         **_mass(source, prim, scale),
-        velocity=still if velocity is None else so3.rotate(outer, velocity * source.unit),
-        spin=still if spin is None else so3.rotate(outer, np.radians(spin)),
+        velocity=velocity * source.unit,
+        spin=np.radians(spin),
         kinematic=kinematic,
         times=times,
         path=path,

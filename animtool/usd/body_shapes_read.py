@@ -76,7 +76,7 @@ def _axis(source: PhysicsStage, prim: Any) -> FloatArray:
     axis = str(attribute.Get())
     if axis not in AXES:
         Spot.of(source.path, attribute).fail("SIM051", f"is {axis!r}", "X, Y or Z")
-    return AXES[axis]
+    return np.asarray(AXES[axis], np.float64)
 
 
 def _mesh(

@@ -83,8 +83,12 @@ class PointReader:
 
 
 def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``."""
-    placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
+    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``.
+
+    What is not finite there is for callers to find.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
     return placed
 
 

@@ -61,12 +61,13 @@ class Grid:
 
     @property
     def high(self) -> FloatArray:
-        """x and z of the last node ``(2,)`` [m]."""
+        """Where the last node is: x and z ``(2,)`` [m]."""
         return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
 
     def depth(self, points: FloatArray) -> FloatArray:
         """Return how far x and z ``(K, 2)`` are from its sides, below 0 outside [m]."""
-        return np.minimum(points - self.low, self.high - points).min(axis=1)
+        sides = np.minimum(points - self.low, self.high - points)
+        return np.asarray(sides.min(axis=1), np.float64)
 
     def facing(self, point: FloatArray) -> IntArray:
         """Return numbers of the nodes on the sides that x and z ``(2,)`` are beyond."""
@@ -179,7 +180,9 @@ class Route:
         far = np.linalg.norm(off, axis=1)
         row, column = grid.at(points).T
         # Who is outside of the grid sees what its nearest node sees.
-        seen = np.linalg.norm(goal - grid.place(row * grid.free.shape[1] + column), axis=1)
+        seen = np.linalg.norm(
+            goal - grid.place(row * grid.free.shape[1] + column), axis=1
+        )
         within = np.where(grid.depth(points) < 0, np.maximum(far, seen), far)
         near = self.distances[row, column] <= within + STRAIGHT * grid.cell
         # Ways to a goal outside of the grid end at its sides, and go straight on there.

@@ -211,10 +211,11 @@ def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
         return BodyModel.model_validate(keys)
     except ValidationError as error:
         first = error.errors()[0]
-        key, said = ".".join(map(str, first["loc"])), excerpt(str(first["input"]))
-        message = f"{origin}: {key} is {said}: {first['msg'][:1].lower()}"
-        hint = "in metres, kilograms and seconds: look at the units of the stage"
-        refuse("SIM051", message + first["msg"][1:], entry, hint)
+        value, key = first["input"], ".".join(map(str, first["loc"]))
+        said = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
+        message = f"{origin}: {key} is {said} in metres, kilograms and seconds"
+        hint = f"{first['msg']}: look at the units of the stage"
+        refuse("SIM051", message, entry, hint)
 
 
 def shape_of(shape: PhysicsShape) -> Shape:
