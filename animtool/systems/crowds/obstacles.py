@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
 from animtool.sim.colliders.shapes import bounds
 from animtool.systems.crowds.agents import Agents
@@ -22,6 +23,8 @@ UPRIGHT = 0.3
 # The grid of routes reaches beyond all starts and goals: by a share of their extent,
 # and by some of the largest radius.
 BEYOND, RADII_BEYOND = 0.5, 40.0
+# Nodes of the grid that are looked at together: more take gigabytes.
+AT_ONCE = 2**18
 # Share of the fastest at which who is inside an obstacle leaves it.
 LEAVING = 0.8
 
@@ -218,17 +221,19 @@ def grids(
     )
     free = on_ground.ravel().copy()
     if still:
+        met, heights = Colliders(still), base.ravel()
         within = np.flatnonzero(free)
-        ones = np.ones(len(within))
         tall = float(agents.heights.max(initial=radius))
-        clear = np.ones(len(within), bool)
-        for far, _, _ in upright(
-            Colliders(still), frame, nodes[within], base.ravel()[within],
-            radius * ones, tall * ones, t, 0.0,
-        ):  # fmt: skip
-            # Whoever is wider than a gap looks is kept out of it by walls.
-            clear &= far >= radius - cell / 2
-        free[within] = clear
+        for first in range(0, len(within), AT_ONCE):
+            some = within[first : first + AT_ONCE]
+            ones, clear = np.ones(len(some)), np.ones(len(some), bool)
+            for far, _, _ in upright(
+                met, frame, nodes[some], heights[some],
+                radius * ones, tall * ones, t, 0.0,
+            ):  # fmt: skip
+                # Whoever is wider than a gap looks is kept out of it by walls.
+                clear &= far >= radius - cell / 2
+            free[some] = clear
     edge = None if on_ground.all() and ground.flat else Grid(low, cell, on_ground)
     return Grid(low, cell, free.reshape(shape)), edge
 
@@ -242,20 +247,25 @@ def _about(
 ) -> tuple[FloatArray, FloatArray]:
     """Return what is near obstacles of least and largest x and z ``(2,)`` [m].
 
-    Elsewhere nothing is in the way. Walls without an end are near everything.
+    Elsewhere nothing is in the way. Walls without an end are near everything; floors
+    are in nobody's way.
     """
-    corners = []
+    first, last = np.full(2, np.inf), np.full(2, -np.inf)
     for one in still:
         if isinstance(one.shape, Plane):
-            return low, high
+            normal = so3.rotate(
+                one.poses.rows[0, 3:], np.array(one.shape.normal, float)
+            )
+            way = frame.turned_back(normal)[[0, 2]]
+            if np.linalg.norm(way) > UPRIGHT * np.linalg.norm(normal):
+                return low, high
+            continue
         ends = bounds(one.shape)
         box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
-        corners.append(frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]])
-    around = np.concatenate(corners)
-    return (
-        np.maximum(low, around.min(axis=0) - margin),
-        np.minimum(high, around.max(axis=0) + margin),
-    )
+        seen = frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]]
+        first = np.minimum(first, seen.min(axis=0))
+        last = np.maximum(last, seen.max(axis=0))
+    return np.maximum(low, first - margin), np.minimum(high, last + margin)
 
 
 def lost(grid: Grid, x: FloatArray) -> BoolArray:
