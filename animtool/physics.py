@@ -46,6 +46,7 @@ class PhysicsBody:
     kinematic: bool = False
     times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
     path: FloatArray | None = None  # poses at these, of what is kinematic (T, 7)
+    origin: str = ""  # file and prim that it is of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

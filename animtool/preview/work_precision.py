@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,8 +89,11 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
     try:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
+            warnings.catch_warnings(),
             replacing(path) as new,
         ):
+            # What a font has no sign for is drawn as a box.
+            warnings.filterwarnings("ignore", "Glyph", UserWarning)
             figure.savefig(new, format=kind, metadata=dates[kind])
     except OSError as error:
         raise output_error(path, error) from error
@@ -121,15 +125,19 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
     frame.xaxis.set_minor_formatter(ticker.NullFormatter())
     frame.set_xlabel(panel.time)
     frame.set_ylabel(panel.error)
-    frame.set_title("\n".join(filter(None, [panel.title, panel.remark])), fontsize=10)
+    title = "\n".join(filter(None, [panel.title, panel.remark]))
+    # Names are text, whatever matplotlib takes for formulas.
+    frame.set_title(title, fontsize=10, parse_math=False)
     frame.grid(visible=True, which="both", alpha=0.2)
     if frame.get_legend_handles_labels()[0]:
-        frame.legend(
+        legend = frame.legend(
             fontsize=7,
             labelspacing=0.9,
             loc="center left",
             bbox_to_anchor=(1.01, 0.5),
         )
+        for text in legend.get_texts():
+            text.set_parse_math(False)
 
 
 def _ring(frame: Any, chosen: Sequence[Point]) -> None:

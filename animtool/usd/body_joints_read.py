@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 from pxr import UsdPhysics
 
 from animtool._types import FloatArray
+from animtool.errors import excerpt
 from animtool.maths import so3
 from animtool.physics import STILL, JointDrive, PhysicsJoint
-from animtool.usd.physics_stage import AXES, MAX_FORCE, PhysicsStage, within
+from animtool.usd.faults import Spot
+from animtool.usd.physics_stage import (
+    AXES,
+    LARGEST,
+    MAX_FORCE,
+    PhysicsStage,
+    is_body,
+    within,
+)
 from animtool.usd.rig_layer import read_ball
-from animtool.usd.rig_prims import upwards
+from animtool.usd.rig_prims import nearest_prim, upwards
 
 JOINTS = {
     "PhysicsFixedJoint": "fixed",
@@ -25,10 +35,19 @@ JOINTS = {
 }
 
 
+# Names of the degrees of freedom of a joint without a type.
+FREEDOMS = ("rotX", "rotY", "rotZ")
+# An ellipse of swings has two half-angles above 0, and no axis at half a turn [rad].
+SWING = math.radians(1e-3), math.radians(179.0)
+
+
 def read_joint(
-    source: PhysicsStage, prim: Any, places: Mapping[str, int]
+    source: PhysicsStage, prim: Any, places: Mapping[str, int], moved: Sequence[bool]
 ) -> PhysicsJoint | None:
-    """Return a joint between bodies, by path; None where it joins none, or is off."""
+    """Return a joint between bodies, by path; None where it joins none, or is off.
+
+    moved: Which bodies are moved by what happens to them.
+    """
     joint = UsdPhysics.Joint(prim)
     if joint.GetJointEnabledAttr().Get() is False:
         return None
@@ -36,8 +55,11 @@ def read_joint(
     if kind is None:
         source.note(prim, f"is a {prim.GetTypeName()}, which is not read")
         return None
-    token = str(prim.GetAttribute("physics:axis").Get() or "X")
-    lean = so3.between(AXES["X"], AXES.get(token, AXES["X"]))
+    axis = prim.GetAttribute("physics:axis")
+    token = str((axis.Get() if axis else None) or "X")
+    if token not in AXES:
+        Spot.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
+    lean = so3.between(AXES["X"], AXES[token])
     bodies, frames = [], []
     for side in (0, 1):
         at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
@@ -47,16 +69,26 @@ def read_joint(
         own[3:] = so3.IDENTITY if turn is None or not turn.any() else turn
         own[3:] = so3.multiply(so3.normalize(own[3:]), lean)
         targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
-        body, frame = _side(source, targets[0] if targets else None, own, places)
+        if len(targets) > 1:
+            message = f"names {len(targets)} prims as body{side}: {targets[0]} is taken"
+            source.note(prim, message)
+        target = targets[0] if targets else None
+        body, frame = _side(source, prim, side, target, own, places)
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
         source.note(prim, "joins no body that is read")
         return None
+    if bodies[0] == bodies[1]:
+        source.note(prim, "joins a body to itself, and is left out")
+        return None
+    if not any(moved[body] for body in bodies if body >= 0):
+        source.note(prim, "joins no body that is moved, and is left out")
+        return None
     limits, swing = _limits(source, prim, kind)
     for name in ("breakForce", "breakTorque"):
-        value = prim.GetAttribute(f"physics:{name}").Get()
-        if value is not None and math.isfinite(value) and value < MAX_FORCE:
+        value = source.endless(prim.GetAttribute(f"physics:{name}"))
+        if value is not None and value < MAX_FORCE:
             source.note(prim, f"breaks by {name}: here it never does")
     return PhysicsJoint(
         str(prim.GetName()),
@@ -70,14 +102,23 @@ def read_joint(
 
 
 def _side(
-    source: PhysicsStage, target: Any, own: FloatArray, places: Mapping[str, int]
+    source: PhysicsStage,
+    joint: Any,
+    side: int,
+    target: Any,
+    own: FloatArray,
+    places: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
     """Return the body of a side, -1 the world, and the joint's frame there."""
     if target is None:
         return -1, source.up(own)
-    prim = source.stage.GetPrimAtPath(target)
+    prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
     if not prim:
-        return -1, source.up(own)
+        message = (
+            f"names {excerpt(str(target))} as body{side}, and there is no such prim"
+        )
+        hint = nearest_prim(source.stage, str(target))
+        Spot.of(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
     own = np.concatenate([own[:3] * scale, own[3:]])
     placed = np.concatenate(
@@ -87,6 +128,10 @@ def _side(
         body = places.get(str(above.GetPath()))
         if body is not None:
             return body, within(source.pose(source.matrix(above))[0], placed)
+        if is_body(above):
+            message = f"hangs on {excerpt(str(above.GetPath()))}, a body that is not "
+            source.note(joint, f"{message}read: on the world in its place")
+            break
     return -1, source.up(placed)
 
 
@@ -97,18 +142,49 @@ def _limits(
     if kind == "fixed":
         return None, None
     if kind == "ball":
+        names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
+        ends = product(FREEDOMS, ("low", "high"))
+        for name in (*names, *(f"limit:{axis}:physics:{end}" for axis, end in ends)):
+            source.endless(prim.GetAttribute(name))
         ball = read_ball(prim, (1.0, 0.0, 0.0))
         if ball is None:
             return None, None
-        swing = None if ball.swing is None else np.broadcast_to(ball.swing, 2)
-        pair = None if swing is None else (float(swing[0]), float(swing[1]))
-        return ball.twist, pair
-    scale = math.radians(1.0) if kind == "pin" else source.unit
-    low = prim.GetAttribute("physics:lowerLimit").Get()
-    high = prim.GetAttribute("physics:upperLimit").Get()
-    if low is None or high is None or not math.isfinite(low + high):
+        swing = None
+        if ball.swing is not None:
+            first, second = np.clip(ball.swing, *SWING).tolist()
+            swing = first, second
+        return _apart(source, prim, ball.twist, 2 * math.pi), swing
+    low, high = (
+        source.endless(prim.GetAttribute(f"physics:{end}Limit"))
+        for end in ("lower", "upper")
+    )
+    if low is None or high is None or (math.isinf(low) and math.isinf(high)):
         return None, None
-    return (low * scale, high * scale), None
+    if kind == "pin":
+        return _apart(source, prim, (math.radians(low), math.radians(high))), None
+    slide = (low * source.unit, high * source.unit)
+    bounded = tuple(np.clip(slide, -LARGEST, LARGEST).tolist())
+    return _apart(source, prim, bounded, math.inf), None
+
+
+def _apart(
+    source: PhysicsStage,
+    prim: Any,
+    limits: tuple[float, float] | None,
+    most: float = 2 * math.pi,
+) -> tuple[float, float] | None:
+    """Return limits that a joint can hold; None, and a notice, of others."""
+    if limits is None:
+        return None
+    low, high = limits
+    if low > high:
+        source.note(prim, "has a lower limit above its upper one: it is not limited")
+        return None
+    if high - low > most * (1 + 1e-6):
+        message = "has limits more than a turn apart: turns are not counted, and it "
+        source.note(prim, f"{message}is not limited")
+        return None
+    return low, high
 
 
 def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
@@ -122,25 +198,18 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
     gain = source.kilograms if linear else force * math.degrees(1.0)
     scale = source.unit if linear else math.radians(1.0)
 
-    def value(drive: Any, name: str) -> float:
-        attribute = getattr(drive, f"Get{name}Attr")()
-        number = attribute.Get()
-        # What has no end is not meant to be read.
-        if name == "MaxForce" or number is None:
-            return float(number or 0.0)
-        numbers = source.numbers(attribute, 1)
-        return 0.0 if numbers is None else float(numbers[0])
+    def value(drive: Any, name: str, least: float = -LARGEST) -> float:
+        return source.number(getattr(drive, f"Get{name}Attr")(), least) or 0.0
 
     targets = [value(drive, "TargetPosition") * scale for drive in drives]
-    most = value(drives[0], "MaxForce")
-    rates = [value(drive, "TargetVelocity") for drive in drives]
-    if any(rates):
+    most = source.endless(drives[0].GetMaxForceAttr())
+    if any(value(drive, "TargetVelocity") for drive in drives):
         source.note(prim, "has a drive with a velocity to reach, which is not read")
     ball = kind == "ball"
     return JointDrive(
-        max(value(drives[0], "Stiffness"), 0.0) * gain,
-        max(value(drives[0], "Damping"), 0.0) * gain,
+        value(drives[0], "Stiffness", 0.0) * gain,
+        value(drives[0], "Damping", 0.0) * gain,
         0.0 if ball else targets[0],
         so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
-        most * force if 0 < most < MAX_FORCE else None,
+        most * force if most is not None and 0 <= most < MAX_FORCE else None,
     )

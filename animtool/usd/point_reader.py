@@ -83,8 +83,12 @@ class PointReader:
 
 
 def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``."""
-    placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
+    """Return points ``(N, 3)`` placed by a transform of row vectors ``(4, 4)``.
+
+    What is not finite there is for callers to find.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        placed: FloatArray = points @ matrix[:3, :3] + matrix[3, :3]
     return placed
 
 
@@ -304,19 +308,25 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
         return MeshSource(stage, mesh, up)
 
 
+def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
+    """Return what makes points ``(N, 3)`` and faces no mesh; nothing of a good one."""
+    if not len(points) or not len(counts):
+        return "has no points or no faces"
+    if not np.isfinite(points).all():
+        return "has a point that is not finite"
+    if (counts < 3).any():
+        return f"has a face of {counts.min()} corners"
+    if counts.sum() != len(indices):
+        return f"has {len(indices)} corners, and its faces {counts.sum()}"
+    outside = indices[(indices < 0) | (indices >= len(points))]
+    if len(outside):
+        return f"has a corner {outside[0]} that is none of its {len(points)} points"
+    return ""
+
+
 def _check_mesh(
     points: FloatArray, counts: IntArray, indices: IntArray, prim: str
 ) -> None:
-    message = ""
-    if not len(points) or not len(counts):
-        message = "has no points or no faces"
-    elif not np.isfinite(points).all():
-        message = "has a point that is not finite"
-    elif (counts < 3).any():
-        message = f"has a face of {counts.min()} corners"
-    elif counts.sum() != len(indices):
-        message = f"has {len(indices)} corners, and its faces {counts.sum()}"
-    elif indices.min() < 0 or indices.max() >= len(points):
-        message = f"has a corner that is none of its {len(points)} points"
+    message = mesh_fault(points, counts, indices)
     if message:
         raise OptionError(Fault("SIM051", f"{prim} {message}"))

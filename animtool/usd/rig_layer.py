@@ -241,8 +241,10 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
         first, second = (
             joint.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
         )
-        if first is None or second is None or min(first, second) < 0:
+        if first is None or second is None or not 0 <= min(first, second) < math.inf:
             return None
+        # One that has no end is half a turn.
+        first, second = min(first, 180.0), min(second, 180.0)
         return BallLimit((math.radians(first), math.radians(second)), None, axis)
     twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
     swing = None

@@ -13,6 +13,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -133,6 +134,8 @@ def _run(
         reached[8] = bool(path)
 
     report_reading(note)
+    # What numpy warns of would reach the user's terminal.
+    warnings.simplefilter("error", RuntimeWarning)
     for case in cases:
         reached[:] = case.to_bytes(9, "little")
         # Without a handler, its signal ends the process.

@@ -80,6 +80,14 @@ def drawn(panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return frame
 
 
+def test_names_are_drawn_as_they_are(tmp_path: Path) -> None:
+    """Dollars are no formulas, and signs that the font has not warn of nothing."""
+    name = "r$\\frac{$ \N{CJK UNIFIED IDEOGRAPH-6F22}"
+    curve = Curve(name, (Point(1.0, 1e-3), Point(2.0, 1e-4)))
+    draw_panels([Panel(name, "error [m]", (curve,))], tmp_path / "p.svg")
+    assert (tmp_path / "p.svg").stat().st_size
+
+
 def test_settings_without_an_error_or_with_none_at_all_have_no_point(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

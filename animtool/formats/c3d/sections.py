@@ -50,7 +50,9 @@ class Processor(IntEnum):
     def floats(self, data: bytes) -> FloatArray:
         """Return 32-bit floats as float64; DEC's are VAX F, words swapped, times 4."""
         if self is not Processor.DEC:
-            return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
+            # Bytes that are no number become NaN, signalling or not.
+            with np.errstate(invalid="ignore"):
+                return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
         raw = np.ascontiguousarray(words).view("<u4").ravel()
         fraction = (raw & 0x7FFFFF) | 0x800000

@@ -31,6 +31,9 @@ MIN_TRAINING = 12
 FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 NOISE = 0.0005
+# The same squared is not below this share of how alike a frame is to itself [1]: what
+# float64 can factor.
+ROUNDING = 1e-12
 # How a marker strays from where the pose has it [m], and for how long [s].
 STRAYS = ((0.004, 0.12), (0.03, 0.35))
 # The same where a joint is held by nothing.
@@ -266,7 +269,9 @@ def _regressed(
 
     known = len(local)
     mean = local.mean(axis=0)
-    factor = cho_factor(kernel[:known] + NOISE**2 * np.eye(known))
+    # What is as far off as a wild sample is told to less than the noise of others.
+    noise = max(NOISE**2, ROUNDING * float(np.trace(kernel[:known])) / known)
+    factor = cho_factor(kernel[:known] + noise * np.eye(known))
     inverse = cho_solve(factor, np.eye(known))
     weights = inverse @ (local - mean)
     found = kernel[known:] @ weights + mean

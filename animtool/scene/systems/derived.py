@@ -277,7 +277,8 @@ class PartReader(EntryReader):
             return read_bodies(path, model.prim, model.frame)
         except AnimtoolError as error:
             for fault in error.faults:
-                message = ": ".join([fault.where or model.prim, fault.message])
+                of = path.name, fault.where or model.prim
+                message = ": ".join([*of, fault.message])
                 self.note((*at, "prim"), replace(fault, code="SIM051", message=message))
             return None
 

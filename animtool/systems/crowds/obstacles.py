@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.sim.colliders import Colliders
+from animtool.maths import so3
+from animtool.sim.colliders import Collider, Colliders, Plane
+from animtool.sim.colliders.shapes import bounds
 from animtool.systems.crowds.agents import Agents
 from animtool.systems.crowds.ground import Frame, Ground, walkable
 from animtool.systems.crowds.routes import MAX_NODES, Grid
@@ -21,6 +23,8 @@ UPRIGHT = 0.3
 # The grid of routes reaches beyond all starts and goals: by a share of their extent,
 # and by some of the largest radius.
 BEYOND, RADII_BEYOND = 0.5, 40.0
+# Nodes of the grid that are looked at together: more take gigabytes.
+AT_ONCE = 2**18
 # Share of the fastest at which who is inside an obstacle leaves it.
 LEAVING = 0.8
 
@@ -184,7 +188,8 @@ def grids(
 ) -> tuple[Grid | None, Grid | None]:
     """Return grids of where agents may walk and of where ground is.
 
-    None where nothing is in the way, and where the ground has no end.
+    None where nothing is in the way, and where the ground has no end. Where agents are
+    too far apart for one grid, it is what is near obstacles.
     """
     still = [one for one in colliders if len(one.poses.moments) == 1]
     if ground.flat and not still:
@@ -202,7 +207,12 @@ def grids(
             np.minimum(high, ground.bounds[1]),
         )
         high = np.maximum(high, low)
-    cell = max(spec.cell or radius, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
+    wanted = spec.cell or radius
+    if ground.flat and np.prod((high - low) / wanted) > MAX_NODES:
+        low, high = _about(still, frame, low, high, RADII_BEYOND * radius)
+        if not (low < high).all():
+            return None, None
+    cell = max(wanted, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
     nodes = Grid.nodes(low, cell, shape)
@@ -211,19 +221,51 @@ def grids(
     )
     free = on_ground.ravel().copy()
     if still:
+        met, heights = Colliders(still), base.ravel()
         within = np.flatnonzero(free)
-        ones = np.ones(len(within))
         tall = float(agents.heights.max(initial=radius))
-        clear = np.ones(len(within), bool)
-        for far, _, _ in upright(
-            Colliders(still), frame, nodes[within], base.ravel()[within],
-            radius * ones, tall * ones, t, 0.0,
-        ):  # fmt: skip
-            # Whoever is wider than a gap looks is kept out of it by walls.
-            clear &= far >= radius - cell / 2
-        free[within] = clear
+        for first in range(0, len(within), AT_ONCE):
+            some = within[first : first + AT_ONCE]
+            ones, clear = np.ones(len(some)), np.ones(len(some), bool)
+            for far, _, _ in upright(
+                met, frame, nodes[some], heights[some],
+                radius * ones, tall * ones, t, 0.0,
+            ):  # fmt: skip
+                # Whoever is wider than a gap looks is kept out of it by walls.
+                clear &= far >= radius - cell / 2
+            free[some] = clear
     edge = None if on_ground.all() and ground.flat else Grid(low, cell, on_ground)
     return Grid(low, cell, free.reshape(shape)), edge
+
+
+def _about(
+    still: Sequence[Collider],
+    frame: Frame,
+    low: FloatArray,
+    high: FloatArray,
+    margin: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what is near obstacles of least and largest x and z ``(2,)`` [m].
+
+    Elsewhere nothing is in the way. Walls without an end are near everything; floors
+    are in nobody's way.
+    """
+    first, last = np.full(2, np.inf), np.full(2, -np.inf)
+    for one in still:
+        if isinstance(one.shape, Plane):
+            normal = so3.rotate(
+                one.poses.rows[0, 3:], np.array(one.shape.normal, float)
+            )
+            way = frame.turned_back(normal)[[0, 2]]
+            if np.linalg.norm(way) > UPRIGHT * np.linalg.norm(normal):
+                return low, high
+            continue
+        ends = bounds(one.shape)
+        box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
+        seen = frame.to_local(one.poses.to_world(box)[0])[:, [0, 2]]
+        first = np.minimum(first, seen.min(axis=0))
+        last = np.maximum(last, seen.max(axis=0))
+    return np.maximum(low, first - margin), np.minimum(high, last + margin)
 
 
 def lost(grid: Grid, x: FloatArray) -> BoolArray:

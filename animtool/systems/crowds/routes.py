@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,6 +58,27 @@ class Grid:
         most = np.array(self.free.shape) - 1
         near = np.floor((points - self.low) / self.cell + 0.5)
         return np.clip(near, 0, most).astype(np.int64)
+
+    @property
+    def high(self) -> FloatArray:
+        """Where the last node is: x and z ``(2,)`` [m]."""
+        return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
+
+    def depth(self, points: FloatArray) -> FloatArray:
+        """Return how far x and z ``(K, 2)`` are from its sides, below 0 outside [m]."""
+        sides = np.minimum(points - self.low, self.high - points)
+        return np.asarray(sides.min(axis=1), np.float64)
+
+    def facing(self, point: FloatArray) -> IntArray:
+        """Return numbers of the nodes on the sides that x and z ``(2,)`` are beyond."""
+        numbers = np.arange(self.free.size).reshape(self.free.shape)
+        sides = [np.zeros(0, np.int64)]
+        for axis, edges in enumerate((numbers, numbers.T)):
+            if point[axis] < self.low[axis] - self.cell:
+                sides.append(edges[0])
+            if point[axis] > self.high[axis] + self.cell:
+                sides.append(edges[-1])
+        return np.unique(np.concatenate(sides))
 
     def free_at(self, points: FloatArray) -> IntArray:
         """Return numbers of the free nodes nearest to x and z ``(K, 2)``."""
@@ -158,7 +179,14 @@ class Route:
         off = goal - points
         far = np.linalg.norm(off, axis=1)
         row, column = grid.at(points).T
-        near = self.distances[row, column] <= far + STRAIGHT * grid.cell
+        # Who is outside of the grid sees what its nearest node sees.
+        seen = np.linalg.norm(
+            goal - grid.place(row * grid.free.shape[1] + column), axis=1
+        )
+        within = np.where(grid.depth(points) < 0, np.maximum(far, seen), far)
+        near = self.distances[row, column] <= within + STRAIGHT * grid.cell
+        # Ways to a goal outside of the grid end at its sides, and go straight on there.
+        near &= (grid.depth(points) < grid.cell) | (grid.depth(goal) > -grid.cell)
         made[near] = (targets - points)[near]
         size = np.linalg.norm(made, axis=1)[:, None]
         return np.asarray(made / np.where(size > 0, size, 1.0))
@@ -184,14 +212,14 @@ def route_to(grid: Grid, goal: FloatArray) -> Route:
     first = order[np.flatnonzero(np.diff(parts[order], prepend=0))]
     row, column = grid.at(goal[None])[0]
     goals = np.concatenate([np.zeros((1, 2)), grid.place(nodes[first])])
+    near: Sequence[int] | IntArray = []
     if grid.free[row, column]:
         goals[own] = goal
-    # From the nodes about the goal itself, so that ways end there and not at a node.
-    near = (
-        nodes[(parts == own) & (off < 1.5 * grid.cell)]
-        if grid.free[row, column]
-        else []
-    )
+        # From the nodes about the goal itself, so that ways end there and not at a
+        # node; outside of the grid nothing is between it and the sides that face it.
+        close = nodes[(parts == own) & (off < 1.5 * grid.cell)]
+        sides = grid.facing(goal)
+        near = np.union1d(close, sides[grid.parts.ravel()[sides] == own])
     seeds = np.concatenate([nodes[first], near]).astype(np.int64)
     starts = np.linalg.norm(
         grid.place(seeds) - goals[grid.parts.ravel()[seeds]], axis=1

@@ -21,6 +21,9 @@ _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
+# Shorter directions have a length of 0 in float64.
+LEAST = 1e-150
+
 
 def mixed(
     values: np.ndarray[tuple[int, ...], np.dtype[np.uint64]],
@@ -144,8 +147,11 @@ class Emitter(Emission, Checked):
         self, chances: FloatArray, outwards: FloatArray | None
     ) -> FloatArray:
         """Return directions in a cone, evenly by solid angle ``(N, 3)``."""
-        given = (0.0, 1.0, 0.0) if self.direction is None else self.direction
-        middle = np.broadcast_to(np.asarray(given, np.float64), (len(chances), 3))
+        given = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
+        if not LEAST < np.linalg.norm(given) < 1 / LEAST:
+            # Its square is not held by float64.
+            given = given / np.abs(given).max()
+        middle = np.broadcast_to(given.astype(np.float64), (len(chances), 3))
         if outwards is not None and self.direction is None:
             middle = outwards
         middle = middle / np.linalg.norm(middle, axis=1)[:, None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import OptionError, refuse
+from animtool.errors import Fault, OptionError, refuse
 from animtool.maths import so3
 from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
@@ -74,15 +74,17 @@ class Bodies:
         """Return the bodies of a spec."""
         kinds: list[Kind] = []
         names, of, moved, poses = [], [], [], []
+        taken: set[str] = set()
         for number, (model, part) in enumerate(zip(models, parts, strict=True)):
-            place = f"bodies[{number}]"
-            with _entry(place):
-                if model.name in {kind.model.name for kind in kinds}:
+            place, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
+            with _entry(place, origin):
+                if model.name in taken:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
                 check_moved(model)
                 kind = kind_of(model, part)
                 points, turns = copies(model, part)
-            notices = [replace(n, where=f"{place}.{n.where}") for n in kind.notices]
+            notices = [_at(notice, place, origin) for notice in kind.notices]
+            taken.add(model.name)
             kinds.append(replace(kind, notices=notices))
             own: Poses = part["poses"]
             for k, (point, turn) in enumerate(zip(points, turns, strict=True)):
@@ -261,13 +263,17 @@ def _starts(counts: Sequence[int]) -> IntArray:
 
 
 @contextmanager
-def _entry(place: str) -> Iterator[None]:
+def _entry(place: str, origin: str | None) -> Iterator[None]:
     """Give refusals of an entry its place, in front of the key that they name."""
     try:
         yield
     except OptionError as error:
-        faults = [
-            replace(fault, where=f"{place}.{fault.where}" if fault.where else place)
-            for fault in error.faults
-        ]
+        faults = [_at(fault, place, origin) for fault in error.faults]
         raise OptionError(faults) from error
+
+
+def _at(fault: Fault, place: str, origin: str | None) -> Fault:
+    """Return a fault of an entry, or of the prim of a stage that the entry names."""
+    if origin is not None:
+        return replace(fault, where=place, message=f"{origin}: {fault.message}")
+    return replace(fault, where=f"{place}.{fault.where}" if fault.where else place)

@@ -175,7 +175,8 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
-    return moments[order], so3.from_matrix(axes)
+    # Rounding of what is far from its centre would make small ones negative.
+    return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
 
 
 def _mesh(cores: Sequence[Core]) -> MeshFrame:

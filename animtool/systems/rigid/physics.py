@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from animtool._types import FloatArray
+from animtool.errors import excerpt, refuse
 from animtool.maths import so3
 from animtool.physics import (
     JointDrive,
@@ -154,8 +156,16 @@ def _in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
     return _placed(np.concatenate([kind.centre, kind.axes]), frame)
 
 
-def body_entries(physics: Physics) -> tuple[list[BodyModel], list[dict[str, Any]]]:
-    """Return bodies as entries of a spec, and what their keys are read as."""
+def body_entries(
+    physics: Physics, entry: str
+) -> tuple[list[BodyModel], list[dict[str, Any]]]:
+    """Return bodies as entries of a spec, and what their keys are read as.
+
+    entry: The key of the spec that they are of.
+
+    Raises:
+        OptionError: A number is beyond what keys of a spec hold (SIM051).
+    """
     models, parts = [], []
     for body in physics.bodies:
         first = body.shapes[0]
@@ -185,13 +195,27 @@ def body_entries(physics: Physics) -> tuple[list[BodyModel], list[dict[str, Any]
         if not body.kinematic:
             keys["velocity"] = body.velocity.tolist()
             keys["spin"] = np.degrees(body.spin).tolist()
-        models.append(BodyModel.model_validate(keys))
+        models.append(_model(keys, body.origin, entry))
         rows = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
         poses = Poses(times, rows[:, :3], rows[:, 3:])
         shapes = [{"shape": shape_of(shape)} for shape in body.shapes]
-        parts.append({"poses": poses, "shapes": shapes})
+        of = {"entry": entry, "origin": body.origin}
+        parts.append({"poses": poses, "shapes": shapes, **of})
     return models, parts
+
+
+def _model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
+    """Return the entry of keys; what they cannot hold is refused (SIM051)."""
+    try:
+        return BodyModel.model_validate(keys)
+    except ValidationError as error:
+        first = error.errors()[0]
+        value, key = first["input"], ".".join(map(str, first["loc"]))
+        said = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
+        message = f"{origin}: {key} is {said} in metres, kilograms and seconds"
+        hint = f"{first['msg']}: look at the units of the stage"
+        refuse("SIM051", message, entry, hint)
 
 
 def shape_of(shape: PhysicsShape) -> Shape:

@@ -34,6 +34,9 @@ from animtool.systems.simulation import Diagnostics, SimContext, growing
 DEEP = 0.02
 # What is that deep, over its size, is held from several sides.
 HELD = 0.25
+# Beyond these a simulation blew up: keys hold 1e18, and squares are held by float64.
+FARTHEST = 1e24  # of places [m] and velocities [m/s]
+FASTEST = 1e100  # of angular momenta [kg m²/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +108,8 @@ class RigidSimulation:
         parts, given = context.parts, context.colliders
         stages: Sequence[Physics] = parts.get("stages", ())
         models, entries = list(spec.bodies), list(parts.get("bodies", ()))
-        for stage in stages:
-            more = body_entries(stage)
+        for k, stage in enumerate(stages):
+            more = body_entries(stage, f"stages[{k}].prim")
             models += more[0]
             entries += more[1]
         bodies = Bodies.of_models(models, entries, context.begin)
@@ -139,7 +142,7 @@ class RigidSimulation:
         """Return where bodies are a step [s] later.
 
         Raises:
-            ToleranceError: Forces are not finite (SIM102).
+            ToleranceError: Forces are not finite, or bodies blew up (SIM102).
         """
         with np.errstate(all="ignore"):
             forces = self._forces.over(t, dt, state.motion)
@@ -166,6 +169,7 @@ class RigidSimulation:
         motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
             :10
         ]
+        self._check(motion, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
@@ -181,6 +185,19 @@ class RigidSimulation:
             awake,
             residual,
         )
+
+    def _check(self, motion: FloatArray, t: float) -> None:
+        """Refuse a state that no body can be in (SIM102)."""
+        sound = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= FARTHEST
+        sound &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= FASTEST
+        if sound.all():
+            return
+        bad = int(np.flatnonzero(~sound)[0])
+        name = self.bodies.names[self.bodies.dynamic[bad]]
+        speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
+        message = f"{name!r} blew up at {t:g} s: it is at {speed:g} m/s"
+        hint = "do joints begin where their limits allow? else take shorter steps"
+        raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _woken(
         self, motion: FloatArray, forces: FloatArray, t: float, dt: float

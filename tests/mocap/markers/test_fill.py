@@ -139,3 +139,16 @@ def test_what_cannot_be_named(code: str, count: int) -> None:
     with pytest.raises(OptionError) as caught:
         label(made(paths()), static)
     assert caught.value.code == code
+
+
+@pytest.mark.parametrize("size", [1e6, 1e12, 1e18])
+def test_a_wild_sample_that_is_kept_keeps_numbers_finite(size: float) -> None:
+    wild = paths()
+    wild[100, 2, 0] = size
+    wild[120:150, 2] = np.nan
+    wild[120:150, 7] = np.nan
+    filled, report = fill(made(wild), FillOptions(keep_spikes=True))
+    assert report.left == 0
+    others = np.delete(filled.positions, 2, axis=1)
+    assert np.abs(others).max() < 5.0
+    assert np.isfinite(filled.positions).all()

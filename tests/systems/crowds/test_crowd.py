@@ -125,6 +125,25 @@ def test_a_way_around_a_wall_is_hardly_longer_than_the_shortest(
     assert np.linalg.norm(track - corner, axis=1).min() > radius - 1e-3
 
 
+def test_agents_far_apart_find_ways_around_what_is_near(simulator: Simulator) -> None:
+    """One grid over all of them would have cells of 150 m, and 4 million of these."""
+    near, far = np.array([[-12.0, 0, 0]]), np.array([[2e5, 0, 2e5]])
+    np.savez(simulator.folder / "far.npz", points=far)
+    systems = crowd(
+        [
+            {"points": placed(simulator.folder, near), "route": ["g"]},
+            {"points": str(simulator.folder / "far.npz"), "route": ["there"]},
+        ],
+        goals=[goal("g", 12, 0, radius=0.2), goal("there", 2e5 + 5, 2e5, radius=0.2)],
+        colliders=[box(0, 2, 0.4, 8)],
+    )
+    track = tracks(simulator.simulate(systems, times(26))["it"])
+    length = np.linalg.norm(np.diff(track[:, 0], axis=0), axis=1).sum()
+    assert np.linalg.norm(track[-1, 0] - [12, 0]) < 0.25
+    assert length < 1.06 * 2 * np.hypot(12, 2.22)
+    assert np.linalg.norm(track[-1, 1] - [2e5 + 5, 2e5]) < 0.25
+
+
 def test_who_walks_abreast_keeps_the_speed_of_one_alone(simulator: Simulator) -> None:
     """Headway is of those ahead on the same line: a second one behind them slows."""
     side = np.array([[0.0, 0, 0], [0.2, 0, 0.8]])

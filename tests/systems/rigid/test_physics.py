@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from support.rigid import FLOOR, Rigid, ball, box
 from support.simulated import Simulator
 
 from animtool import BakeOptions, validate
-from animtool.errors import FormatError
+from animtool.errors import FormatError, ToleranceError
 from animtool.maths import so3
 from animtool.units import LengthUnit, UpAxis
 
@@ -214,7 +215,7 @@ def test_a_stage_of_another_tool_falls_to_its_ground(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ('def Xform "Yard" {}', "holds no rigid body"),
-        (CRATE.replace("(0, 3, 0)", "(0, nan, 0)"), "not finite"),
+        (CRATE.replace("(0, 3, 0)", "(0, nan, 0)"), "has nan"),
         ('def Xform "Field" {}', "holds no prim"),
     ],
 )
@@ -224,6 +225,48 @@ def test_stages_that_make_no_sense_are_refused(
     file = stage_of(tmp_path, text)
     with pytest.raises(FormatError, match=rf"SIM051 .*stages\[0\].*{message}"):
         Rigid(tmp_path, stages=[{"file": file, "prim": "/Yard"}])
+
+
+FLAT = """
+  def Mesh "leaf" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])
+  {
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+  }
+}
+"""
+HEAVY = """
+  def Sphere "leaf" (prepend apiSchemas = [
+    "PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"])
+  {
+    float physics:density = 1e12
+  }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"), [(FLAT, "SIM061", "plane"), (HEAVY, "SIM051", r"1e\+30")]
+)
+def test_what_keys_cannot_hold_is_refused_by_its_prim(
+    tmp_path: Path, text: str, code: str, said: str
+) -> None:
+    whole = CRATE.rstrip().removesuffix("}") + text
+    file = stage_of(tmp_path, whole, "metersPerUnit = 1e-6")
+    message = rf"{code} .*stages\[0\].*yard.usda: /Yard/leaf: .*{said}"
+    with pytest.raises(FormatError, match=message):
+        Rigid(tmp_path, stages=[{"file": file, "prim": "/Yard"}])
+
+
+@pytest.mark.parametrize("column", [0, 7, 10])
+def test_a_state_that_no_body_can_be_in_is_refused(tmp_path: Path, column: int) -> None:
+    found = Rigid(tmp_path, ball(0.1), box([1, 1, 1], at=[0, 9, 0]))
+    motion = found.state.motion.copy()
+    motion[1, column] = 1e110
+    state = dataclasses.replace(found.state, motion=motion)
+    with pytest.raises(ToleranceError, match=r"SIM102.* blew up at 0\.01 s"):
+        found.simulation.step(state, 0.0, 0.01)
 
 
 @pytest.mark.parametrize(
