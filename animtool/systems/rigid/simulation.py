@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError, excerpt
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics
@@ -20,6 +21,7 @@ from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import Joints, joints_of, together
+from animtool.systems.rigid.loads import BodyLoads, Loads
 from animtool.systems.rigid.physics import (
     body_entries,
     described,
@@ -85,6 +87,7 @@ class RigidSimulation:
         self._colliders = colliders
         self._surroundings = Surroundings(colliders)
         self._forces = BodyForces(bodies, forces, begin)
+        self._loads = BodyLoads(spec.name, bodies, self._forces)
         self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
         self._settings = (
             spec.methods.index(spec.method),
@@ -139,29 +142,60 @@ class RigidSimulation:
         """Return where bodies are a step [s] later.
 
         Raises:
-            ToleranceError: Forces are not finite (SIM102).
+            ToleranceError: Forces are not finite, swing bodies too fast, or bodies do
+                not stay where numbers are finite (SIM102).
         """
-        with np.errstate(all="ignore"):
-            forces = self._forces.over(t, dt, state.motion)
-        if not np.isfinite(forces).all():
-            message = f"a force on rigid bodies is not finite at {t:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
-        motion = self._woken(state.motion, forces, t, dt)
-        joints = self.joints
-        if joints.driven is not None:
-            driven = joints.driven(t + dt)
-            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
+        parts = self._loads.parts(t, dt, state.motion)
+        for k in range(parts):
+            state = self._part(state, t + k * (dt / parts), dt / parts, parts)
+        return state
+
+    def _part(self, state: RigidState, t: float, dt: float, parts: int) -> RigidState:
+        """Return where bodies are after one of the parts of a step."""
+        motion = state.motion
+        held, flight = self._held(state), self._loads.fly(t, dt, motion)
+        loads = self._loads.over(t, dt, motion, held, flight)
+        after = self._solved(state, loads, t, dt, parts)
+        missed = loads.missed(after.motion[:, 7:10], held)
+        if missed.any():
+            loads = self._loads.over(t, dt, motion, held | missed, flight)
+            after = self._solved(state, loads, t, dt, parts)
+        return after
+
+    def _held(self, state: RigidState) -> BoolArray:
+        """Return who is held by contacts or joints, or sleeps ``(N,)``."""
+        held = state.motion[:, 13] >= self._spec.sleep.time
+        if not self._forces.vary:
+            return held
+        owners = np.append(self.bodies.shapes[1], -1)
+        pressing = state.pairs[state.contacts[:, 3:].any(axis=1)]
+        bodies = owners[np.minimum(pressing, len(owners) - 1)].ravel()
+        bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
+        held[bodies[bodies >= 0]] = True
+        return held
+
+    def _solved(
+        self, state: RigidState, loads: Loads, t: float, dt: float, parts: int
+    ) -> RigidState:
+        """Return where bodies come under loads, with contacts and joints."""
+        motion = self._woken(state.motion, loads, t, dt)
+        if loads.velocities is not None:
+            motion = motion.copy()
+            motion[:, 7:10] = loads.velocities
+        method, substeps, *others = self._settings
         stepped = _kernels.step_rigid(
-            self._kernel,
+            self._weighed(loads, t + dt),
             motion,
             state.pairs,
             state.contacts,
             state.held,
-            forces,
+            loads.forces,
             self._surroundings.arrays(t, t + dt),
             self.joints.frames(t, t + dt),
             dt,
-            *self._settings,
+            method,
+            -(-substeps // parts),
+            *others,
         )
         motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
             :10
@@ -182,13 +216,28 @@ class RigidSimulation:
             residual,
         )
 
+    def _weighed(self, loads: Loads, t: float) -> Any:
+        """Return bodies as the kernel takes them, with what loads make of them."""
+        joints = self.joints
+        if joints.driven is not None:
+            driven = joints.driven(t)
+            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
+        if loads.inertias is None:
+            return self._kernel
+        numbers = joints.numbers if joints.driven is None else joints.driven(t)
+        inertias = loads.inertias
+        return self.bodies.kernel(joints.rows, numbers, joints.apart, inertias)
+
     def _woken(
-        self, motion: FloatArray, forces: FloatArray, t: float, dt: float
+        self, motion: FloatArray, loads: Loads, t: float, dt: float
     ) -> FloatArray:
         """Return bodies, those awake whose forces change."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
+        forces = loads.forces
+        if self._forces.vary:
+            forces = self._forces.over(t, dt, motion)
         woken = sleeping & self._forces.change(forces, t, dt, motion)
         if not woken.any():
             return motion

@@ -27,6 +27,8 @@ class Gravity(Force):
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
+    varies = False
+
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
@@ -43,6 +45,8 @@ class Uniform(Force):
     """The same force everywhere, whatever the mass."""
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
+
+    varies = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -117,6 +121,22 @@ class Spring(Force):
         along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
         rate = (v * along).sum(axis=1)[:, None]
         return np.asarray(-(self.k * (length - self.rest) + self.kd * rate) * along)
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and velocities: see `Force`."""
+        unit = np.eye(3)
+        off = x - self._anchors(particles)
+        whole = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
+        if self.rest == 0 and self.kd == 0:
+            return whole, np.zeros_like(whole)
+        length = np.linalg.norm(off, axis=1)[:, None]
+        along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
+        outer = along[:, :, None] * along[:, None]
+        short = np.divide(self.rest, length, out=np.zeros_like(length), where=length > 0)
+        by_place = whole + self.k * short[:, :, None] * (unit - outer)
+        return by_place, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
