@@ -24,8 +24,9 @@ from animtool.maths.phi import phi_functions
 
 # What a force that is not linear may be off by in a part of a step, of the motion in it.
 TOLERANCE = 2e-5
-# No part is shorter than this share of a step: where a force jumps it is met so well.
-FLOOR = 1 / 2048
+# No part is shorter than this share of a step, and parts grow so that there are at most
+# so many: where a force jumps it is met so well.
+FLOOR, MAX_PARTS = 1 / 2048, 64
 # The change of the next part by the error of the last: at least, at most, and caution.
 SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
 
@@ -60,18 +61,20 @@ def fly(
     end, now, step = t + dt, t, dt
     begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
     points, velocities, pull, grown = x, v, begin, begin_slopes
+    left, least = MAX_PARTS, FLOOR * dt
     while now < end:
         after, error = _part(rate, now, step, points, velocities, pull, grown)
-        if error > 1 and step > FLOOR * dt:
-            shorter = step * max(CAUTION / np.sqrt(error), SHRINK)
-            step = max(shorter, FLOOR * dt)
+        if error > 1 and step > least:
+            step = max(step * max(CAUTION / np.sqrt(error), SHRINK), least)
             continue
         points, velocities = after
         now = end if step >= end - now else now + step
         if now < end:
+            left -= 1
+            least = max(FLOOR * dt, (end - now) / max(left, 1) ** 2)
             pull, grown = rate(now, *after), slopes(now, *after)
             longer = step * min(CAUTION / np.sqrt(max(error, 1e-12)), GROW)
-            step = min(max(longer, FLOOR * dt), end - now)
+            step = min(max(longer, least), end - now)
     inertias = _inertias(begin, begin_slopes[1], velocities - v, dt, v)
     return Flight(points, velocities, inertias)
 

@@ -17,6 +17,11 @@ from animtool.systems.rigid.surroundings import BodyForces
 # What swings, or turns, goes by less than this in a part of a step [rad].
 ANGLE = 0.5
 MAX_PARTS = 256
+# Whom drag makes heavier than this takes shorter parts where something holds him, so that
+# he bounces as he is, and is not too heavy for his moments of inertia.
+HELD, MAX_HELD = 2.0, 64
+# Heavier ones in the most parts do not stay where contacts hold them.
+HEAVIEST = 64.0
 # Masses that forces change by less stay as they are, as a share.
 LIGHT = 1e-3
 # Who is as much heavier by drag meets others so in the step that he comes to them.
@@ -53,6 +58,19 @@ class Loads:
         begun = velocities if self.velocities is None else self.velocities
         size = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(begun, axis=1)
         return np.asarray(~held & (flight.inertias >= HEAVY) & (off > OFF * size))
+
+    def parts(self, parts: int, held: BoolArray) -> int:
+        """Return in how many parts a step in parts is to be taken again."""
+        assert self.flight is not None
+        return divided(parts, self.flight.inertias[held])
+
+
+def divided(parts: int, inertias: FloatArray) -> int:
+    """Return how many parts a step has, from what some in parts are heavier by."""
+    heaviest = float(inertias.max(initial=1.0))
+    if not heaviest > HELD:
+        return parts
+    return max(parts, math.ceil(min(parts * heaviest / HELD, MAX_HELD)))
 
 
 class BodyLoads:
@@ -149,6 +167,28 @@ class BodyLoads:
             self._stop(t, message, hint)
         turned = float(spins.max(initial=0.0)) * dt / ANGLE
         return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
+
+    def parts_of_held(
+        self, t: float, dt: float, parts: int, motion: FloatArray, held: BoolArray
+    ) -> int:
+        """Return how many parts a step of some has, as bodies ``(N,)`` are held.
+
+        Raises:
+            ToleranceError: They are too many (SIM102).
+        """
+        if not held.any():
+            return parts
+        each = dt / parts
+        flight = self.fly(t, each, motion)
+        assert flight is not None
+        inertias = np.where(held, flight.inertias, 1.0)
+        heaviest = float(inertias.max()) * parts
+        if heaviest > HEAVIEST * MAX_HELD:
+            message = f"drag on {self._body(int(np.argmax(inertias)))}, which touches "
+            message += f"something, is too strong for a step of {plain(dt)} s"
+            step = _floored(dt * HEAVIEST * MAX_HELD / heaviest)
+            self._stop(t, message, f"step: {plain(step)}, or less drag, or more mass")
+        return divided(parts, inertias)
 
     def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
         """Return how fast bodies swing, and spin with what pushes them ``(2, N)``."""

@@ -146,21 +146,37 @@ class RigidSimulation:
                 not stay where numbers are finite (SIM102).
         """
         parts = self._loads.parts(t, dt, state.motion)
-        for k in range(parts):
-            state = self._part(state, t + k * (dt / parts), dt / parts, parts)
-        return state
+        if self._forces.vary:
+            held = self._held(state)
+            parts = self._loads.parts_of_held(t, dt, parts, state.motion, held)
+        while True:
+            after, more = self._in_parts(state, t, dt, parts)
+            if more == parts:
+                return after
+            parts = more
 
-    def _part(self, state: RigidState, t: float, dt: float, parts: int) -> RigidState:
-        """Return where bodies are after one of the parts of a step."""
-        motion = state.motion
-        held, flight = self._held(state), self._loads.fly(t, dt, motion)
-        loads = self._loads.over(t, dt, motion, held, flight)
-        after = self._solved(state, loads, t, dt, parts)
-        missed = loads.missed(after.motion[:, 7:10], held)
-        if missed.any():
-            loads = self._loads.over(t, dt, motion, held | missed, flight)
-            after = self._solved(state, loads, t, dt, parts)
-        return after
+    def _in_parts(
+        self, state: RigidState, t: float, dt: float, parts: int
+    ) -> tuple[RigidState, int]:
+        """Return where bodies are after a step in parts, and how many it ought to have.
+
+        More than there are where one that drag makes heavy met something.
+        """
+        each = dt / parts
+        for k in range(parts):
+            now, motion = t + k * each, state.motion
+            held, flight = self._held(state), self._loads.fly(now, each, motion)
+            loads = self._loads.over(now, each, motion, held, flight)
+            after = self._solved(state, loads, now, each)
+            missed = loads.missed(after.motion[:, 7:10], held)
+            if missed.any():
+                more = loads.parts(parts, missed)
+                if more > parts:
+                    return state, more
+                loads = self._loads.over(now, each, motion, held | missed, flight)
+                after = self._solved(state, loads, now, each)
+            state = after
+        return state, parts
 
     def _held(self, state: RigidState) -> BoolArray:
         """Return who is held by contacts or joints, or sleeps ``(N,)``."""
@@ -175,14 +191,13 @@ class RigidSimulation:
         return held
 
     def _solved(
-        self, state: RigidState, loads: Loads, t: float, dt: float, parts: int
+        self, state: RigidState, loads: Loads, t: float, dt: float
     ) -> RigidState:
         """Return where bodies come under loads, with contacts and joints."""
         motion = self._woken(state.motion, loads, t, dt)
         if loads.velocities is not None:
             motion = motion.copy()
             motion[:, 7:10] = loads.velocities
-        method, substeps, *others = self._settings
         stepped = _kernels.step_rigid(
             self._weighed(loads, t + dt),
             motion,
@@ -193,9 +208,7 @@ class RigidSimulation:
             self._surroundings.arrays(t, t + dt),
             self.joints.frames(t, t + dt),
             dt,
-            method,
-            -(-substeps // parts),
-            *others,
+            *self._settings,
         )
         motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
             :10

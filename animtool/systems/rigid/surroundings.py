@@ -35,29 +35,30 @@ class BodyForces:
         ]
 
     def over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return forces [N] and torques [N m] through a step ``(N, 6)``.
+        """Return forces [N] and torques [N m] of a step ``(N, 6)``.
 
-        They are the mean of those at its beginning and at its end, where bodies come
-        that nothing touches, so that errors fall with the square of the step.
+        Those of `forces` are as they are where it begins.
         """
-        now = self._at(t, (t, t + dt), motion)
-        masses, spins = self._bodies.masses[:, None], self._bodies.spins(motion)
-        then = motion.copy()
-        then[:, 7:10] += now[:, :3] * (dt / masses)
-        then[:, :3] += (motion[:, 7:10] + then[:, 7:10]) * (dt / 2)
-        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
-        return (now + self._at(t + dt, (t, t + dt), then)) / 2
+        made, x, v = self.pushes_over(t, dt, motion), motion[:, :3], motion[:, 7:10]
+        for force in self.forces:
+            made[:, :3] += force.force(t, x, v, self._particles)
+        return made
 
     def pushes_over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return the forces and torques of pushes alone through a step ``(N, 6)``."""
-        then = motion.copy()
+        """Return the forces and torques of pushes alone in a step ``(N, 6)``.
+
+        Bodies are turned as in the middle of it, so that the energy of what swings
+        under them neither grows nor falls.
+        """
+        made = np.zeros((len(motion), 6))
+        if not self._pushes:
+            return made
+        middle = motion.copy()
         spins = self._bodies.spins(motion)
-        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
-        made, span = np.zeros((2, len(motion), 6)), (t, t + dt)
+        middle[:, 3:7] = so3.multiply(so3.exp(spins * (dt / 2)), motion[:, 3:7])
         for number, push in self._pushes:
-            made[0, number] += self._pushed(number, push, span, motion)
-            made[1, number] += self._pushed(number, push, span, then)
-        return np.asarray(made.sum(axis=0) / 2)
+            made[number] += self._pushed(number, push, (t, t + dt), middle)
+        return made
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return what forces do at positions and velocities ``(N, 3)`` [m/s²]."""
@@ -114,18 +115,6 @@ class BodyForces:
             found = force.potential(motion[:, :3], self._particles)
             potential += 0.0 if found is None else float(found.sum())
         return potential
-
-    def _at(
-        self, t: float, span: tuple[float, float], motion: FloatArray
-    ) -> FloatArray:
-        """Return forces and torques at a time ``(N, 6)``, pushes as in a span of it."""
-        made = np.zeros((len(motion), 6))
-        x, v = motion[:, :3], motion[:, 7:10]
-        for force in self.forces:
-            made[:, :3] += force.force(t, x, v, self._particles)
-        for number, push in self._pushes:
-            made[number] += self._pushed(number, push, span, motion)
-        return made
 
     def _lasts(self, push: PushModel, span: tuple[float, float]) -> float:
         """Return the share of a span of time that a push lasts [1]."""

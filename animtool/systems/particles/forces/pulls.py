@@ -134,7 +134,9 @@ class Spring(Force):
         length = np.linalg.norm(off, axis=1)[:, None]
         along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
         outer = along[:, :, None] * along[:, None]
-        short = np.divide(self.rest, length, out=np.zeros_like(length), where=length > 0)
+        short = np.divide(
+            self.rest, length, out=np.zeros_like(length), where=length > 0
+        )
         by_place = whole + self.k * short[:, :, None] * (unit - outer)
         return by_place, -self.kd * outer
 
