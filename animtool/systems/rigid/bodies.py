@@ -207,9 +207,8 @@ class Bodies:
         """
         masses = (self.masses * inertias)[:, None]
         weights = np.concatenate([masses, self.moments], axis=1)
-        return _kernels.RigidBodies(
-            weights, *self._shape_arrays, joints, numbers, apart
-        )
+        arrays: list[Any] = [weights, *self._shape_arrays, joints, numbers, apart]
+        return _kernels.RigidBodies(*arrays)
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:

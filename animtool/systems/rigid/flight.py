@@ -22,11 +22,12 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths.phi import phi_functions
 
-# What a force that is not linear may be off by in a part of a step, of the motion in it.
+# What a force that is not linear may be off by in a part, of the motion in it.
 TOLERANCE = 2e-5
 # No part is shorter than this share of a step, and parts grow so that there are at most
 # so many: where a force jumps it is met so well.
-FLOOR, MAX_PARTS = 1 / 2048, 64
+FLOOR, MAX_PARTS = 1 / 2048, 128
+LARGEST = 1e300  # error of what is not finite
 # The change of the next part by the error of the last: at least, at most, and caution.
 SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
 
@@ -108,7 +109,7 @@ def _part(
     shares = np.divide(off, size, out=np.zeros_like(off), where=size > 0)
     error = float(shares.max(initial=0.0)) / TOLERANCE
     after = x + moved[:, :3], v + moved[:, 3:] / h
-    return after, error if np.isfinite(error) else np.inf
+    return after, error if np.isfinite(error) else LARGEST
 
 
 def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -126,4 +127,4 @@ def _inertias(
     some = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
     some &= along > 0
     np.divide(squared * dt, along, out=found, where=some)
-    return np.maximum(found, 1.0)
+    return np.asarray(np.maximum(found, 1.0))

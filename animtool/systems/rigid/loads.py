@@ -17,8 +17,8 @@ from animtool.systems.rigid.surroundings import BodyForces
 # What swings, or turns, goes by less than this in a part of a step [rad].
 ANGLE = 0.5
 MAX_PARTS = 256
-# Whom drag makes heavier than this takes shorter parts where something holds him, so that
-# he bounces as he is, and is not too heavy for his moments of inertia.
+# Whom drag makes heavier than this takes shorter parts where something holds him, so
+# that he bounces as he is, and is not too heavy for his moments of inertia.
 HELD, MAX_HELD = 2.0, 64
 # Heavier ones in the most parts do not stay where contacts hold them.
 HEAVIEST = 64.0

@@ -231,15 +231,12 @@ class RigidSimulation:
 
     def _weighed(self, loads: Loads, t: float) -> Any:
         """Return bodies as the kernel takes them, with what loads make of them."""
-        joints = self.joints
-        if joints.driven is not None:
-            driven = joints.driven(t)
-            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
-        if loads.inertias is None:
+        joints, inertias = self.joints, loads.inertias
+        if joints.driven is None and inertias is None:
             return self._kernel
         numbers = joints.numbers if joints.driven is None else joints.driven(t)
-        inertias = loads.inertias
-        return self.bodies.kernel(joints.rows, numbers, joints.apart, inertias)
+        heavier = 1.0 if inertias is None else inertias
+        return self.bodies.kernel(joints.rows, numbers, joints.apart, heavier)
 
     def _woken(
         self, motion: FloatArray, loads: Loads, t: float, dt: float
