@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, ToleranceError, excerpt
-from animtool.quantities import plain
+from animtool.quantities import floored, plain
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.flight import Flight, fly
 from animtool.systems.rigid.surroundings import BodyForces
@@ -162,7 +162,7 @@ class BodyLoads:
             message += f"{MAX_PARTS} parts of a step of {plain(dt)} s"
             hint = "weaker forces, or more mass"
             if math.isfinite(fastest):
-                step = _floored(dt * MAX_PARTS / fastest)
+                step = floored(dt * MAX_PARTS / fastest)
                 hint = f"step: {plain(step)}, or {hint}"
             self._stop(t, message, hint)
         turned = float(spins.max(initial=0.0)) * dt / ANGLE
@@ -186,7 +186,7 @@ class BodyLoads:
         if heaviest > HEAVIEST * MAX_HELD:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which touches "
             message += f"something, is too strong for a step of {plain(dt)} s"
-            step = _floored(dt * HEAVIEST * MAX_HELD / heaviest)
+            step = floored(dt * HEAVIEST * MAX_HELD / heaviest)
             self._stop(t, message, f"step: {plain(step)}, or less drag, or more mass")
         return divided(parts, inertias)
 
@@ -224,9 +224,3 @@ def _swings(by_place: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray
         rates[finite] = np.abs(np.linalg.eigvals(matrices[finite]).imag).max(axis=1)
         found[look] = rates
     return found
-
-
-def _floored(step: float) -> float:
-    """Return a step of two digits, not above one [s]."""
-    unit = 10.0 ** (math.floor(math.log10(step)) - 1)
-    return math.floor(step / unit) * unit

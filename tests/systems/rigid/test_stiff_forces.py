@@ -204,3 +204,13 @@ def test_the_same_at_any_rate(tmp_path: Path) -> None:
     runs = [Rigid(tmp_path, leaves, colliders=[FLOOR], forces=forces) for _ in range(2)]
     slow, fast = runs[0].path(np.arange(5) / 12), runs[1].path(np.arange(9) / 24)
     np.testing.assert_array_equal(slow, fast[::2])
+
+
+@pytest.mark.parametrize("push", [1e33, 1e300])
+def test_what_leaves_all_scenes_stops_by_name(tmp_path: Path, push: float) -> None:
+    flung = {"uniform": {"push": [push, 0, 0]}}
+    found = Rigid(tmp_path, ball(0.1, mass=1), forces=[flung])
+    with pytest.raises(ToleranceError) as error:
+        found.to(UNTIL)
+    assert [fault.code for fault in error.value.faults] == ["SIM102"]
+    assert "it blew up at" in error.value.faults[0].message
