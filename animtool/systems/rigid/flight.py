@@ -19,7 +19,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.maths.phi import phi_functions
 
 # What a force that is not linear may be off by in a part, of the motion in it.
@@ -27,6 +27,9 @@ TOLERANCE = 2e-5
 # No part is shorter than this share of a step, and parts grow so that there are at most
 # so many: where a force jumps it is met so well.
 FLOOR, MAX_PARTS = 1 / 2048, 128
+# A part that is off by as much of the motion goes by the slopes alone, and is too long.
+COARSE = 0.5
+AT_REST = 1e-9  # motion that is none [m]
 LARGEST = 1e300  # error of what is not finite
 # The change of the next part by the error of the last: at least, at most, and caution.
 SHRINK, GROW, CAUTION = 0.1, 4.0, 0.8
@@ -48,11 +51,13 @@ class Flight:
         velocities: ``(N, 3)`` [m/s].
         inertias: How much less their velocities change than by the force at the
             beginning, as a factor on their masses ``(N,)``.
+        coarse: Whose forces change so fast that this is not so ``(N,)``.
     """
 
     points: FloatArray
     velocities: FloatArray
     inertias: FloatArray
+    coarse: BoolArray
 
 
 def fly(
@@ -62,13 +67,16 @@ def fly(
     end, now, step = t + dt, t, dt
     begin, begin_slopes = rate(t, x, v), slopes(t, x, v)
     points, velocities, pull, grown = x, v, begin, begin_slopes
-    left, least = MAX_PARTS, FLOOR * dt
+    left, least, coarse = MAX_PARTS, FLOOR * dt, np.zeros(len(x), np.bool_)
     while now < end:
-        after, error = _part(rate, now, step, points, velocities, pull, grown)
+        after, shares = _part(rate, now, step, points, velocities, pull, grown)
+        error = float(shares.max(initial=0.0)) / TOLERANCE
         if error > 1 and step > least:
             step = max(step * max(CAUTION / np.sqrt(error), SHRINK), least)
             continue
         points, velocities = after
+        if step > 2 * FLOOR * dt:
+            coarse |= shares > COARSE
         now = end if step >= end - now else now + step
         if now < end:
             left -= 1
@@ -77,7 +85,7 @@ def fly(
             longer = step * min(CAUTION / np.sqrt(max(error, 1e-12)), GROW)
             step = min(max(longer, least), end - now)
     inertias = _inertias(begin, begin_slopes[1], velocities - v, dt, v)
-    return Flight(points, velocities, inertias)
+    return Flight(points, velocities, inertias, coarse)
 
 
 def _part(
@@ -88,8 +96,8 @@ def _part(
     v: FloatArray,
     pull: FloatArray,
     grown: tuple[FloatArray, FloatArray],
-) -> tuple[tuple[FloatArray, FloatArray], float]:
-    """Return positions and velocities after a part, and its error by what is allowed.
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Return positions and velocities after a part, and errors by the motion ``(N,)``.
 
     Both are one vector for each, of positions and of velocities times the part.
     """
@@ -106,10 +114,10 @@ def _part(
     size = np.linalg.norm(moved[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
     size += np.linalg.norm(h * v + moved[:, 3:], axis=1)
     off = np.linalg.norm(second, axis=1)
-    shares = np.divide(off, size, out=np.zeros_like(off), where=size > 0)
-    error = float(shares.max(initial=0.0)) / TOLERANCE
-    after = x + moved[:, :3], v + moved[:, 3:] / h
-    return after, error if np.isfinite(error) else LARGEST
+    shares = off / (size + AT_REST)
+    shares[~np.isfinite(shares)] = LARGEST
+    moved = np.where((shares > COARSE)[:, None], first, moved)
+    return (x + moved[:, :3], v + moved[:, 3:] / h), shares
 
 
 def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:

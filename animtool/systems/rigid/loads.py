@@ -146,6 +146,12 @@ class BodyLoads:
             number = int(np.argmin(finite))
             message = f"the force on {self._body(number)} is not finite"
             self._stop(t, message, "weaker forces")
+        if loads.flight is not None and loads.flight.coarse.any():
+            number = int(np.argmax(loads.flight.coarse))
+            message = (
+                f"the force on {self._body(number)} changes too fast to be followed"
+            )
+            self._stop(t, message, "a weaker or smoother force")
 
     def parts(self, t: float, dt: float, motion: FloatArray) -> int:
         """Return into how many parts a step is divided: bodies swing little in each.

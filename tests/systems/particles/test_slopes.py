@@ -17,7 +17,6 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("drag", {"linear": 0.3, "quadratic": 0.7}),
     ("viscosity", {"viscosity": 0.2}),
     ("wind", {"velocity": (1, 2, 3), "drag": 0.4}),
-    ("friction", {"deceleration": 2.0, "smooth": 0.5}),
     ("spring", {"k": 3.0}),
     ("spring", {"k": 3.0, "anchor": (1, 0, 0)}),
     ("spring", {"k": 3.0, "anchor": (1, 0, 0), "rest": 0.5}),
@@ -56,3 +55,17 @@ def test_what_does_not_vary_has_none(name: str) -> None:
     x, v = np.random.default_rng(3).normal(size=(2, 3, 3))
     for slope in force().slopes(0.0, x, v, particles()):
         assert_allclose(slope, 0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("friction", {"deceleration": 2.0}), ("propulsion", {"thrust": -2.0})],
+)
+def test_those_of_a_brake_are_its_force_over_the_velocity(
+    name: str, options: dict[str, Any]
+) -> None:
+    force = find_force(name)(**options)
+    x, v = np.random.default_rng(2).normal(size=(2, 3, 3))
+    by_speed = force.slopes(0.0, x, v, particles())[1]
+    pull = force.force(0.0, x, v, particles())
+    assert_allclose((by_speed @ v[:, :, None])[:, :, 0], pull, atol=1e-12)

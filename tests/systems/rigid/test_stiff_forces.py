@@ -187,12 +187,14 @@ def test_what_hangs_under_a_pull_swings_as_a_pendulum(
     assert max(spins) < math.sqrt(2 * pull * arm / moment) * 1.05
 
 
-def test_what_brakes_stops(tmp_path: Path) -> None:
+@pytest.mark.parametrize("pull", [5.0, 500.0, 5e4])
+@pytest.mark.parametrize("name", ["friction", "propulsion"])
+def test_what_brakes_stops(tmp_path: Path, name: str, pull: float) -> None:
     one = ball(0.05, mass=MASS, velocity=[1, 0, 0])
-    brake = {"friction": {"deceleration": 5}}
-    found = Rigid(tmp_path, one, forces=[brake], **AWAKE)
-    assert found.to(UNTIL)[0, 0] == pytest.approx(0.1, abs=2e-4)
-    assert abs(found.velocities()).max() < 1e-9
+    keys = {"deceleration": pull} if name == "friction" else {"thrust": -pull * MASS}
+    found = Rigid(tmp_path, one, forces=[{name: keys}], **AWAKE)
+    assert found.to(0.22)[0, 0] == pytest.approx(0.5 / pull, abs=2e-4)
+    assert abs(found.velocities()).max() < 1e-6
 
 
 def test_the_same_at_any_rate(tmp_path: Path) -> None:
@@ -206,10 +208,10 @@ def test_the_same_at_any_rate(tmp_path: Path) -> None:
     np.testing.assert_array_equal(slow, fast[::2])
 
 
-@pytest.mark.parametrize("push", [1e33, 1e300])
-def test_what_leaves_all_scenes_stops_by_name(tmp_path: Path, push: float) -> None:
-    flung = {"uniform": {"push": [push, 0, 0]}}
-    found = Rigid(tmp_path, ball(0.1, mass=1), forces=[flung])
+@pytest.mark.parametrize("mass", [1e-14, 1e-24, 1e-29])
+def test_what_leaves_all_scenes_stops_by_name(tmp_path: Path, mass: float) -> None:
+    flung = {"uniform": {"push": [1e18, 0, 0]}}
+    found = Rigid(tmp_path, ball(0.1, mass=mass), forces=[flung])
     with pytest.raises(ToleranceError) as error:
         found.to(UNTIL)
     assert [fault.code for fault in error.value.faults] == ["SIM102"]

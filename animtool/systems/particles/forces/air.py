@@ -128,12 +128,10 @@ class Friction(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how it grows with positions and velocities: see `Force`."""
+        """Return it over the velocity, so that it never turns back: see `Force`."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        along = v / speed[:, None]
-        pull = (self.deceleration * particles.masses / speed)[:, None, None]
-        slope = -pull * (np.eye(3) - along[:, :, None] * along[:, None])
-        return np.zeros_like(slope), slope
+        pull = (self.deceleration * particles.masses / speed)[:, None, None] * np.eye(3)
+        return np.zeros_like(pull), -pull
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""

@@ -53,7 +53,8 @@ class Force(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return how it grows with positions and with velocities of each particle.
 
-        ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs.
+        ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
+        not be exact: methods are stable where they are as steep as the force.
         """
         by_place, by_speed = np.zeros((2, len(x), 3, 3))
         if self.pairs:

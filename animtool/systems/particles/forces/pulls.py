@@ -20,6 +20,9 @@ from animtool.systems.particles.forces.base import (
 )
 from animtool.systems.particles.state import ParticleState
 
+# What a brake has slowed down to this is at rest [m/s].
+STOPPED = 1e-9
+
 
 @dataclass(frozen=True)
 class Gravity(Force):
@@ -177,6 +180,17 @@ class Propulsion(Force):
         along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
         burns = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * along * burns)
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return of a brake its force over the velocity, else none: see `Force`."""
+        none = np.zeros((len(x), 3, 3))
+        if self.direction is not None or self.thrust >= 0:
+            return none, none
+        burns = t - particles.births <= self.duration
+        speed = np.maximum(np.linalg.norm(v, axis=1), STOPPED)
+        return none, (self.thrust * burns / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""
