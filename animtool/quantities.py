@@ -98,6 +98,16 @@ _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
 
+def floored(value: float) -> float:
+    """Return the largest number of two digits that is not above one over 0.
+
+    >>> floored(0.00128), floored(0.0349)
+    (0.0012, 0.034)
+    """
+    exponent = math.floor(math.log10(value)) - 1
+    return float(f"{math.floor(value / 10.0**exponent)}e{exponent}")
+
+
 def plain(value: float, digits: int = 3) -> str:
     """Return a number of so many significant digits, without an exponent.
 

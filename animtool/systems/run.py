@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, ToleranceError
 from animtool.frames import Frame, TransformsFrame
 from animtool.sim.colliders import MovingBodies
@@ -27,6 +28,8 @@ Watcher = TypeVar("Watcher", Surface, Bodies)
 
 # A time that is as near to the end of a step is that end [steps].
 ON_STEP = 1e-9
+# Numbers of a frame beyond this are in no scene; files hold up to 3e38, in any unit.
+BOUND = 1e30  # [m], [m/s], [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,7 @@ class EntryRun:
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
         frame: Frame = self.simulation.frame(*self.run.reach(t))
+        _check_bounds(self.name, frame, t)
         self._empty = self._empty is not False and not len(frame.points)
         return frame
 
@@ -97,6 +101,21 @@ class EntryRun:
             return {}
         steps = {} if "steps" in values else {"steps": self.run.taken}
         return {"name": self.name, **steps, **values}
+
+
+def _check_bounds(name: str, frame: Frame, t: float) -> None:
+    """Raise where a frame holds a number that no file is to hold (SIM102)."""
+    for what, unit in (("points", "m"), ("velocities", "m/s"), ("spins", "rad/s")):
+        rows: FloatArray | None = getattr(frame, what, None)
+        if rows is None or not rows.size:
+            continue
+        if rows.min() >= -BOUND and rows.max() <= BOUND:
+            continue
+        place = np.argwhere(~(np.abs(rows) <= BOUND))[0]
+        value = f"{float(rows[tuple(place)]):.3g} {unit}"
+        message = f"{name} blew up at {t:g} s: {what}[{int(place[0])}] is {value}"
+        hint = "take shorter steps, or weaker forces"
+        raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
 class SimulationRun(EntryRun):

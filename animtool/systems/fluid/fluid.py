@@ -12,6 +12,7 @@ from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
 from animtool.frames import MeshFrame, PointsFrame
+from animtool.quantities import floored, plain
 from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,
@@ -42,6 +43,9 @@ GROWTH = 0.05
 HELPS = 0.8
 # A step that must be this many times shorter is not the cause.
 MAX_SHORTENING = 1000
+# How many times shorter still steps are that are tried, and how many of each.
+ROOM, TRIED = (2.0, 4.0, 8.0, 16.0), 4
+LESS = "weaker forces, a larger spacing, or colliders that move less fast"
 _NONE = np.zeros((2, 0, 3))
 
 
@@ -85,6 +89,7 @@ class Fluid:
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._said: set[str] = set()
+        self._trying = False  # whether a step is looked for that works
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Nothing brings energy in, so that there is none but what there was.
         still = not self._colliders.bodies and not self._colliders.sheets
@@ -169,7 +174,7 @@ class Fluid:
         sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
         wanted = self._substeps.parts(dt, fastest, sound)
         if wanted > self._substeps.most:
-            self._stop_long(t + dt, dt, fastest, wanted)
+            self._stop_long(state, t, dt, fastest, wanted)
         parts, allowed = int(wanted), self._spec.compression
         found = self._kernel(state, t, dt, pull, sound, parts)
         while found.compression > allowed and 2 * parts <= self._substeps.most:
@@ -197,7 +202,11 @@ class Fluid:
             densest=max(state.densest, dense),
             parts=parts,
         )
-        self._watch(after, t + dt, dt)
+        if self._gains(after):
+            message = f"its energy is {self._energy(after)[0]:.3g} J, and was "
+            message += f"{state.energy:.3g} J"
+            step = self._working_step(state, t, dt, 1.0)
+            self._stop("SIM102", t + dt, message, _hint(step, LESS))
         return after, found.wrenches
 
     def _kernel(
@@ -258,27 +267,55 @@ class Fluid:
         ]
         return Colliders([*around, *skins], (), around.bodies) if skins else around
 
-    def _watch(self, state: FluidState, t: float, dt: float) -> None:
-        """Stop where there is energy that nothing brought."""
+    def _gains(self, state: FluidState) -> bool:
+        """Return whether there is energy that nothing brought."""
         total, kinetic, known = self._energy(state)
         if not known or not self._closed:
-            return
+            return False
         gain = total - state.energy
         # What has not fallen yet is in play as well.
         in_play = max(kinetic, state.energy - (total - kinetic))
         in_play += self._mass * len(state.ids) * state.sound**2 * self._spec.compression
-        if gain > GROWTH * in_play:
-            message = f"its energy is {total:.3g} J, and was {state.energy:.3g} J"
-            self._stop("SIM102", t, message, f"step: {dt / 4:.3g}")
+        return gain > GROWTH * in_play
 
-    def _stop_long(self, t: float, dt: float, fastest: float, wanted: float) -> None:
+    def _stop_long(
+        self, state: FluidState, t: float, dt: float, fastest: float, wanted: float
+    ) -> None:
         most, spacing = self._substeps.most, self._spec.spacing
         message = f"at {fastest:.3g} m/s and a spacing of {spacing:g} m a step of "
         message += f"{dt:g} s takes more than {most} parts"
-        hint = "weaker forces, a larger spacing, or colliders that move less fast"
-        if wanted < MAX_SHORTENING * most:
-            hint = f"step: {dt * most / wanted:.2g}, or {hint}"
-        self._stop("SIM102", t, message, hint)
+        step = self._working_step(state, t, dt, wanted / most)
+        self._stop("SIM102", t + dt, message, _hint(step, LESS))
+
+    def _working_step(
+        self, state: FluidState, t: float, dt: float, shorter: float
+    ) -> float | None:
+        """Return a step that goes on from a state, tried; None where none is found.
+
+        At least so many times ``shorter``, with as much room again.
+        """
+        # Not within such a trial, and not where nothing of it is known.
+        if self._trying or not shorter < MAX_SHORTENING:
+            return None
+        self._trying = True
+        try:
+            for room in ROOM:
+                step = floored(dt / (shorter * room))
+                if self._goes_on(state, t, step):
+                    return step
+        finally:
+            self._trying = False
+        return None
+
+    def _goes_on(self, state: FluidState, t: float, step: float) -> bool:
+        """Return whether the first steps of a length [s] from a state do."""
+        try:
+            for k in range(TRIED):
+                now = t + k * step
+                state, _ = self._pressed(state, now, step, self._pull(state, now))
+        except StoppedError:
+            return False
+        return True
 
     def _stop(self, code: str, t: float, why: str, hint: str) -> None:
         what = "blew up" if code == "SIM102" else "collapsed"
@@ -287,7 +324,7 @@ class Fluid:
 
     def _warn(self, code: str, message: str, hint: str) -> None:
         """Say something once."""
-        if code not in self._said:
+        if code not in self._said and not self._trying:
             self._said.add(code)
             severity = Severity.WARNING
             self._notices.append(Fault(code, message, hint=hint, severity=severity))
@@ -399,3 +436,8 @@ class Pressed:
     pressures: FloatArray  # (N,) [Pa]
     compression: float
     wrenches: Sequence[Wrenches]  # on bodies of each system
+
+
+def _hint(step: float | None, others: str) -> str:
+    """Return a hint at a step, if there is one, and at what else helps."""
+    return others if step is None else f"step: {plain(step)}, or {others}"

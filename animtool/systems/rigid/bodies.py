@@ -196,12 +196,24 @@ class Bodies:
         return cores, np.array(owners, np.int64)
 
     def kernel(
-        self, joints: IntArray, numbers: FloatArray, apart: IntArray = NO_PAIRS
+        self,
+        joints: IntArray,
+        numbers: FloatArray,
+        apart: IntArray = NO_PAIRS,
+        inertias: FloatArray | float = 1.0,
     ) -> Any:
         """Return them as the kernel takes them.
 
-        With joints ``(K, 3)`` and ``(K, 26)``, and pairs that do not meet ``(P, 2)``.
+        With joints ``(K, 3)`` and ``(K, 26)``, pairs that do not meet ``(P, 2)``, and
+        factors on their masses ``(N,)``.
         """
+        masses = (self.masses * inertias)[:, None]
+        weights = np.concatenate([masses, self.moments], axis=1)
+        arrays: list[Any] = [weights, *self._shape_arrays, joints, numbers, apart]
+        return _kernels.RigidBodies(*arrays)
+
+    @cached_property
+    def _shape_arrays(self) -> tuple[Any, ...]:
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
         models = [self.kinds[self.of[self.dynamic[i]]].model for i in owners]
@@ -210,8 +222,7 @@ class Bodies:
             for core, m in zip(cores, models, strict=True)
         ]
         empty = np.zeros((0, 3))
-        return _kernels.RigidBodies(
-            np.concatenate([self.masses[:, None], self.moments], axis=1),
+        return (
             owners,
             np.array(rows, np.float64).reshape(-1, 3),
             np.concatenate([empty, *(core.points for core in cores)]),
@@ -219,9 +230,6 @@ class Bodies:
             _starts([len(core.faces) for core in cores]),
             _starts([len(face) for face in faces]),
             np.concatenate([np.zeros(0, np.int64), *faces]).astype(np.int64),
-            joints,
-            numbers,
-            apart,
         )
 
     @cached_property

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError, excerpt
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics
@@ -20,6 +21,7 @@ from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
 from animtool.systems.rigid.joints import Joints, joints_of, together
+from animtool.systems.rigid.loads import BodyLoads, Loads
 from animtool.systems.rigid.physics import (
     body_entries,
     described,
@@ -88,6 +90,7 @@ class RigidSimulation:
         self._colliders = colliders
         self._surroundings = Surroundings(colliders)
         self._forces = BodyForces(bodies, forces, begin)
+        self._loads = BodyLoads(spec.name, bodies, self._forces)
         self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
         self._settings = (
             spec.methods.index(spec.method),
@@ -142,25 +145,69 @@ class RigidSimulation:
         """Return where bodies are a step [s] later.
 
         Raises:
-            ToleranceError: Forces are not finite, or bodies blew up (SIM102).
+            ToleranceError: Forces are not finite, swing bodies too fast, or bodies
+                blew up (SIM102).
         """
-        with np.errstate(all="ignore"):
-            forces = self._forces.over(t, dt, state.motion)
-        if not np.isfinite(forces).all():
-            message = f"a force on rigid bodies is not finite at {t:g} s"
-            raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
-        motion = self._woken(state.motion, forces, t, dt)
-        joints = self.joints
-        if joints.driven is not None:
-            driven = joints.driven(t + dt)
-            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
+        parts = self._loads.parts(t, dt, state.motion)
+        if self._forces.vary:
+            held = self._held(state)
+            parts = self._loads.parts_of_held(t, dt, parts, state.motion, held)
+        while True:
+            after, more = self._in_parts(state, t, dt, parts)
+            if more == parts:
+                return after
+            parts = more
+
+    def _in_parts(
+        self, state: RigidState, t: float, dt: float, parts: int
+    ) -> tuple[RigidState, int]:
+        """Return where bodies are after a step in parts, and how many it ought to have.
+
+        More than there are where one that drag makes heavy met something.
+        """
+        each = dt / parts
+        for k in range(parts):
+            now, motion = t + k * each, state.motion
+            held, flight = self._held(state), self._loads.fly(now, each, motion)
+            loads = self._loads.over(now, each, motion, held, flight)
+            after = self._solved(state, loads, now, each)
+            missed = loads.missed(after.motion[:, 7:10], held)
+            if missed.any():
+                more = loads.parts(parts, missed)
+                if more > parts:
+                    return state, more
+                loads = self._loads.over(now, each, motion, held | missed, flight)
+                after = self._solved(state, loads, now, each)
+            state = after
+        return state, parts
+
+    def _held(self, state: RigidState) -> BoolArray:
+        """Return who is held by contacts or joints, or sleeps ``(N,)``."""
+        held = state.motion[:, 13] >= self._spec.sleep.time
+        if not self._forces.vary:
+            return held
+        owners = np.append(self.bodies.shapes[1], -1)
+        pressing = state.pairs[state.contacts[:, 3:].any(axis=1)]
+        bodies = owners[np.minimum(pressing, len(owners) - 1)].ravel()
+        bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
+        held[bodies[bodies >= 0]] = True
+        return held
+
+    def _solved(
+        self, state: RigidState, loads: Loads, t: float, dt: float
+    ) -> RigidState:
+        """Return where bodies come under loads, with contacts and joints."""
+        motion = self._woken(state.motion, loads, t, dt)
+        if loads.velocities is not None:
+            motion = motion.copy()
+            motion[:, 7:10] = loads.velocities
         stepped = _kernels.step_rigid(
-            self._kernel,
+            self._weighed(loads, t + dt),
             motion,
             state.pairs,
             state.contacts,
             state.held,
-            forces,
+            loads.forces,
             self._surroundings.arrays(t, t + dt),
             self.joints.frames(t, t + dt),
             dt,
@@ -199,13 +246,25 @@ class RigidSimulation:
         hint = "do joints begin where their limits allow? else take shorter steps"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
+    def _weighed(self, loads: Loads, t: float) -> Any:
+        """Return bodies as the kernel takes them, with what loads make of them."""
+        joints, inertias = self.joints, loads.inertias
+        if joints.driven is None and inertias is None:
+            return self._kernel
+        numbers = joints.numbers if joints.driven is None else joints.driven(t)
+        heavier = 1.0 if inertias is None else inertias
+        return self.bodies.kernel(joints.rows, numbers, joints.apart, heavier)
+
     def _woken(
-        self, motion: FloatArray, forces: FloatArray, t: float, dt: float
+        self, motion: FloatArray, loads: Loads, t: float, dt: float
     ) -> FloatArray:
         """Return bodies, those awake whose forces change."""
         sleeping = motion[:, 13] >= self._spec.sleep.time
         if not sleeping.any():
             return motion
+        forces = loads.forces
+        if self._forces.vary:
+            forces = self._forces.over(t, dt, motion)
         woken = sleeping & self._forces.change(forces, t, dt, motion)
         if not woken.any():
             return motion

@@ -26,6 +26,8 @@ class BodyForces:
 
     def __init__(self, bodies: Bodies, forces: Sequence[Force], begin: float) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
+        # Whether forces depend on where bodies are, how fast, or when.
+        self.vary = any(force.varies for force in forces)
         self._pushes = [
             (number, push)
             for number, i in enumerate(bodies.dynamic.tolist())
@@ -33,18 +35,70 @@ class BodyForces:
         ]
 
     def over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return forces [N] and torques [N m] through a step ``(N, 6)``.
+        """Return forces [N] and torques [N m] of a step ``(N, 6)``.
 
-        They are the mean of those at its beginning and at its end, where bodies come
-        that nothing touches, so that errors fall with the square of the step.
+        Those of `forces` are as they are where it begins.
         """
-        now = self._at(t, (t, t + dt), motion)
-        masses, spins = self._bodies.masses[:, None], self._bodies.spins(motion)
-        then = motion.copy()
-        then[:, 7:10] += now[:, :3] * (dt / masses)
-        then[:, :3] += (motion[:, 7:10] + then[:, 7:10]) * (dt / 2)
-        then[:, 3:7] = so3.multiply(so3.exp(spins * dt), motion[:, 3:7])
-        return (now + self._at(t + dt, (t, t + dt), then)) / 2
+        made, x, v = self.pushes_over(t, dt, motion), motion[:, :3], motion[:, 7:10]
+        for force in self.forces:
+            made[:, :3] += force.force(t, x, v, self._particles)
+        return made
+
+    def pushes_over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return the forces and torques of pushes alone in a step ``(N, 6)``.
+
+        Bodies are turned as in the middle of it, so that the energy of what swings
+        under them neither grows nor falls.
+        """
+        made = np.zeros((len(motion), 6))
+        if not self._pushes:
+            return made
+        middle = motion.copy()
+        spins = self._bodies.spins(motion)
+        middle[:, 3:7] = so3.multiply(so3.exp(spins * (dt / 2)), motion[:, 3:7])
+        for number, push in self._pushes:
+            made[number] += self._pushed(number, push, (t, t + dt), middle)
+        return made
+
+    def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return what forces do at positions and velocities ``(N, 3)`` [m/s²]."""
+        made = np.zeros_like(x)
+        for force in self.forces:
+            made += force.force(t, x, v, self._particles)
+        return made / self._bodies.masses[:, None]
+
+    def slopes(
+        self, t: float, x: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how these grow with positions and velocities ``(N, 3, 3)``."""
+        made = np.zeros((2, len(x), 3, 3))
+        for force in self.forces:
+            if force.varies:
+                made += force.slopes(t, x, v, self._particles)
+        by_place, by_speed = made / self._bodies.masses[:, None, None]
+        return by_place, by_speed
+
+    def turning(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return how fast pushes turn bodies to and fro, or turn with them ``(2, N)``.
+
+        The first as a pendulum swings [rad/s], of the force at its arm; the second as
+        they spin, where what pushes them turns with that.
+        """
+        made = np.zeros((2, len(motion)))
+        moments = self._bodies.moments
+        for number, push in self._pushes:
+            if not self._lasts(push, (t, t + dt)):
+                continue
+            arm = np.array(push.at) - self._bodies.centres[number]
+            pull = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
+            some = moments[number][moments[number] > 0]
+            if pull and not push.local and len(some):
+                made[0, number] += pull / some.min()
+            if pull or push.local:
+                spin = self._bodies.spins(motion)[number]
+                made[1, number] = np.linalg.norm(spin)
+        made[0] = np.sqrt(made[0])
+        return made
 
     def change(
         self, forces: FloatArray, t: float, dt: float, motion: FloatArray
@@ -62,17 +116,12 @@ class BodyForces:
             potential += 0.0 if found is None else float(found.sum())
         return potential
 
-    def _at(
-        self, t: float, span: tuple[float, float], motion: FloatArray
-    ) -> FloatArray:
-        """Return forces and torques at a time ``(N, 6)``, pushes as in a span of it."""
-        made = np.zeros((len(motion), 6))
-        x, v = motion[:, :3], motion[:, 7:10]
-        for force in self.forces:
-            made[:, :3] += force.force(t, x, v, self._particles)
-        for number, push in self._pushes:
-            made[number] += self._pushed(number, push, span, motion)
-        return made
+    def _lasts(self, push: PushModel, span: tuple[float, float]) -> float:
+        """Return the share of a span of time that a push lasts [1]."""
+        t, end = span
+        start = self._begin if push.start is None else push.start
+        last = np.inf if push.end is None else push.end
+        return float(max(min(end, last) - max(t, start), 0.0) / (end - t))
 
     def _pushed(
         self,
@@ -82,10 +131,7 @@ class BodyForces:
         motion: FloatArray,
     ) -> FloatArray:
         """Return force and torque of a push ``(6,)``, less where it lasts less."""
-        t, end = span
-        start = self._begin if push.start is None else push.start
-        last = np.inf if push.end is None else push.end
-        share = max(min(end, last) - max(t, start), 0.0) / (end - t)
+        share = self._lasts(push, span)
         if not share:
             return np.zeros(6)
         bodies, turn = self._bodies, motion[number, 3:7]

@@ -262,6 +262,15 @@ def test_a_force_too_strong_for_the_step_says_so(simulator: Simulator) -> None:
     assert "parts" in error.value.faults[-1].message
 
 
+def test_the_step_that_is_proposed_works(simulator: Simulator) -> None:
+    keys = {"forces": [{"gravity": {"acceleration": [0, -1e7, 0]}}]}
+    with pytest.raises(ToleranceError) as error:
+        simulator.simulate(fluid(**keys), FRAMES[:3])
+    hint = error.value.faults[-1].hint or ""
+    step = float(hint.split(",")[0].removeprefix("step: "))
+    assert simulator.simulate(fluid(**keys, step=step), FRAMES[:3])["it"]
+
+
 def test_a_blocked_nozzle_holds_back(simulator: Simulator) -> None:
     tap = {"at": [0.3, 0.25, 0.3], "radius": 0.1, "speed": 0.5}
     rows = simulator.simulate(fluid(emitters=[tap]), FRAMES[:4])["it"]

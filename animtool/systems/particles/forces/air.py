@@ -37,6 +37,16 @@ class Drag(Force):
         speed = np.linalg.norm(v, axis=1)[:, None]
         return np.asarray(-(self.linear + self.quadratic * speed) * v)
 
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and velocities: see `Force`."""
+        speed = np.linalg.norm(v, axis=1)[:, None]
+        along = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
+        across = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
+        grown = (self.quadratic * speed)[:, :, None] * along[:, :, None]
+        return np.zeros_like(across), -across - grown * along[:, None]
+
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
@@ -57,6 +67,13 @@ class Viscosity(Force):
         """Return forces ``(N, 3)`` [N]."""
         return -6 * np.pi * self.viscosity * particles.radii[:, None] * v
 
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and velocities: see `Force`."""
+        drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
+        return np.zeros_like(drag), -drag
+
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
         return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
@@ -74,6 +91,13 @@ class Wind(Force):
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         return self.drag * (np.asarray(self.velocity, np.float64) - v)
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and velocities: see `Force`."""
+        drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
+        return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
@@ -100,6 +124,14 @@ class Friction(Force):
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         pull = self.deceleration * particles.masses / speed
         return np.asarray(-pull[:, None] * v)
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return it over the velocity, so that it never turns back: see `Force`."""
+        speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
+        pull = (self.deceleration * particles.masses / speed)[:, None, None] * np.eye(3)
+        return np.zeros_like(pull), -pull
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""

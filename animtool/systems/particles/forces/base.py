@@ -24,6 +24,10 @@ Positive: TypeAlias = Annotated[
 # One for all particles, or one each ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
+# Of positions and velocities, at which forces are compared for their slopes; at least
+# of one [m], [m/s].
+DIFFERENCE = 1e-6
+
 
 class Force(ABC):
     """A force on particles; a record of its options.
@@ -31,16 +35,39 @@ class Force(ABC):
     Attributes:
         pairs: Whether particles act on each other.
         drains: Whether it takes energy from particles and never gives any.
+        varies: Whether it depends on where particles are, how fast, or when.
     """
 
     pairs: bool = False
     drains: bool = False
+    varies: bool = True
 
     @abstractmethod
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N] at positions and velocities ``(N, 3)``."""
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and with velocities of each particle.
+
+        ``(N, 3, 3)`` [N/m] and [kg/s]; here by differences, and 0 of pairs. They need
+        not be exact: methods are stable where they are as steep as the force.
+        """
+        by_place, by_speed = np.zeros((2, len(x), 3, 3))
+        if self.pairs:
+            return by_place, by_speed
+        for k in range(3):
+            off = np.zeros_like(x)
+            off[:, k] = DIFFERENCE * np.maximum(np.abs(x).max(axis=1), 1.0)
+            far, near = (self.force(t, x + s * off, v, particles) for s in (1, -1))
+            by_place[:, :, k] = (far - near) / (2 * off[:, k, None])
+            off[:, k] = DIFFERENCE * np.maximum(np.abs(v).max(axis=1), 1.0)
+            far, near = (self.force(t, x, v + s * off, particles) for s in (1, -1))
+            by_speed[:, :, k] = (far - near) / (2 * off[:, k, None])
+        return by_place, by_speed
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
         """Return energies ``(N,)`` [J], None of a force that has none."""

@@ -75,6 +75,17 @@ class Turbulence(Force):
             found += _kernels.curl_noise(places, times * finer, seed) / finer
         return found * (self.strength * particles.masses[:, None])
 
+    def slopes(
+        self,
+        t: Time,
+        x: FloatArray,
+        v: FloatArray,
+        particles: ParticleState,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return zeros: it draws nothing back to where it is weaker: see `Force`."""
+        none = np.zeros((len(x), 3, 3))
+        return none, none
+
 
 @dataclass(frozen=True)
 class Electromagnetic(Force):

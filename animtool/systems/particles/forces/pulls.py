@@ -20,12 +20,17 @@ from animtool.systems.particles.forces.base import (
 )
 from animtool.systems.particles.state import ParticleState
 
+# What a brake has slowed down to this is at rest [m/s].
+STOPPED = 1e-9
+
 
 @dataclass(frozen=True)
 class Gravity(Force):
     """The same acceleration everywhere."""
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
+
+    varies = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -43,6 +48,8 @@ class Uniform(Force):
     """The same force everywhere, whatever the mass."""
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
+
+    varies = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -118,6 +125,24 @@ class Spring(Force):
         rate = (v * along).sum(axis=1)[:, None]
         return np.asarray(-(self.k * (length - self.rest) + self.kd * rate) * along)
 
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how it grows with positions and velocities: see `Force`."""
+        unit = np.eye(3)
+        off = x - self._anchors(particles)
+        whole = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
+        if self.rest == 0 and self.kd == 0:
+            return whole, np.zeros_like(whole)
+        length = np.linalg.norm(off, axis=1)[:, None]
+        along = np.divide(off, length, out=np.zeros_like(off), where=length > 0)
+        outer = along[:, :, None] * along[:, None]
+        short = np.divide(
+            self.rest, length, out=np.zeros_like(length), where=length > 0
+        )
+        by_place = whole + self.k * short[:, :, None] * (unit - outer)
+        return by_place, -self.kd * outer
+
     def _anchors(self, particles: ParticleState) -> FloatArray:
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
 
@@ -155,6 +180,17 @@ class Propulsion(Force):
         along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
         burns = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * along * burns)
+
+    def slopes(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return of a brake its force over the velocity, else none: see `Force`."""
+        none = np.zeros((len(x), 3, 3))
+        if self.direction is not None or self.thrust >= 0:
+            return none, none
+        burns = t - particles.births <= self.duration
+        speed = np.maximum(np.linalg.norm(v, axis=1), STOPPED)
+        return none, (self.thrust * burns / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

@@ -1,0 +1,50 @@
+"""Functions φ of matrices, by which linear equations are solved exactly over a step.
+
+References:
+    M. Hochbruck, A. Ostermann, "Exponential integrators", Acta Numerica 2010, eq. 2.10:
+    ``φ0(A) = exp(A)``, ``φk(A) = Σ A^j / (j + k)!``. N. Higham, "Functions of
+    Matrices", 2008, ch. 10: scaling and doubling.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool._types import FloatArray
+
+# Matrices are halved until their norm is below this; then the series needs few terms.
+_NORM = 0.5
+# Terms of the series for matrices up to a norm: what is left out is below rounding.
+_TERMS = ((0.02, 7), (0.15, 10), (_NORM, 14))
+
+
+def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return φ1 and φ2 of matrices ``(M, n, n)``; of those that are equal, one is made.
+
+    >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
+    [1.0, 0.001]
+    """
+    distinct, back = np.unique(matrices, axis=0, return_inverse=True)
+    back = back.reshape(len(matrices))
+    one, two = _phi_functions(distinct)
+    return one[back], two[back]
+
+
+def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
+    halvings = max(math.ceil(math.log2(norm / _NORM)), 0) if norm > 0 else 0
+    scaled, unit = matrices / 2.0**halvings, np.eye(matrices.shape[1])
+    size = norm / 2.0**halvings
+    terms = next((n for most, n in _TERMS if size <= most), _TERMS[-1][1])
+    two = np.broadcast_to(unit / math.factorial(terms + 2), matrices.shape)
+    for k in range(terms - 1, -1, -1):
+        two = scaled @ two + unit / math.factorial(k + 2)
+    one = unit + scaled @ two
+    whole = unit + scaled @ one
+    for _ in range(halvings):
+        two = (whole @ two + one + two) / 4
+        one = (whole @ one + one) / 2
+        whole = whole @ whole
+    return one, two

@@ -1,0 +1,232 @@
+"""What the kernel takes for the forces on bodies in a step, and in how many parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault, ToleranceError, excerpt
+from animtool.quantities import floored, plain
+from animtool.systems.rigid.bodies import Bodies
+from animtool.systems.rigid.flight import Flight, fly
+from animtool.systems.rigid.surroundings import BodyForces
+
+# What swings, or turns, goes by less than this in a part of a step [rad].
+ANGLE = 0.5
+MAX_PARTS = 256
+# Whom drag makes heavier than this takes shorter parts where something holds him, so
+# that he bounces as he is, and is not too heavy for his moments of inertia.
+HELD, MAX_HELD = 2.0, 64
+# Heavier ones in the most parts do not stay where contacts hold them.
+HEAVIEST = 64.0
+# Masses that forces change by less stay as they are, as a share.
+LIGHT = 1e-3
+# Who is as much heavier by drag meets others so in the step that he comes to them.
+HEAVY = 1.25
+# Of the velocity, by which one who met nothing may differ from where he was to come.
+OFF = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Forces on bodies through a step, and what they act on.
+
+    Attributes:
+        forces: Forces [N] and torques [N m] ``(N, 6)``.
+        velocities: What bodies begin with ``(N, 3)`` [m/s]; None is what they have.
+        inertias: Factors on their masses ``(N,)``; None is 1.
+        flight: Where they come that nothing touches; None where all is constant.
+    """
+
+    forces: FloatArray
+    velocities: FloatArray | None = None
+    inertias: FloatArray | None = None
+    flight: Flight | None = None
+
+    def missed(self, velocities: FloatArray, held: BoolArray) -> BoolArray:
+        """Return who met something that it was not known to be held by ``(N,)``.
+
+        As far as that counts: of those that drag makes much heavier.
+        """
+        flight = self.flight
+        if flight is None:
+            return np.zeros(len(held), np.bool_)
+        off = np.linalg.norm(velocities - flight.velocities, axis=1)
+        begun = velocities if self.velocities is None else self.velocities
+        size = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(begun, axis=1)
+        return np.asarray(~held & (flight.inertias >= HEAVY) & (off > OFF * size))
+
+    def parts(self, parts: int, held: BoolArray) -> int:
+        """Return in how many parts a step in parts is to be taken again."""
+        assert self.flight is not None
+        return divided(parts, self.flight.inertias[held])
+
+
+def divided(parts: int, inertias: FloatArray) -> int:
+    """Return how many parts a step has, from what some in parts are heavier by."""
+    heaviest = float(inertias.max(initial=1.0))
+    if not heaviest > HELD:
+        return parts
+    return max(parts, math.ceil(min(parts * heaviest / HELD, MAX_HELD)))
+
+
+class BodyLoads:
+    """Makes loads of the forces on the bodies of a system."""
+
+    def __init__(self, name: str, bodies: Bodies, forces: BodyForces) -> None:
+        self._name, self._bodies, self._forces = name, bodies, forces
+
+    def fly(self, t: float, dt: float, motion: FloatArray) -> Flight | None:
+        """Return where bodies come that nothing touches; None under constant forces."""
+        if not self._forces.vary:
+            return None
+        steady = self._forces.pushes_over(t, dt, motion)[:, :3]
+        steady /= self._bodies.masses[:, None]
+
+        def rate(now: float, x: FloatArray, v: FloatArray) -> FloatArray:
+            return self._forces.accelerations(now, x, v) + steady
+
+        x, v = motion[:, :3], motion[:, 7:10]
+        with np.errstate(all="ignore"):
+            return fly(rate, self._forces.slopes, t, dt, x, v)
+
+    def over(
+        self,
+        t: float,
+        dt: float,
+        motion: FloatArray,
+        held: BoolArray,
+        flight: Flight | None,
+    ) -> Loads:
+        """Return the loads of a step.
+
+        Bodies that are ``held`` ``(N,)``, by contacts or joints, feel the force that
+        there is, and yield to all others as much less as it would have gone down with
+        their velocity. The others come where they fly.
+
+        Raises:
+            ToleranceError: A force is not finite (SIM102).
+        """
+        if flight is None:
+            with np.errstate(all="ignore"):
+                loads = Loads(self._forces.over(t, dt, motion))
+        else:
+            loads = self._flown(t, dt, motion, held, flight)
+        self._check(loads, t)
+        return loads
+
+    def _flown(
+        self,
+        t: float,
+        dt: float,
+        motion: FloatArray,
+        held: BoolArray,
+        flight: Flight,
+    ) -> Loads:
+        x, v = motion[:, :3], motion[:, 7:10]
+        heavy = held & (flight.inertias > 1 + LIGHT)
+        inertias = np.where(heavy, flight.inertias, 1.0)
+        forces = self._forces.pushes_over(t, dt, motion)
+        with np.errstate(all="ignore"):
+            # The kernel goes as far as the mean of the velocities at both ends.
+            begin = 2 * (flight.points - x) / dt - flight.velocities
+            begin = np.where(held[:, None], v, begin)
+            masses = (self._bodies.masses * inertias)[:, None]
+            forces[:, :3] = masses * (flight.velocities - begin) / dt
+        return Loads(forces, begin, inertias if heavy.any() else None, flight)
+
+    def _check(self, loads: Loads, t: float) -> None:
+        finite = np.isfinite(loads.forces).all(axis=1)
+        if loads.velocities is not None:
+            finite &= np.isfinite(loads.velocities).all(axis=1)
+        if not finite.all():
+            number = int(np.argmin(finite))
+            message = f"the force on {self._body(number)} is not finite"
+            self._stop(t, message, "weaker forces")
+        if loads.flight is not None and loads.flight.coarse.any():
+            number = int(np.argmax(loads.flight.coarse))
+            message = (
+                f"the force on {self._body(number)} changes too fast to be followed"
+            )
+            self._stop(t, message, "a weaker or smoother force")
+
+    def parts(self, t: float, dt: float, motion: FloatArray) -> int:
+        """Return into how many parts a step is divided: bodies swing little in each.
+
+        Raises:
+            ToleranceError: They are too many (SIM102).
+        """
+        swings, spins = self._rates(t, dt, motion)
+        fastest = float(swings.max(initial=0.0)) * dt / ANGLE
+        if not fastest <= MAX_PARTS:
+            number = int(np.argmax(swings))
+            message = f"the forces on {self._body(number)} swing it at "
+            message += f"{swings[number]:.3g} rad/s, which takes more than "
+            message += f"{MAX_PARTS} parts of a step of {plain(dt)} s"
+            hint = "weaker forces, or more mass"
+            if math.isfinite(fastest):
+                step = floored(dt * MAX_PARTS / fastest)
+                hint = f"step: {plain(step)}, or {hint}"
+            self._stop(t, message, hint)
+        turned = float(spins.max(initial=0.0)) * dt / ANGLE
+        return max(1, math.ceil(fastest), min(math.ceil(turned), MAX_PARTS))
+
+    def parts_of_held(
+        self, t: float, dt: float, parts: int, motion: FloatArray, held: BoolArray
+    ) -> int:
+        """Return how many parts a step of some has, as bodies ``(N,)`` are held.
+
+        Raises:
+            ToleranceError: They are too many (SIM102).
+        """
+        if not held.any():
+            return parts
+        each = dt / parts
+        flight = self.fly(t, each, motion)
+        assert flight is not None
+        inertias = np.where(held, flight.inertias, 1.0)
+        heaviest = float(inertias.max()) * parts
+        if heaviest > HEAVIEST * MAX_HELD:
+            message = f"drag on {self._body(int(np.argmax(inertias)))}, which touches "
+            message += f"something, is too strong for a step of {plain(dt)} s"
+            step = floored(dt * HEAVIEST * MAX_HELD / heaviest)
+            self._stop(t, message, f"step: {plain(step)}, or less drag, or more mass")
+        return divided(parts, inertias)
+
+    def _rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+        """Return how fast bodies swing, and spin with what pushes them ``(2, N)``."""
+        with np.errstate(all="ignore"):
+            found = self._forces.turning(t, dt, motion)
+            if self._forces.vary:
+                x, v = motion[:, :3], motion[:, 7:10]
+                swings = _swings(*self._forces.slopes(t, x, v), dt)
+                found[0] = np.maximum(found[0], swings)
+        return found
+
+    def _body(self, number: int) -> str:
+        return excerpt(self._bodies.names[self._bodies.dynamic[number]])
+
+    def _stop(self, t: float, why: str, hint: str) -> None:
+        message = f"{self._name} blew up at {t:g} s: {why}"
+        raise ToleranceError(Fault("SIM102", message, hint=hint))
+
+
+def _swings(by_place: FloatArray, by_speed: FloatArray, dt: float) -> FloatArray:
+    """Return how fast what slopes ``(N, 3, 3)`` bring about swings ``(N,)`` [rad/s]."""
+    # An upper bound, so that few are looked at.
+    bound = np.sqrt(np.linalg.norm(by_place, axis=(1, 2)))
+    bound += np.linalg.norm(by_speed - by_speed.swapaxes(1, 2), axis=(1, 2)) / 2
+    found = np.zeros(len(by_place))
+    look = bound * dt > ANGLE
+    if look.any():
+        matrices = np.zeros((int(look.sum()), 6, 6))
+        matrices[:, :3, 3:] = np.eye(3)
+        matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_place[look], by_speed[look]
+        finite = np.isfinite(matrices).all(axis=(1, 2))
+        rates = np.full(len(matrices), np.inf)
+        rates[finite] = np.abs(np.linalg.eigvals(matrices[finite]).imag).max(axis=1)
+        found[look] = rates
+    return found
