@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, excerpt
+from animtool.errors import Fault, Severity, ToleranceError, excerpt
 from animtool.frames import TransformsFrame
 from animtool.maths import so3
 from animtool.physics import Physics
@@ -242,7 +242,7 @@ class RigidSimulation:
         bad = int(np.flatnonzero(~sound)[0])
         name = self.bodies.names[self.bodies.dynamic[bad]]
         speed = float(np.linalg.norm(motion[bad, 7:10] / FARTHEST)) * FARTHEST
-        message = f"{name!r} blew up at {t:g} s: it is at {speed:g} m/s"
+        message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         hint = "do joints begin where their limits allow? else take shorter steps"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
