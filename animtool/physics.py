@@ -70,6 +70,7 @@ class PhysicsJoint:
     limits: tuple[float, float] | None = None  # [rad] or [m]; twist of a ball
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
+    contacts: bool = False  # whether its two bodies collide
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,7 +97,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   }
   read_joints(joints, joint_numbers);
   check::shape("apart", apart, {check::ANY, 2});
-  check::indices("apart", apart, 0, static_cast<std::int64_t>(count));
+  check::at_most("apart", apart.shape(0), check::MOST_ROWS);
+  for (std::size_t k = 0; k < apart.shape(0); ++k) {
+    check::between("apart", apart.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("apart", apart.data()[2 * k + 1], 0,
+                   static_cast<std::int64_t>(count + check::MOST_ROWS));
+  }
   for (std::size_t k = 0; k < apart.shape(0); ++k)
     keep_apart(apart.data()[2 * k], apart.data()[2 * k + 1]);
   std::sort(world_.apart.begin(), world_.apart.end());
@@ -127,7 +132,6 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
     world_.joints.push_back(joint);
-    if (joint.a >= 0) keep_apart(in[1], in[2]);
   }
 }
 

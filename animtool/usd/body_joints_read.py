@@ -66,6 +66,7 @@ def read_joint(
         limits,
         swing,
         _drive(source, prim, kind),
+        joint.GetCollisionEnabledAttr().Get() is True,
     )
 
 

@@ -199,6 +199,8 @@ class PhysicsWriter:
             relationship(spec, f"physics:body{k}", body)
             self._place(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
+        if joint.contacts:
+            attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
         if joint.kind != "fixed" and not (joint.kind == "ball" and twists):
             attribute(spec, "physics:axis", _TYPES.Token, "X", uniform=True)

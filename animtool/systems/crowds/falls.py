@@ -105,7 +105,8 @@ class Falling:
             over = np.cross(b - a, c - a)[:, 1] < 0
             seen = np.where(over[:, None, None], seen[:, ::-1], seen)
             corners = seen.reshape(-1, 3)
-            shape = Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            shape = Mesh(corners, faces, closed=True)
         poses = Poses.fixed(frame.origin, frame.rotation)
         floor = Collider(shape, poses, name="ground", friction=0.8)
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)

@@ -171,6 +171,27 @@ class Bodies:
             for shape, at, turn in kind.shapes
         ]
 
+    def apart(self, pairs: IntArray, first: int) -> IntArray:
+        """Return pairs that do not collide as the kernel has them ``(Q, 2)``.
+
+        Args:
+            pairs: Of all bodies ``(P, 2)``.
+            first: Number of the first of `colliders` among all.
+        """
+        shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
+        counts = np.where(self.moved, 0, shapes_of[self.of])
+        behind = len(self.dynamic) + first + np.cumsum(counts) - counts
+        place = np.cumsum(self.moved) - 1
+        rows: list[tuple[int, int]] = []
+        for one, other in pairs.tolist():
+            a, b = (one, other) if self.moved[one] else (other, one)
+            if self.moved[b]:
+                rows.append((int(place[a]), int(place[b])))
+            elif self.moved[a]:
+                shapes = range(int(behind[b]), int(behind[b] + counts[b]))
+                rows += [(int(place[a]), shape) for shape in shapes]
+        return np.array(rows, np.int64).reshape(-1, 2)
+
     @cached_property
     def outlines(self) -> Outlines:
         """All as others run into them; of meshes their hulls."""
@@ -198,7 +219,7 @@ class Bodies:
     ) -> Any:
         """Return them as the kernel takes them.
 
-        With joints ``(K, 3)`` and ``(K, 26)``, and pairs that do not meet ``(P, 2)``.
+        With joints ``(K, 3)`` and ``(K, 26)``, and pairs of `apart` ``(Q, 2)``.
         """
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
@@ -241,7 +262,7 @@ def outline(shape: Shape) -> Shape:
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = shown(core_of(shape))
-    return Mesh(points, triangulated(counts, corners))
+    return Mesh(points, triangulated(counts, corners), closed=True)
 
 
 def placed_on(poses: Poses, at: FloatArray, turn: FloatArray) -> Poses:

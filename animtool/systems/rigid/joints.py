@@ -39,7 +39,7 @@ class Joints:
     names: Sequence[str] = ()
     above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
     notices: Sequence[Fault] = ()
-    # Other pairs of bodies that do not meet (P, 2).
+    # Pairs of bodies that do not collide, as all bodies are numbered (P, 2).
     apart: IntArray = field(default_factory=lambda: NO_PAIRS)
     # Returns numbers at a time [s], where drives change; None is that they do not.
     driven: Callable[[float], FloatArray] | None = None
@@ -59,6 +59,7 @@ def together(several: Sequence[Joints]) -> Joints:
         [name for one in several for name in one.names],
         [body for one in several for body in one.above],
         [notice for one in several for notice in one.notices],
+        np.concatenate([one.apart for one in several]),
     )
 
 
@@ -68,7 +69,7 @@ def joints_of(
     bodies: Bodies,
 ) -> Joints:
     """Return the joints of a spec; what makes no sense is refused (SIM061)."""
-    rows, numbers, anchors, above = [], [], [], []
+    rows, numbers, anchors, above, apart = [], [], [], [], []
     notices: list[Fault] = []
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, part) in enumerate(zip(models, parts, strict=True)):
@@ -106,6 +107,8 @@ def joints_of(
         numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
         above.append(other)
+        if other >= 0 and not model.contacts:
+            apart.append((second, other))
         for body in (second, other) if other >= 0 else (second,):
             notices += _far(bodies, body, frame, name, at)
     return Joints(
@@ -115,6 +118,7 @@ def joints_of(
         [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
         above,
         notices,
+        np.array(apart, np.int64).reshape(-1, 2),
     )
 
 

@@ -115,6 +115,7 @@ def _shape(
 def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
     names = {number: kind for kind, number in KINDS.items()}
     dynamic = bodies.dynamic
+    apart = {pair for a, b in joints.apart.tolist() for pair in ((a, b), (b, a))}
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
         on_a, on_b = numbers[:7], _in_body(bodies, second, numbers[7:14])
@@ -139,6 +140,7 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
+            above >= 0 and (above, int(dynamic[second])) not in apart,
         )
 
 
@@ -205,13 +207,13 @@ def shape_of(shape: PhysicsShape) -> Shape:
             return Box(shape.size)
         case "plane":
             return Plane()
-    return Mesh(shape.points, shape.triangles)
+    return Mesh(shape.points, shape.triangles, closed=True)
 
 
 def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
     """Return the joints of a stage whose bodies begin at a number."""
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, above, names = [], [], [], [], []
+    rows, numbers, anchors, above, names, apart = [], [], [], [], [], []
     for joint in physics.joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
@@ -243,6 +245,8 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         anchors.append(anchor)
         above.append(other)
         names.append(joint.name)
+        if other >= 0 and not joint.contacts:
+            apart.append((pair[1], other))
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, 26),
@@ -250,6 +254,7 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         names,
         above,
         physics.notices,
+        np.array(apart, np.int64).reshape(-1, 2),
     )
 
 

@@ -232,11 +232,12 @@ def joints_of_rig(
         now[:, 18:23] = targets(t)[hung]
         return now
 
+    joined = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         made,
         [Poses()] * len(hung),
-        apart=_overlapping(ragdoll),
+        apart=np.concatenate([joined, _overlapping(ragdoll)]),
         driven=driven if options.stiffness else None,
     )
 

@@ -78,14 +78,19 @@ class RigidSimulation:
         joints: Joints,
         colliders: Colliders,
         forces: Sequence[Force] = (),
+        first: int = 0,
     ) -> None:
-        """Begin at a time [s]."""
+        """Begin at a time [s].
+
+        Colliders of kinematic bodies are among all from number ``first`` on.
+        """
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
         self._colliders = colliders
         self._surroundings = Surroundings(colliders)
         self._forces = BodyForces(bodies, forces, begin)
-        self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
+        self._apart = bodies.apart(joints.apart, first)
+        self._kernel = bodies.kernel(joints.rows, joints.numbers, self._apart)
         self._settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -120,7 +125,9 @@ class RigidSimulation:
         colliders = Colliders(around, given.sheets, given.bodies)
         forces = parts.get("forces", ())
         whole = together(joints) if stages else joints[0]
-        return RigidSimulation(spec, context.begin, bodies, whole, colliders, forces)
+        return RigidSimulation(
+            spec, context.begin, bodies, whole, colliders, forces, len(given)
+        )
 
     def initial(self) -> RigidState:
         """Return where all begin."""
@@ -150,7 +157,7 @@ class RigidSimulation:
         joints = self.joints
         if joints.driven is not None:
             driven = joints.driven(t + dt)
-            self._kernel = self.bodies.kernel(joints.rows, driven, joints.apart)
+            self._kernel = self.bodies.kernel(joints.rows, driven, self._apart)
         stepped = _kernels.step_rigid(
             self._kernel,
             motion,

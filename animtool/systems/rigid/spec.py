@@ -234,6 +234,11 @@ class RigidJointModel(PlacedModel):
     drive: JointDriveModel | None = key(
         "A spring or a motor.", {"stiffness": 200, "damping": 10}, default=None
     )
+    contacts: bool = key(
+        "Its two bodies collide with each other, which other joints switch off.",
+        True,
+        default=False,
+    )
 
 
 class SleepModel(FileModel):
