@@ -57,6 +57,7 @@ class JointDrive:
     target: float = 0.0  # [rad] or [m]
     turn: FloatArray = field(default_factory=STILL[3:].copy)  # of a ball (4,)
     most: float | None = None  # torque [N m] or force [N]
+    speed: float = 0.0  # that the damping draws to [rad/s] or [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ using collide::store;
 using rigid::Turn;
 using rigid::Vec;
 
-constexpr std::size_t STATE = 14, JOINT = 26, CONTACT = 6, POSE = 7;
+constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
 
 Turn turn(const double* p) { return rigid::unit({p[0], p[1], p[2], p[3]}); }
 
@@ -131,6 +131,7 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
+    joint.speed = n[26];
     world_.joints.push_back(joint);
   }
 }

@@ -135,13 +135,14 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
     targets = [value(drive, "TargetPosition") * scale for drive in drives]
     most = value(drives[0], "MaxForce")
     rates = [value(drive, "TargetVelocity") for drive in drives]
-    if any(rates):
-        source.note(prim, "has a drive with a velocity to reach, which is not read")
     ball = kind == "ball"
+    if ball and any(rates):
+        source.note(prim, "has a drive with a velocity to reach, which is not read")
     return JointDrive(
         max(value(drives[0], "Stiffness"), 0.0) * gain,
         max(value(drives[0], "Damping"), 0.0) * gain,
         0.0 if ball else targets[0],
         so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
         most * force if 0 < most < MAX_FORCE else None,
+        0.0 if ball else rates[0] * scale,
     )

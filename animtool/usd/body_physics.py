@@ -234,6 +234,9 @@ class PhysicsWriter:
             self._number(spec, f"{name}:targetPosition", target * scale)
             self._number(spec, f"{name}:stiffness", drive.stiffness * gain)
             self._number(spec, f"{name}:damping", drive.damping * gain)
+            if drive.speed:
+                rate = drive.speed * scale
+                self._number(spec, f"{name}:targetVelocity", rate)
             if drive.most is not None:
                 self._number(spec, f"{name}:maxForce", drive.most * force)
         return [f"PhysicsDriveAPI:{axis}" for axis in axes]

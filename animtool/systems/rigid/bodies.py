@@ -219,7 +219,7 @@ class Bodies:
     ) -> Any:
         """Return them as the kernel takes them.
 
-        With joints ``(K, 3)`` and ``(K, 26)``, and pairs of `apart` ``(Q, 2)``.
+        With joints ``(K, 3)`` and ``(K, 27)``, and pairs of `apart` ``(Q, 2)``.
         """
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]

@@ -13,8 +13,12 @@ from animtool.errors import Fault, Severity, listed, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies
-from animtool.systems.rigid.spec import RigidJointModel
+from animtool.systems.rigid.spec import JointDriveModel, RigidJointModel
 
+# What the kernel has of a joint.
+NUMBERS = 27
+# Of a motor that is as hard as its most force or torque lets it [N s/m, N m s/rad].
+HARD = 1e15
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
 # What only some types have.
 _OWN = {
@@ -34,7 +38,7 @@ class Joints:
     """K joints of bodies that are moved."""
 
     rows: IntArray  # type and both bodies (K, 3)
-    numbers: FloatArray  # (K, 26)
+    numbers: FloatArray  # (K, 27)
     anchors: Sequence[Poses]  # frames of the animation, of those that have one
     names: Sequence[str] = ()
     above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
@@ -113,7 +117,7 @@ def joints_of(
             notices += _far(bodies, body, frame, name, at)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, 26),
+        np.array(numbers, np.float64).reshape(-1, NUMBERS),
         anchors,
         [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
         above,
@@ -171,7 +175,8 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
 def _drive(model: RigidJointModel, at: str) -> list[float]:
     drive = model.drive
     if drive is None:
-        return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0]
+        return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0, 0.0]
+    speed = _speed(model, drive, at)
     ball = model.type == "ball"
     if ("target" if ball else "rotation") in drive.model_fields_set:
         wrong, right = ("target", "rotation") if ball else ("rotation", "target")
@@ -185,7 +190,26 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
     own = _axis(model, model.name, at)
     turn = so3.multiply(so3.multiply(so3.conjugate(own), so3.normalize(turn)), own)
     most = -1.0 if drive.most is None else drive.most
-    return [target, *turn, drive.stiffness, drive.damping, most]
+    hard = drive.speed is not None and "damping" not in drive.model_fields_set
+    damping = HARD if hard else drive.damping
+    return [target, *turn, drive.stiffness, damping, most, speed]
+
+
+def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
+    """Return what a motor turns at [rad/s], or slides at [m/s]."""
+    if drive.speed is None:
+        return 0.0
+    if model.type == "ball":
+        message = "the drive of a ball has no speed: it has no axis to turn about"
+        refuse("SIM061", message, f"{at}.drive.speed", "type: pin")
+    for key in ("stiffness", "target"):
+        if key in drive.model_fields_set:
+            message = f"a drive has a speed or a {key}, not both"
+            refuse("SIM061", message, f"{at}.drive.{key}", "keep one")
+    if "damping" in drive.model_fields_set and not drive.damping:
+        message = "a motor without damping pulls nothing"
+        refuse("SIM061", message, f"{at}.drive.damping", "leave it out: it is hard")
+    return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
 def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[Fault]:

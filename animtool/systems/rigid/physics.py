@@ -30,7 +30,7 @@ from animtool.sim.colliders import (
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import Bodies, outline
-from animtool.systems.rigid.joints import KINDS, Joints, within
+from animtool.systems.rigid.joints import KINDS, NUMBERS, Joints, within
 from animtool.systems.rigid.spec import BodyModel
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -131,7 +131,8 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
         if numbers[23:25].any():
             stiffness, damping = numbers[23:25].tolist()
             strongest = None if most < 0 else most
-            drive = JointDrive(stiffness, damping, target, numbers[19:23], strongest)
+            turn, speed = numbers[19:23], float(numbers[26])
+            drive = JointDrive(stiffness, damping, target, turn, strongest, speed)
         yield PhysicsJoint(
             joints.names[k],
             names[int(row[0])],
@@ -217,14 +218,14 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
     for joint in physics.joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
-        target = 0.0 if drive is None else drive.target
+        target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
         turn = so3.IDENTITY if drive is None else drive.turn
         if pair[1] not in place:
             # What hangs on the other is the first, and is turned the other way.
             pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])
-            target, turn = -target, so3.conjugate(turn)
+            target, speed, turn = -target, -speed, so3.conjugate(turn)
         if pair[1] not in place:
             continue
         on_b, other, anchor = _of_centre(bodies, pair[1], frames[1]), pair[0], Poses()
@@ -234,10 +235,10 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         elif other >= 0:
             anchor = bodies.poses[other]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
-        drives = [0.0, 0.0, -1.0]
+        drives = [0.0, 0.0, -1.0, 0.0]
         if drive is not None:
             most = -1.0 if drive.most is None else drive.most
-            drives = [drive.stiffness, drive.damping, most]
+            drives = [drive.stiffness, drive.damping, most, speed]
         rows.append((KINDS[joint.kind], number, place[pair[1]]))
         numbers.append(
             [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *turn, *drives]
@@ -249,7 +250,7 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
             apart.append((pair[1], other))
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, 26),
+        np.array(numbers, np.float64).reshape(-1, NUMBERS),
         anchors,
         names,
         above,

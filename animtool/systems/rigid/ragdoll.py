@@ -25,7 +25,7 @@ from animtool.sim.colliders import Capsule, Collider, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.fields import SystemColliderModel
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import SWING, Joints, seen_by
+from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
 from animtool.systems.rigid.kind import Kind, kind_of
 from animtool.systems.rigid.spec import BodyModel
 
@@ -221,11 +221,11 @@ def joints_of_rig(
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.turns[i])])
         above = int(ragdoll.above[i])
         rows.append((_TYPES[joint.type], above, i))
-        drive = [options.stiffness, options.damping, -1.0]
+        drive = [options.stiffness, options.damping, -1.0, 0.0]
         on_a = seen_by(bodies, above, ragdoll.frames[i])
         on_b = seen_by(bodies, i, frame)
         numbers.append([*on_a, *on_b, *_limits(joint), 0.0, *so3.IDENTITY, *drive])
-    made = np.array(numbers, np.float64).reshape(-1, 26)
+    made = np.array(numbers, np.float64).reshape(-1, NUMBERS)
 
     def driven(t: float) -> FloatArray:
         now: FloatArray = made.copy()

@@ -191,6 +191,13 @@ class JointDriveModel(FileModel):
     )
     stiffness: NotNegative = key("[N m/rad], or [N/m].", 200, default=0.0)
     damping: NotNegative = key("[N m s/rad], or [N s/m].", 10, default=0.0)
+    speed: Real | None = key(
+        "In place of `stiffness`: the constant speed of a motor, of a pin [deg/s], of a "
+        "prismatic joint [m/s]. It is hard up to `most`, or pulls by `damping` times "
+        "what the speed is off.",
+        90,
+        default=None,
+    )
     most: NotNegative | None = key(
         "Its most torque [N m] or force [N]. Not given: any.", 50, default=None
     )
