@@ -72,6 +72,8 @@ class PhysicsJoint:
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
     contacts: bool = False  # whether its two bodies collide
+    # Force [N] and torque [N m] that it breaks at.
+    breaks: tuple[float, float] = (np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

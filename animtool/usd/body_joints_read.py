@@ -54,10 +54,6 @@ def read_joint(
         source.note(prim, "joins no body that is read")
         return None
     limits, swing = _limits(source, prim, kind)
-    for name in ("breakForce", "breakTorque"):
-        value = prim.GetAttribute(f"physics:{name}").Get()
-        if value is not None and math.isfinite(value) and value < MAX_FORCE:
-            source.note(prim, f"breaks by {name}: here it never does")
     return PhysicsJoint(
         str(prim.GetName()),
         kind,
@@ -67,7 +63,16 @@ def read_joint(
         swing,
         _drive(source, prim, kind),
         joint.GetCollisionEnabledAttr().Get() is True,
+        (_most(source, prim, "breakForce", 1), _most(source, prim, "breakTorque", 2)),
     )
+
+
+def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
+    """Return the force [N] or torque [N m] that a joint breaks at; infinite is none."""
+    value = prim.GetAttribute(f"physics:{name}").Get()
+    if value is None or not 0 < value < MAX_FORCE:
+        return math.inf
+    return float(value) * source.kilograms * source.unit**power
 
 
 def _side(

@@ -199,6 +199,10 @@ class PhysicsWriter:
             relationship(spec, f"physics:body{k}", body)
             self._place(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
+        for power, name in enumerate(("breakForce", "breakTorque"), start=1):
+            if math.isfinite(joint.breaks[power - 1]):
+                most = joint.breaks[power - 1] / self._unit**power
+                self._number(spec, f"physics:{name}", most)
         if joint.contacts:
             attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []

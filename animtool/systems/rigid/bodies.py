@@ -89,7 +89,7 @@ class Bodies:
                 several = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if several else model.name)
                 of.append(number)
-                moved.append(not model.kinematic)
+                moved.append(not model.kinematic or model.release is not None)
                 poses.append(placed_on(own, point, turn))
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies, and {MAX_BODIES} at most"
@@ -97,6 +97,13 @@ class Bodies:
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
         )
+
+    @cached_property
+    def releases(self) -> FloatArray:
+        """When each is let go that is kinematic before ``(B,)`` [s]."""
+        times = [kind.model.release for kind in self.kinds]
+        own = [-np.inf if time is None else time for time in times]
+        return np.array(own, np.float64)[self.of]
 
     @cached_property
     def still(self) -> frozenset[int]:
@@ -143,6 +150,23 @@ class Bodies:
         momenta = so3.rotate(turns, own * self.moments)
         idle = np.zeros((len(rows), 1))
         return np.concatenate([at, turns, velocities, momenta, idle], axis=1)
+
+    def told(self, number: int, t: float, dt: float) -> FloatArray:
+        """Return the state ``(14,)`` of one of those that are moved as its poses say.
+
+        Its velocities are those of the time [s] before.
+        """
+        i = int(self.dynamic[number])
+        before, row = self.poses[i].at(t - dt), self.poses[i].at(t)
+        places = [
+            p[:3] + so3.rotate(p[3:], self.centres[number]) for p in (before, row)
+        ]
+        spin = so3.log(so3.multiply(row[3:], so3.conjugate(before[3:]))) / dt
+        turn = so3.multiply(row[3:], self.axes[number])
+        own = so3.rotate(so3.conjugate(turn), spin) * self.moments[number]
+        velocity = (places[1] - places[0]) / dt
+        momentum = so3.rotate(turn, own)
+        return np.concatenate([places[1], turn, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
         """Return angular velocities of the world ``(N, 3)`` [rad/s]."""

@@ -202,7 +202,10 @@ def check_moved(model: BodyModel) -> None:
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is moved by what happens to it, not by {key}"
             refuse("SIM061", message, key, "kinematic: true")
-    if model.pushes and model.kinematic:
+    if model.release is not None and not model.kinematic:
+        message = f"{model.name!r} is not held, and cannot be released"
+        refuse("SIM061", message, "release", "kinematic: true")
+    if model.pushes and model.kinematic and model.release is None:
         refuse("SIM061", f"{model.name!r} is kinematic: nothing pushes it", "pushes")
     for k, push in enumerate(model.pushes):
         start, end = push.start, push.end

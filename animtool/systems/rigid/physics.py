@@ -30,7 +30,14 @@ from animtool.sim.colliders import (
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import Bodies, outline
-from animtool.systems.rigid.joints import KINDS, NUMBERS, Joints, within
+from animtool.systems.rigid.joints import (
+    KINDS,
+    NUMBERS,
+    Joints,
+    in_body,
+    placed,
+    within,
+)
 from animtool.systems.rigid.spec import BodyModel
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -118,13 +125,13 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
     apart = {pair for a, b in joints.apart.tolist() for pair in ((a, b), (b, a))}
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
-        on_a, on_b = numbers[:7], _in_body(bodies, second, numbers[7:14])
+        on_a, on_b = numbers[:7], in_body(bodies, second, numbers[7:14])
         above = joints.above[k]
         if first >= 0:
-            above, on_a = int(dynamic[first]), _in_body(bodies, first, on_a)
+            above, on_a = int(dynamic[first]), in_body(bodies, first, on_a)
         elif above < 0:
             pose = joints.anchors[k].at(bodies.begin)
-            on_a = _placed(pose, on_a)
+            on_a = placed(pose, on_a)
         low, high, *swing = numbers[14:18].tolist()
         target, most = float(numbers[18]), float(numbers[25])
         drive = None
@@ -142,19 +149,8 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
             above >= 0 and (above, int(dynamic[second])) not in apart,
+            (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
         )
-
-
-def _placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame in another one, as what has that sees it ``(7,)``."""
-    at = pose[:3] + so3.rotate(pose[3:], frame[:3])
-    return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
-
-
-def _in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of principal axes as one of the body ``(7,)``."""
-    kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
-    return _placed(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def body_entries(physics: Physics) -> tuple[list[BodyModel], list[dict[str, Any]]]:
@@ -214,7 +210,8 @@ def shape_of(shape: PhysicsShape) -> Shape:
 def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
     """Return the joints of a stage whose bodies begin at a number."""
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, above, names, apart = [], [], [], [], [], []
+    rows, numbers, anchors, above, names, pairs = [], [], [], [], [], []
+    breaks = []
     for joint in physics.joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
@@ -246,8 +243,9 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         anchors.append(anchor)
         above.append(other)
         names.append(joint.name)
-        if other >= 0 and not joint.contacts:
-            apart.append((pair[1], other))
+        apart = other >= 0 and not joint.contacts
+        pairs.append((pair[1], other) if apart else (-1, -1))
+        breaks.append(joint.breaks)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, NUMBERS),
@@ -255,7 +253,8 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         names,
         above,
         physics.notices,
-        np.array(apart, np.int64).reshape(-1, 2),
+        np.array(pairs, np.int64).reshape(-1, 2),
+        breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
 
 

@@ -237,7 +237,9 @@ def joints_of_rig(
         np.array(rows, np.int64).reshape(-1, 3),
         made,
         [Poses()] * len(hung),
-        apart=np.concatenate([joined, _overlapping(ragdoll)]),
+        pairs=joined,
+        others=_overlapping(ragdoll),
+        breaks=np.full((len(rows), 2), np.inf),
         driven=driven if options.stiffness else None,
     )
 

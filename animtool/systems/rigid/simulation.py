@@ -19,7 +19,14 @@ from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import Joints, joints_of, together
+from animtool.systems.rigid.joints import (
+    Joints,
+    joints_in,
+    joints_of,
+    loads,
+    together,
+)
+from animtool.systems.rigid.phases import Phase, Phases, held_states
 from animtool.systems.rigid.physics import (
     body_entries,
     described,
@@ -27,7 +34,7 @@ from animtool.systems.rigid.physics import (
     still_colliders,
 )
 from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.rigid.surroundings import BodyForces, Surroundings
+from animtool.systems.rigid.surroundings import BodyForces
 from animtool.systems.simulation import Diagnostics, SimContext, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
@@ -51,6 +58,8 @@ class RigidState:
             step.
         deepest_pairs: The shapes that were, colliders behind them; -1 where none
             ``(2, 2)``.
+        broken: When joints broke [s], infinite before, and the force [N] and torque
+            [N m] that they held then; nothing where none can ``(K, 3)``.
         pressing: Points that press.
         awake: Bodies that are awake.
         residual: What the last corrections changed velocities by [m/s].
@@ -62,6 +71,7 @@ class RigidState:
     held: FloatArray
     deepest: FloatArray
     deepest_pairs: IntArray
+    broken: FloatArray
     pressing: int = 0
     awake: int = 0
     residual: float = 0.0
@@ -78,19 +88,21 @@ class RigidSimulation:
         joints: Joints,
         colliders: Colliders,
         forces: Sequence[Force] = (),
-        first: int = 0,
+        still: Sequence[Collider] = (),
     ) -> None:
-        """Begin at a time [s].
-
-        Colliders of kinematic bodies are among all from number ``first`` on.
-        """
+        """Begin at a time [s]; ``still`` are colliders behind those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._colliders = colliders
-        self._surroundings = Surroundings(colliders)
+        self._phases = Phases(
+            bodies,
+            lambda own: joints_in(joints, bodies, own),
+            list(colliders),
+            still,
+            colliders,
+        )
         self._forces = BodyForces(bodies, forces, begin)
-        self._apart = bodies.apart(joints.apart, first)
-        self._kernel = bodies.kernel(joints.rows, joints.numbers, self._apart)
+        whole = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
+        self._colliders = whole.surroundings.colliders
         self._settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -117,17 +129,14 @@ class RigidSimulation:
         bodies = Bodies.of_models(models, entries, context.begin)
         joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
         first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-        around = [*given, *bodies.colliders()]
+        still: list[Collider] = []
         for stage in stages:
             joints.append(stage_joints(stage, bodies, first))
             first += len(stage.bodies)
-            around += still_colliders(stage)
-        colliders = Colliders(around, given.sheets, given.bodies)
+            still += still_colliders(stage)
         forces = parts.get("forces", ())
         whole = together(joints) if stages else joints[0]
-        return RigidSimulation(
-            spec, context.begin, bodies, whole, colliders, forces, len(given)
-        )
+        return RigidSimulation(spec, context.begin, bodies, whole, given, forces, still)
 
     def initial(self) -> RigidState:
         """Return where all begin."""
@@ -139,6 +148,7 @@ class RigidSimulation:
             np.zeros((count, 12)),
             np.zeros(2),
             np.full((2, 2), -1),
+            np.tile([np.inf, 0.0, 0.0], (count if self.joints.breakable else 0, 1)),
             awake=len(self.bodies.dynamic),
         )
 
@@ -154,40 +164,69 @@ class RigidSimulation:
             message = f"a force on rigid bodies is not finite at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="take shorter steps"))
         motion = self._woken(state.motion, forces, t, dt)
-        joints = self.joints
-        if joints.driven is not None:
-            driven = joints.driven(t + dt)
-            self._kernel = self.bodies.kernel(joints.rows, driven, self._apart)
+        number = self._phases.number(t, dt)
+        phase = self._phases.at(number, np.isfinite(state.broken[:, 0]))
+        free, known = phase.free, number == self._phases.number(t - dt, dt)
+        kernel = phase.kernel
+        if self.joints.driven is not None:
+            kernel = phase.with_numbers(self.joints.driven(t + dt))
         stepped = _kernels.step_rigid(
-            self._kernel,
-            motion,
-            state.pairs,
-            state.contacts,
-            state.held,
-            forces,
-            self._surroundings.arrays(t, t + dt),
-            self.joints.frames(t, t + dt),
+            kernel,
+            motion[free],
+            state.pairs if known else state.pairs[:0],
+            state.contacts if known else state.contacts[:0],
+            state.held[phase.holding],
+            forces[free],
+            phase.surroundings.arrays(t, t + dt),
+            phase.joints.frames(t, t + dt),
             dt,
             *self._settings,
         )
-        motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
+        moved, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
             :10
         ]
+        if not phase.whole:
+            motion = motion.copy()
+            motion[free] = moved
+            told = np.flatnonzero(~free)
+            motion[told] = held_states(self.bodies, told, t + dt, dt)
+            moved = motion
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
-                deepest[k], deepest_pairs[k] = depth, stepped[10:]
+                pair = np.array(stepped[10:])
+                deepest[k] = depth
+                deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
+        broken, held = self._broken(state, phase, held, t + dt)
         return RigidState(
-            motion,
+            moved,
             pairs,
             contacts,
             held,
             deepest,
             deepest_pairs,
+            broken,
             pressing,
             awake,
             residual,
         )
+
+    def _broken(
+        self, state: RigidState, phase: Phase, held: FloatArray, t: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return when joints broke, and what all of them hold, at a time [s]."""
+        whole = held
+        if len(phase.holding) < len(self.joints.rows):
+            whole = np.zeros_like(state.held)
+            whole[phase.holding] = held
+        if not len(state.broken):
+            return state.broken, whole
+        found = loads(phase.joints, held)
+        over = (found > phase.joints.breaks).any(axis=1)
+        broken = state.broken.copy()
+        broken[phase.holding[over], 0] = t
+        broken[phase.holding[over], 1:] = found[over]
+        return broken, whole
 
     def _woken(
         self, motion: FloatArray, forces: FloatArray, t: float, dt: float
@@ -351,6 +390,7 @@ class RigidSimulation:
         found = [*self.joints.notices, *self._colliders.notices()]
         for kind in self.bodies.kinds:
             found += kind.notices
+        found += self._breaks(state)
         size = float(self.bodies.reaches.min(initial=np.inf))
         ever, begin = state.deepest.tolist()
         if begin > DEEP * size:
@@ -365,6 +405,17 @@ class RigidSimulation:
             hint = "leave room between what closes in; take shorter steps"
             severity = Severity.WARNING
             found.append(Fault("SIM123", message, hint=hint, severity=severity))
+        return found
+
+    def _breaks(self, state: RigidState) -> list[Fault]:
+        """Return which joints broke, and when."""
+        found = []
+        order = np.argsort(state.broken[:, 0], kind="stable")
+        for k in order[np.isfinite(state.broken[order, 0])].tolist():
+            t, force, torque = state.broken[k].tolist()
+            message = f"joint {self.joints.names[k]!r} broke at {t:.4g} s, with "
+            message += f"{force:.4g} N and {torque:.4g} N m"
+            found.append(Fault("SIM197", message, severity=Severity.NOTE))
         return found
 
     def _pair(self, state: RigidState, k: int) -> str:
