@@ -247,7 +247,7 @@ class Falling:
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(turns[None, :count])
             )
-            options = RagdollOptions(mass=None, damping=2.0)
+            options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
             ragdoll = bodies_of_rig(rig, pose, options)
             joints = joints_of_rig(ragdoll, options, lambda _: np.zeros((0, 5)))
             around, forces = self._colliders, [self._gravity]
