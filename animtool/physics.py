@@ -27,6 +27,7 @@ class PhysicsShape:
     friction: float = 0.5
     restitution: float = 0.0
     name: str = ""
+    hull: bool = False  # of a mesh: its convex hull is meant
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -209,6 +209,7 @@ def _shapes(
     read = {name: _value(prim, name) for name in ("radius", "height", "size")}
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
+    hull = False
     match str(prim.GetTypeName()):
         case "Sphere":
             kind, sizes = "sphere", (read["radius"] * size,)
@@ -225,6 +226,7 @@ def _shapes(
             points = reader.at(time) * scale * source.unit
             triangles = triangulated(*reader.faces(time)).astype(np.int64)
             kind = "mesh"
+            hull = str(prim.GetAttribute("physics:approximation").Get()) == "convexHull"
             if not len(triangles) or not np.isfinite(points).all():
                 source.note(prim, "is a mesh without faces, and is left out")
                 return
@@ -241,7 +243,7 @@ def _shapes(
     friction, restitution = _material(source, prim)
     name = str(prim.GetName())
     yield PhysicsShape(
-        kind, sizes, pose, points, triangles, friction, restitution, name
+        kind, sizes, pose, points, triangles, friction, restitution, name, hull
     )
 
 

@@ -188,7 +188,9 @@ def body_entries(physics: Physics) -> tuple[list[BodyModel], list[dict[str, Any]
         rows = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
         poses = Poses(times, rows[:, :3], rows[:, 3:])
-        shapes = [{"shape": shape_of(shape)} for shape in body.shapes]
+        shapes = [
+            {"shape": shape_of(shape), "hull": shape.hull} for shape in body.shapes
+        ]
         parts.append({"poses": poses, "shapes": shapes})
     return models, parts
 

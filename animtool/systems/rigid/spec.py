@@ -40,7 +40,7 @@ class BodyShapeModel(FileModel):
     """A shape of a body that has several."""
 
     shape: ShapeEntry = key(
-        "`sphere`, `capsule`, `box`, or `mesh`: the convex hull of its points.",
+        "`sphere`, `capsule`, `box`, or `mesh`: convex pieces of it, or its hull.",
         {"box": {"size": [0.4, 0.05, 0.05]}},
     )
     at: Vector = key(
@@ -98,7 +98,7 @@ class BodyModel(PlacedModel):
 
     name: Name = key("Its name; copies are `name[0]`, `name[1]` and so on.", "brick")
     shape: ShapeEntry | None = key(
-        "`sphere`, `capsule`, `box`, or `mesh`: the convex hull of its points.",
+        "`sphere`, `capsule`, `box`, or `mesh`: convex pieces of it, or its hull.",
         {"box": {"size": [0.4, 0.2, 0.2]}},
         default=None,
     )
