@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from support.rigid import Rigid, ball, box, capsule
 
+from animtool.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Mesh, Poses, collide
+from animtool.systems.particles.setup import KillRegion
 
 SQUARE = np.array([[0.0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -127,3 +129,38 @@ def test_a_closed_mesh_is_met_from_outside_alone(tmp_path: Path) -> None:
         one = ball(0.05, mass=1, at=[-0.5, 0.1, 0], velocity=[5, 0, 0])
         found = Rigid(tmp_path, one, colliders=[entry], forces=[])
         assert (found.to(0.5)[0, 0] > 0) == closed
+
+
+def test_closed_is_true_or_false(tmp_path: Path) -> None:
+    entry = wall(tmp_path)
+    entry["shape"]["mesh"]["closed"] = 3
+    with pytest.raises(AnimtoolError) as error:
+        Rigid(tmp_path, ball(0.05), colliders=[entry])
+    assert error.value.code == "SCN002"
+
+
+def test_who_begins_in_a_room_of_arrays_stays_in_it(tmp_path: Path) -> None:
+    signs = np.indices((2, 2, 2)).reshape(3, 8).T * 2.0 - 1
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6],
+                      [0, 2, 6, 4], [1, 5, 7, 3]])  # fmt: skip
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    np.savez(tmp_path / "room.npz", points=signs, triangles=faces)
+    mesh = {"mesh": {"points": "room.npz", "triangles": "room.npz"}}
+    thrown = {"velocity": [80, 47, -31], "restitution": 0.9}
+    for one in (
+        ball(0.1, **thrown),
+        box((0.2, 0.1, 0.3), spin=[900, 400, 0], **thrown),
+    ):
+        found = Rigid(tmp_path, one, colliders=[{"shape": mesh}], forces=[])
+        path = found.path(np.linspace(0.05, 3, 60))
+        assert np.abs(path).max() < 1
+
+
+def test_a_mesh_of_arrays_still_kills_inside() -> None:
+    signs = np.indices((2, 2, 2)).reshape(3, 8).T * 1.0 - 0.5
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6],
+                      [0, 2, 6, 4], [1, 5, 7, 3]])  # fmt: skip
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    region = KillRegion(Collider(Mesh(signs, faces)))
+    inside = region.kills(np.array([[0.1, 0.2, 0.3], [0.7, 0, 0]]), 0.0)
+    assert inside.tolist() == [True, False]
