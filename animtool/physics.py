@@ -27,6 +27,7 @@ class PhysicsShape:
     friction: float = 0.5
     restitution: float = 0.0
     name: str = ""
+    hull: bool = False  # of a mesh: its convex hull is meant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +59,7 @@ class JointDrive:
     target: float = 0.0  # [rad] or [m]
     turn: FloatArray = field(default_factory=STILL[3:].copy)  # of a ball (4,)
     most: float | None = None  # torque [N m] or force [N]
+    speed: float = 0.0  # that the damping draws to [rad/s] or [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +73,9 @@ class PhysicsJoint:
     limits: tuple[float, float] | None = None  # [rad] or [m]; twist of a ball
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
+    contacts: bool = False  # whether its two bodies collide
+    # Force [N] and torque [N m] that it breaks at.
+    breaks: tuple[float, float] = (np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

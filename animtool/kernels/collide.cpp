@@ -18,6 +18,8 @@ using collide::load;
 using collide::store;
 
 constexpr std::size_t SIZES = 7, MATERIALS = 4, POSE = 7;
+// From where a collider is met; only meshes are from both sides.
+constexpr std::int64_t OUTSIDE = 0, INSIDE_ALONE = 1, BOTH_SIDES = 2;
 
 // Trees whose nodes name others behind them, each once, so that every way down ends, and
 // within the depth that a visit has room for.
@@ -63,6 +65,7 @@ void check_arrays(const ColliderArrays& in) {
   for (std::size_t i = 0; i < count; ++i) {
     const std::int64_t* kind = kinds.data() + 3 * i;
     check::between("kinds", kind[0], 0, static_cast<std::int64_t>(collide::Shape::MESH));
+    check::between("kinds", kind[1], OUTSIDE, BOTH_SIDES);
     if (kind[0] != static_cast<std::int64_t>(collide::Shape::MESH)) continue;
     meshes = true;
     check::indices("kinds", kind + 2, 1, 0, static_cast<std::int64_t>(nodes.shape(0)));
@@ -88,7 +91,8 @@ std::vector<Collider> colliders_of(const ColliderArrays& in) {
     const std::int64_t* kind = kinds.data() + 3 * i;
     Collider& c = made[i];
     c.shape = static_cast<collide::Shape>(kind[0]);
-    c.container = kind[1] != 0;
+    c.container = kind[1] == INSIDE_ALONE;
+    c.two_sided = kind[1] == BOTH_SIDES && c.shape == collide::Shape::MESH;
     c.root = c.shape == collide::Shape::MESH ? static_cast<std::int32_t>(kind[2]) : 0;
     c.mesh = mesh;
     std::copy_n(sizes.data() + SIZES * i, SIZES, c.size);

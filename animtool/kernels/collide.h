@@ -23,6 +23,8 @@ struct Collider {
   Motion motion;
   // Particles are to stay inside, not outside.
   bool container = false;
+  // A mesh that is met from both sides.
+  bool two_sided = false;
   // Share of the speed into the surface that comes back, Coulomb's coefficient [1]; distance
   // kept [m]; how fast a particle that starts inside is moved out [m/s].
   double restitution = 0, friction = 0, margin = 0, depenetration = 1;
@@ -45,12 +47,20 @@ struct Particle {
 constexpr int MOST_CONTACTS = 8;
 // Looks along a path before steps of a share of it are taken.
 constexpr int LOOKS = 64;
+// Halvings of a share of it in which a surface is passed.
+constexpr int HALVINGS = 24;
 // Colliders that are looked at once where they are far off.
 constexpr std::size_t TOLD_APART = 64;
 // Rounds of moving out of all colliders.
 constexpr int ROUNDS = 4;
 
 constexpr double FAR = std::numeric_limits<double>::infinity();
+
+// How far a particle stays from the surface of a collider [m].
+inline double kept(const Collider& c, double radius) {
+  const double off = c.margin + radius;
+  return c.two_sided ? std::max(off, SHELL) : off;
+}
 
 // Distance from a collider, less its margin and the particle's radius, and the way out; up
 // to a reach.
@@ -68,12 +78,25 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
     case Shape::BOX: found = sample_box(load(size), p); break;
     case Shape::MESH:
       // Of what is out of reach it is not known whether it is inside.
-      found = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + c.margin + radius);
+      found = sample_mesh(c.mesh, c.root, p, c.container ? FAR : reach + kept(c, radius));
+      if (c.two_sided) found = unsided(found);
       break;
   }
   const Vec out = pose.rotated(found.normal);
   const double side = c.container ? -1 : 1;
+  if (c.two_sided) return {found.distance - kept(c, radius), out};
   return {side * found.distance - c.margin - radius, out * side};
+}
+
+// Likewise of what was at a place of the frame of a collider before: what came through a mesh
+// with two sides since is inside of it.
+inline Sample sample_since(const Collider& c, Vec from, const Pose& pose, Vec point,
+                           double radius, double reach) {
+  if (!c.two_sided || !crosses_mesh(c.mesh, c.root, from, pose.to_local(point)))
+    return sample(c, pose, point, radius, reach);
+  const Sample found = sample(c, pose, point, radius, FAR);
+  const double off = kept(c, radius);
+  return {-(found.distance + off) - off, -found.normal};
 }
 
 // Where a particle goes in what is left of a step. Positions may be those of another method
@@ -129,7 +152,7 @@ class Settling {
   }
 
   bool beyond_box(const Collider& c, const Pose& pose, double reach) const {
-    const double whole = reach + c.margin + radius_;
+    const double whole = reach + kept(c, radius_);
     const Vec local = pose.to_local(path_.position);
     return squared_to_box(local, c.mesh.bounds + 6 * c.root) >= whole * whole;
   }
@@ -183,8 +206,9 @@ class Settling {
       const double out = dot(relative, found.normal);
       const double bend = dot(path_.acceleration, found.normal);
       if (out < 0 || (out == 0 && bend < 0)) return 0;
-      // On its way out: it comes back after the top of its path, if at all.
-      s = bend < 0 ? -out / bend : until;
+      // On its way out: it comes back after the top of its path, if at all; but what has two
+      // sides may be met elsewhere.
+      if (!c.two_sided) s = bend < 0 ? -out / bend : until;
     }
     for (int look = 0; s < until; ++look) {
       pose = pose_at(c, s);
@@ -192,9 +216,29 @@ class Settling {
       found = sample(c, pose, point, radius_, reach);
       if (found.distance <= TOUCH && approaches(c, point, pose, found.normal, s)) return s;
       const double least = look < LOOKS ? TOUCH / 2 / speed : path_.left / LOOKS;
-      s += std::max(found.distance / speed, least);
+      const double safe = found.distance / speed;
+      if (c.two_sided && least > safe && goes_through(c, s, std::min(s + least, until)))
+        return last_before(c, s, std::min(s + least, until));
+      s += std::max(safe, least);
     }
     return ends_inside(c, until) ? until : -1;
+  }
+
+  Vec local_at(const Collider& c, double s) const {
+    return pose_at(c, s).to_local(path_.at(s));
+  }
+
+  bool goes_through(const Collider& c, double from, double to) const {
+    return crosses_mesh(c.mesh, c.root, local_at(c, from), local_at(c, to));
+  }
+
+  // The last time before a path goes through a mesh, of a span in which it does.
+  double last_before(const Collider& c, double from, double to) const {
+    for (int k = 0; k < HALVINGS; ++k) {
+      const double middle = (from + to) / 2;
+      (goes_through(c, from, middle) ? to : from) = middle;
+    }
+    return from;
   }
 
   bool approaches(const Collider& c, Vec point, const Pose& pose, Vec normal, double s) const {
@@ -277,7 +321,8 @@ class Settling {
   bool move_out_of(std::size_t i, const Particle& before, Particle& after) {
     const Collider& c = colliders_[i];
     const Pose end = c.motion.at(1);
-    const Sample found = sample(c, end, after.position, radius_, reach_inside(c));
+    const Sample found =
+        sample_since(c, seen(i), end, after.position, radius_, reach_inside(c));
     if (found.distance >= -TOUCH) return false;
     const Sample start = sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
     const double goal = start.distance < -INSIDE
@@ -292,6 +337,12 @@ class Settling {
     if (goal <= found.distance) return false;
     after.position = after.position + found.normal * (goal - found.distance);
     return out;
+  }
+
+  // Where in the frame of a collider the particle was last, as far as its path was looked at.
+  Vec seen(std::size_t i) const {
+    const bool slid = static_cast<std::int64_t>(i) == resting_on_;
+    return local_at(colliders_[i], slid ? 0 : path_.left);
   }
 
   // Only meshes heed the reach, and inside one any depth counts.

@@ -218,4 +218,56 @@ inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double rea
   return sample_nearest(mesh, near, p);
 }
 
+// Distance and way out of whichever side a point is on.
+inline Sample unsided(const Sample& found) {
+  return found.distance < 0 ? Sample{-found.distance, -found.normal} : found;
+}
+
+// Which side of an edge of a triangle a way is on; of a way through an edge of two triangles
+// one of them has it, whatever rounding does.
+inline bool passes_left(Vec a, Vec b, Vec way, bool ascends) {
+  const double side = dot(cross(a, b), way);
+  return side > 0 || (side == 0 && ascends);
+}
+
+inline bool crosses_triangle(const Mesh& mesh, std::int32_t triangle, Vec from, Vec to) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  Vec at[3];
+  for (int k = 0; k < 3; ++k) at[k] = mesh.point(corner[k]) - from;
+  const Vec way = to - from, normal = cross(at[1] - at[0], at[2] - at[0]);
+  const double begin = dot(at[0], normal), end = begin - dot(way, normal);
+  if ((begin > 0) == (end > 0)) return false;
+  bool left[3];
+  for (int k = 0; k < 3; ++k) {
+    const int next = (k + 1) % 3;
+    left[k] = passes_left(at[k], at[next], way, corner[k] < corner[next]);
+  }
+  return left[0] == left[1] && left[1] == left[2];
+}
+
+// Whether a straight way ends on the other side of the triangles under a node.
+inline bool crosses_mesh(const Mesh& mesh, std::int32_t root, Vec from, Vec to) {
+  const Vec low{std::min(from.x, to.x), std::min(from.y, to.y), std::min(from.z, to.z)};
+  const Vec high{std::max(from.x, to.x), std::max(from.y, to.y), std::max(from.z, to.z)};
+  bool odd = false;
+  std::int32_t stack[DEEPEST];
+  int depth = 0;
+  stack[depth++] = root;
+  while (depth > 0) {
+    const std::int32_t node = stack[--depth];
+    const double* box = mesh.bounds + 6 * node;
+    if (box[0] > high.x || box[1] > high.y || box[2] > high.z || box[3] < low.x ||
+        box[4] < low.y || box[5] < low.z)
+      continue;
+    const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
+    if (left >= 0) {
+      stack[depth++] = right, stack[depth++] = left;
+      continue;
+    }
+    for (std::int32_t t = -1 - left; t < -1 - left + right; ++t)
+      odd ^= crosses_triangle(mesh, t, from, to);
+  }
+  return odd;
+}
+
 }  // namespace animtool::collide

@@ -555,7 +555,8 @@ class Steps {
         double pressed = length(impulse);
         // Of a container's corner each wall is met in turn.
         for (int wall = 0; wall < WALLS; ++wall) {
-          const Sample found = collide::sample(collider, poses_[c], x, size, size);
+          const Vec from = poses_[c].to_local(before_[i].vec());
+          const Sample found = collide::sample_since(collider, from, poses_[c], x, size, size);
           if (!wall) near.point = x - found.normal * (found.distance + size);
           const bool touches = found.distance < 0;
           if (!touches && (wall || !(collider.friction > 0 && pressed > 0))) break;

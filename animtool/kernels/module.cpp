@@ -552,7 +552,7 @@ corners; its faces those from ``face_starts[s]`` on, each of the ``corners`` fro
 ``corner_starts[f]`` on, counter-clockwise from outside. A ball has one point, a capsule two.
 
 ``joints`` ``(K, 3)``: 0 fixed, 1 pin, 2 ball, 3 prismatic, and two bodies; -1 is a frame that
-the animation moves. ``joint_numbers`` ``(K, 26)``: origin and quaternion x y z w of the frames
+the animation moves. ``joint_numbers`` ``(K, 27)``: origin and quaternion x y z w of the frames
 on both, whose x is the axis; least and most of angle, slide or twist (least above most is any);
 half-angles of the swing about y and z (below 0 is any); target of the drive, and of a ball's its
 rotation; its stiffness, its damping, and its most force or torque (below 0 is any). Bodies that

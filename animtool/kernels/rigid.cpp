@@ -15,7 +15,7 @@ using collide::store;
 using rigid::Turn;
 using rigid::Vec;
 
-constexpr std::size_t STATE = 14, JOINT = 26, CONTACT = 6, POSE = 7;
+constexpr std::size_t STATE = 14, JOINT = 27, CONTACT = 6, POSE = 7;
 
 Turn turn(const double* p) { return rigid::unit({p[0], p[1], p[2], p[3]}); }
 
@@ -97,7 +97,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   }
   read_joints(joints, joint_numbers);
   check::shape("apart", apart, {check::ANY, 2});
-  check::indices("apart", apart, 0, static_cast<std::int64_t>(count));
+  check::at_most("apart", apart.shape(0), check::MOST_ROWS);
+  for (std::size_t k = 0; k < apart.shape(0); ++k) {
+    check::between("apart", apart.data()[2 * k], 0, static_cast<std::int64_t>(count) - 1);
+    check::between("apart", apart.data()[2 * k + 1], 0,
+                   static_cast<std::int64_t>(count + check::MOST_ROWS));
+  }
   for (std::size_t k = 0; k < apart.shape(0); ++k)
     keep_apart(apart.data()[2 * k], apart.data()[2 * k + 1]);
   std::sort(world_.apart.begin(), world_.apart.end());
@@ -126,8 +131,8 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     check::not_negative("joint_numbers", n[23]);
     check::not_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.most = n[25];
+    joint.speed = n[26];
     world_.joints.push_back(joint);
-    if (joint.a >= 0) keep_apart(in[1], in[2]);
   }
 }
 

@@ -42,6 +42,7 @@ class Writing {
     const double give = h_ * (joint.damping + h_ * joint.stiffness);
     row.leak = 1 / give;
     row.bias = h_ * joint.stiffness / give;
+    row.given -= joint.speed * (h_ * joint.damping / give);
     row.most = joint.most < 0 ? ANY : joint.most * h_;
     row.least = -row.most;
   }

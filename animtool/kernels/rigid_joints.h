@@ -29,6 +29,7 @@ struct Joint {
   double target = 0;              // of the drive: angle or slide
   Turn goal;                      // of the drive of a ball: b as a sees it
   double stiffness = 0, damping = 0;  // of the drive: N/m, N s/m, or with m rad for m
+  double speed = 0;               // that the damping of the drive draws to
   double most = -1;               // force or torque of the drive; any below 0
 };
 

@@ -187,6 +187,7 @@ class Finder {
     for (std::size_t s = 0; s < world_.shapes.size(); ++s) {
       for (std::size_t c = 0; c < colliders_.size(); ++c) {
         if (convex(colliders_[c]) || (sleeps(s) && !colliders_[c].motion.moves())) continue;
+        if (apart_from(s, c)) continue;
         if (colliders_[c].shape == Shape::MESH) {
           meet_mesh(s, c);
         } else {
@@ -235,9 +236,15 @@ class Finder {
     }
   }
 
-  bool joint_between(std::size_t a, std::size_t b) const {
+  // Of two bodies, or of a body and a collider, which come behind the bodies.
+  bool apart(std::size_t a, std::size_t b) const {
+    if (world_.apart.empty()) return false;
     const std::uint64_t key = static_cast<std::uint64_t>(std::min(a, b)) << 32 | std::max(a, b);
     return std::binary_search(world_.apart.begin(), world_.apart.end(), key);
+  }
+
+  bool apart_from(std::size_t s, std::size_t c) const {
+    return apart(world_.shapes[s].body, world_.bodies.size() + c);
   }
 
   // Shapes come before colliders.
@@ -245,10 +252,10 @@ class Finder {
     if (i >= shapes()) return false;
     if (j >= shapes()) {
       const Collider& c = colliders_[owners_[j] - shapes()];
-      return !sleeps(i) || c.motion.moves();
+      return (!sleeps(i) || c.motion.moves()) && !apart_from(i, owners_[j] - shapes());
     }
     const std::size_t a = world_.shapes[i].body, b = world_.shapes[j].body;
-    return a != b && !(sleeps(i) && sleeps(j)) && !joint_between(a, b);
+    return a != b && !(sleeps(i) && sleeps(j)) && !apart(a, b);
   }
 
   // The speed with which the points of two come nearer along a direction, at most.
@@ -441,14 +448,22 @@ class Finder {
     add(s, c, made);
   }
 
+  // Whether a point of the world is behind a triangle of a mesh.
+  static bool behind(const collide::Mesh& mesh, std::int32_t t, const Pose& pose, Vec point) {
+    const std::int32_t* corner = mesh.triangles + 3 * t;
+    const Vec a = mesh.point(corner[0]), at = pose.to_local(point);
+    return dot(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), at - a) < 0;
+  }
+
   // Returns whether a body is in front of a triangle.
   bool meet_triangle(std::size_t s, std::size_t c, std::int32_t t, const Pose& pose,
                      double reach) {
     const Placed& p = placings_[s].get();
     const collide::Mesh& mesh = colliders_[c].mesh;
     Core core;
-    // A container is met from behind.
-    const bool turned = colliders_[c].container;
+    // A container is met from behind, and what has two sides from that of the body.
+    const bool two_sided = colliders_[c].two_sided;
+    const bool turned = colliders_[c].container || (two_sided && behind(mesh, t, pose, p.centre));
     for (int k = 0; k < 3; ++k)
       core.points.push_back(mesh.point(mesh.triangles[3 * t + (turned ? (3 - k) % 3 : k)]));
     core.loops = {0, 1, 2, 0, 2, 1};
@@ -459,10 +474,10 @@ class Finder {
     const Placed& q = moved_b_.get();
     const Vec face = q.normals[0];
     // What is behind a face is met by those on the other side, or as a whole.
-    if (dot(p.centre - q.points[0], face) < 0) return false;
+    if (!two_sided && dot(p.centre - q.points[0], face) < 0) return false;
     Manifold made = meet(q, p, reach);
     if (!made.count) return true;
-    if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach);
+    if (!faces_out(mesh, t, turned, pose, made, q)) made = on_face(q, p, reach, two_sided);
     if (!made.count) return true;
     made.normal = -made.normal;
     add(s, c, made);
@@ -497,8 +512,19 @@ class Finder {
     return lean >= dot(other, face) - 1e-3;
   }
 
+  // Whether a straight way goes through a triangle.
+  static bool through(const Placed& q, Vec from, Vec to) {
+    const Vec n = q.normals[0], way = to - from;
+    const double begin = dot(n, from - q.points[0]), end = dot(n, to - q.points[0]);
+    if ((begin > 0) == (end > 0)) return false;
+    const Vec at = from + way * (begin / (begin - end));
+    for (int k = 0; k < 3; ++k)
+      if (dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) < 0) return false;
+    return true;
+  }
+
   // Points of a core against the front of a triangle.
-  static Manifold on_face(const Placed& q, const Placed& p, double reach) {
+  static Manifold on_face(const Placed& q, const Placed& p, double reach, bool two_sided) {
     const Vec n = q.normals[0];
     std::vector<Touching> points;
     for (std::size_t i = 0; i < p.core->points.size(); ++i) {
@@ -509,6 +535,8 @@ class Finder {
       bool within = true;
       for (int k = 0; k < 3; ++k)
         within &= dot(cross(q.points[(k + 1) % 3] - q.points[k], at - q.points[k]), n) >= 0;
+      // Behind a triangle with two sides is what is there through it, not around its rim.
+      if (within && two_sided && height < 0) within = through(q, p.centre, at);
       if (within) points.push_back({at - n * (height - q.core->radius - gap / 2), gap});
     }
     Manifold made;

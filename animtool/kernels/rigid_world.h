@@ -34,7 +34,9 @@ struct World {
   std::vector<Body> bodies;
   std::vector<Shape> shapes;  // of one body after the other
   std::vector<Joint> joints;
-  std::vector<std::uint64_t> apart;  // pairs of bodies that do not meet, ascending
+  // Pairs of bodies that do not meet, or of a body and a collider, which come behind the
+  // bodies; ascending.
+  std::vector<std::uint64_t> apart;
 };
 
 struct Settings {

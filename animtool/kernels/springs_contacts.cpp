@@ -62,7 +62,7 @@ double thickness_of(const Collider& c, double radius) {
     case Shape::CAPSULE: return c.size[6];
     case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
     // Up to there a particle comes to no more than its surface.
-    case Shape::MESH: return c.margin + radius;
+    case Shape::MESH: return collide::kept(c, radius);
   }
   return 0;
 }
@@ -338,12 +338,13 @@ SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, boo
   if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
   const Mesh mesh = mesh_at(c, end);
   const Pose& pose = end ? c.end : c.begin;
-  const double kept = radius + c.collider.margin, side = c.collider.container ? -1 : 1;
+  const double kept = collide::kept(c.collider, radius), side = c.collider.container ? -1 : 1;
   const MeshWay gone =
       c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].way_until(mesh.share);
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
-  const Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
-                                   !c.collider.container);
+  Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
+                             !c.collider.container);
+  if (c.collider.two_sided) found.sample = collide::unsided(found.sample);
   const Vec out = pose.rotated(found.sample.normal) * side;
   return {{side * found.sample.distance - kept, out}, found.triangle};
 }
@@ -430,11 +431,21 @@ bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec&
   return true;
 }
 
+// What came through a surface with two sides in a step is inside of it.
+void SpringContacts::turn_back(const StepCollider& c, Vec from, Vec to, Sample& found) const {
+  const double off = collide::kept(c.collider, colliders_.radius());
+  const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
+  if (found.distance + off > length(after - before)) return;
+  if (!collide::crosses_mesh(c.collider.mesh, c.collider.root, before, after)) return;
+  found = {-(found.distance + off) - off, -found.normal};
+}
+
 bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
                           Vec& still, double* v) {
   const StepCollider& c = now_[index];
   const double depth = colliders_.depth(index, n);
-  const Found seen = look(index, n, true, to);
+  Found seen = look(index, n, true, to);
+  if (c.collider.two_sided) turn_back(c, from, to, seen.sample);
   const Sample& found = seen.sample;
   nearest_ = std::min(nearest_, found.distance - depth);
   if (!(found.distance < depth - collide::TOUCH)) return false;

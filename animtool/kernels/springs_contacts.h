@@ -113,6 +113,8 @@ class SpringContacts {
   bool settle_one(std::size_t n, double mass, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& still, double* v);
+  void turn_back(const StepCollider& c, collide::Vec from, collide::Vec to,
+                 collide::Sample& found) const;
   bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   bool sweep_mesh(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
   // A collider as a particle sees it as the step begins or ends.

@@ -86,10 +86,6 @@ def read_joint(
         source.note(prim, "joins no body that is moved, and is left out")
         return None
     limits, swing = _limits(source, prim, kind)
-    for name in ("breakForce", "breakTorque"):
-        value = source.endless(prim.GetAttribute(f"physics:{name}"))
-        if value is not None and value < MAX_FORCE:
-            source.note(prim, f"breaks by {name}: here it never does")
     return PhysicsJoint(
         str(prim.GetName()),
         kind,
@@ -98,7 +94,17 @@ def read_joint(
         limits,
         swing,
         _drive(source, prim, kind),
+        joint.GetCollisionEnabledAttr().Get() is True,
+        (_most(source, prim, "breakForce", 1), _most(source, prim, "breakTorque", 2)),
     )
+
+
+def _most(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
+    """Return the force [N] or torque [N m] that a joint breaks at; infinite is none."""
+    value = source.endless(prim.GetAttribute(f"physics:{name}"))
+    if value is None or not 0 < value < MAX_FORCE:
+        return math.inf
+    return float(value) * source.kilograms * source.unit**power
 
 
 def _side(
@@ -203,13 +209,15 @@ def _drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
 
     targets = [value(drive, "TargetPosition") * scale for drive in drives]
     most = source.endless(drives[0].GetMaxForceAttr())
-    if any(value(drive, "TargetVelocity") for drive in drives):
-        source.note(prim, "has a drive with a velocity to reach, which is not read")
+    rates = [value(drive, "TargetVelocity") for drive in drives]
     ball = kind == "ball"
+    if ball and any(rates):
+        source.note(prim, "has a drive with a velocity to reach, which is not read")
     return JointDrive(
         value(drives[0], "Stiffness", 0.0) * gain,
         value(drives[0], "Damping", 0.0) * gain,
         0.0 if ball else targets[0],
         so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
         most * force if most is not None and 0 <= most < MAX_FORCE else None,
+        0.0 if ball else rates[0] * scale,
     )

@@ -199,6 +199,12 @@ class PhysicsWriter:
             relationship(spec, f"physics:body{k}", body)
             self._place(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute(spec, f"physics:localRot{k}", _TYPES.Quatf, quatf(frame[3:]))
+        for power, name in enumerate(("breakForce", "breakTorque"), start=1):
+            if math.isfinite(joint.breaks[power - 1]):
+                most = joint.breaks[power - 1] / self._unit**power
+                self._number(spec, f"physics:{name}", most)
+        if joint.contacts:
+            attribute(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
         if joint.kind != "fixed" and not (joint.kind == "ball" and twists):
             attribute(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
@@ -232,6 +238,9 @@ class PhysicsWriter:
             self._number(spec, f"{name}:targetPosition", target * scale)
             self._number(spec, f"{name}:stiffness", drive.stiffness * gain)
             self._number(spec, f"{name}:damping", drive.damping * gain)
+            if drive.speed:
+                rate = drive.speed * scale
+                self._number(spec, f"{name}:targetVelocity", rate)
             if drive.most is not None:
                 self._number(spec, f"{name}:maxForce", drive.most * force)
         return [f"PhysicsDriveAPI:{axis}" for axis in axes]

@@ -40,6 +40,7 @@ def read_shapes(
     read = {name: _value(prim, name) for name in ("radius", "height", "size")}
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     sizes: tuple[float, ...] = ()
+    hull = False
     match kind:
         case "Sphere":
             own, sizes = "sphere", (read["radius"] * size,)
@@ -52,6 +53,8 @@ def read_shapes(
             own = "plane"
         case "Mesh":
             own = "mesh"
+            approximation = prim.GetAttribute("physics:approximation").Get()
+            hull = str(approximation) == "convexHull"
             points, triangles = _mesh(source, prim, scale)
             if not len(triangles):
                 source.note(prim, "is a mesh without faces, and is left out")
@@ -66,7 +69,7 @@ def read_shapes(
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], lean)])
     name = str(prim.GetName())
     yield PhysicsShape(
-        own, sizes, pose, points, triangles, *_material(source, prim), name
+        own, sizes, pose, points, triangles, *_material(source, prim), name, hull
     )
 
 

@@ -48,7 +48,7 @@ class Wingnut:
             np.array([[1.0, *self.moments]]), np.zeros(1, np.int64),
             np.array([[1.0, 0, 0]]), np.zeros((1, 3)), np.array([0, 1]),
             np.array([0, 0]), np.zeros(1, np.int64), whole, np.zeros((0, 3), np.int64),
-            np.zeros((0, 26)), np.zeros((0, 2), np.int64),
+            np.zeros((0, 27)), np.zeros((0, 2), np.int64),
         )  # fmt: skip
 
     def run(self, method: str, steps: int) -> FloatArray:

@@ -49,7 +49,7 @@ class Spinning:
             np.array([[1.0, *self.moments]]), np.zeros(1, np.int64),
             np.array([[1.0, 0, 0]]), np.zeros((1, 3)), np.array([0, 1]),
             np.array([0, 0]), starts, none, np.zeros((0, 3), np.int64),
-            np.zeros((0, 26)), np.zeros((0, 2), np.int64),
+            np.zeros((0, 27)), np.zeros((0, 2), np.int64),
         )  # fmt: skip
         self._nothing = Colliders([]).arrays(0.0, STEP)
 

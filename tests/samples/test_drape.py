@@ -43,7 +43,7 @@ def test_it_stays_outside_the_vase(points: np.ndarray) -> None:
     places = np.array(vase.GetPointsAttr().Get(), np.float64)
     counts = np.array(vase.GetFaceVertexCountsAttr().Get())
     faces = triangulated(counts, np.array(vase.GetFaceVertexIndicesAttr().Get()))
-    seen = Colliders([Collider(Mesh(places, faces))])
+    seen = Colliders([Collider(Mesh(places, faces, closed=True))])
     for frame in range(FRAMES):
         assert seen.sample(points[frame], 0.0).distances.min() > 0.006 - 1e-5
     assert (seen.sample(points[-1], 0.0).distances < 0.007).sum() > 50

@@ -27,6 +27,12 @@ def ball(radius: float, **keys: Any) -> dict[str, Any]:
     return {"name": "ball", "shape": {"sphere": {"radius": radius}}, **keys}
 
 
+def capsule(radius: float, length: float, **keys: Any) -> dict[str, Any]:
+    """Return a body that is a capsule along y."""
+    shape = {"capsule": {"radius": radius, "length": length}}
+    return {"name": "capsule", "shape": shape, **keys}
+
+
 class Rigid:
     """Rigid bodies under way.
 

@@ -25,7 +25,7 @@ from animtool.documents.references import (
     referred_input,
     split_reference,
 )
-from animtool.errors import AnimtoolError, Fault
+from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.maths import so3
 from animtool.options import OF_ENTRY, Checked, range_faults
 from animtool.scene.entries import Place, place_of_entry
@@ -308,8 +308,15 @@ class EntryReader:
 
     def _mesh(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh whose arrays a file has."""
-        unknown = unknown_options(given, ["points", "triangles"], "mesh")
+        unknown = unknown_options(given, ["points", "triangles", "closed"], "mesh")
         self.note_all(at, unknown)
+        closed = given.get("closed", False)
+        if not isinstance(closed, bool):
+            fault = Fault(
+                "SCN002", f"true or false: {excerpt(repr(closed))} is neither"
+            )
+            self.note((*at, "closed"), fault)
+            return None
         points, triangles = (
             self._named_array(at, given, key, f"a mesh has {key}, such as stairs.npz")
             for key in ("points", "triangles")
@@ -317,7 +324,7 @@ class EntryReader:
         if unknown or points is None or triangles is None:
             return None
         points = points * self.units.length
-        return Mesh(points, np.asarray(triangles, np.int64))
+        return Mesh(points, np.asarray(triangles, np.int64), closed)
 
     def _height_field(self, at: Location, given: dict[str, Any]) -> Mesh | None:
         """Return the mesh of the heights that a file has."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.contacts import Contact
 from animtool.maths import so3
 from animtool.options import Checked, described
-from animtool.sim.colliders.shapes import Shape
+from animtool.sim.colliders.shapes import Mesh, Shape
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,12 @@ class Collider(Contact, Checked):
         ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
         speeds = ways / np.diff(self.poses.moments)
         return float(speeds[~self.jumps].max(initial=0.0))
+
+    def volume(self) -> Collider:
+        """Return it with an inside: a mesh as the skin of a volume."""
+        if not isinstance(self.shape, Mesh) or self.shape.closed:
+            return self
+        return replace(self, shape=replace(self.shape, closed=True))
 
     def pose(self, t: float) -> FloatArray:
         """Return its pose ``(7,)`` at a time [s]; on a jump, the one before."""

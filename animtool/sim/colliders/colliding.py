@@ -135,7 +135,7 @@ class Colliders(Sequence[Collider]):
         self._meshes, roots = _meshes([c.shape for c in rigid])
         self._kinds = np.array(
             [
-                (_KINDS[type(c.shape)], c.container, root)
+                (_KINDS[type(c.shape)], _side(c), root)
                 for c, root in zip(rigid, roots, strict=True)
             ],
             np.int64,
@@ -189,6 +189,19 @@ class Colliders(Sequence[Collider]):
             *_kernels.sample_colliders(self.arrays(t0, end), places, 0.0, end - t0)
         )
 
+    @cached_property
+    def volumes(self) -> Colliders:
+        """These, with an inside of all meshes that are watertight."""
+        own = [
+            one.volume()
+            if isinstance(one.shape, Mesh) and one.shape.watertight
+            else one
+            for one in self
+        ]
+        if all(a is b for a, b in zip(own, self, strict=True)):
+            return self
+        return Colliders(own, self.sheets, self.bodies)
+
     @property
     def fastest(self) -> float:
         """Speed of the fastest [m/s]; where one is put elsewhere it has none.
@@ -215,6 +228,13 @@ class Colliders(Sequence[Collider]):
             for i, collider in enumerate(self._colliders)
             for k in np.flatnonzero(collider.jumps).tolist()
         ]
+
+
+def _side(collider: Collider) -> int:
+    """Return from where it is met: 0 from outside, 1 from inside, 2 from both sides."""
+    if collider.container:
+        return 1
+    return 2 if isinstance(collider.shape, Mesh) and not collider.shape.closed else 0
 
 
 def _jump(collider: Collider, where: str, k: int) -> Fault:

@@ -129,18 +129,21 @@ class Box:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles, counter-clockwise as seen from outside.
+    """Triangles, met from both sides, or the skin of a volume.
 
-    Points at one place are one, triangles without area are left out. Behind a face is
-    inside; an open mesh has no inside beyond its rim.
+    Points at one place are one, triangles without area are left out.
 
     Attributes:
         points: ``(P, 3)`` [m].
-        triangles: Corners of each ``(T, 3)``.
+        triangles: Corners of each ``(T, 3)``; of a skin counter-clockwise as seen from
+            outside.
+        closed: Whether it is the skin of a volume, which is met from outside only:
+            behind a face is inside; an open mesh has no inside beyond its rim.
     """
 
     points: ArrayLike
     triangles: ArrayLike
+    closed: bool = False
 
     def sizes(self) -> FloatArray:
         """Return nothing: its arrays say it all."""
@@ -161,6 +164,15 @@ class Mesh:
         triangles = same.reshape(-1)[np.asarray(self.triangles, np.int64)]
         kept = triangles[_have_area(points, triangles)]
         return points, np.ascontiguousarray(kept, np.int32)
+
+    @property
+    def watertight(self) -> bool:
+        """Whether each of its sides is one of two triangles, which turn alike."""
+        corners = self.welded()[1].astype(np.int64)
+        sides = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
+        size = np.array([corners.max(initial=0) + 1, 1])
+        there, back = np.sort(sides @ size), np.sort(sides[:, ::-1] @ size)
+        return bool((there == back).all() and (np.diff(there) > 0).all())
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
@@ -205,7 +217,7 @@ class HeightField:
         a, b = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
         c, d = number[1:, :-1].ravel(), number[1:, 1:].ravel()
         triangles = np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 3)
-        return Mesh(points.reshape(-1, 3), triangles)
+        return Mesh(points.reshape(-1, 3), triangles, closed=True)
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""

@@ -66,7 +66,7 @@ class Sheet(Material, Checked):
             points: ``(N, 3)`` [m].
             triangles: ``(T, 3)``.
         """
-        shape = Mesh(points, triangles)
+        shape = Mesh(points, triangles, closed=True)
         if not self.closed:
             shape = hull(points, triangles, self.radius)
         return Collider(
@@ -93,7 +93,9 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
     (6, 8)
     """
     return Mesh(
-        hull_points(points, triangles, radius), hull_faces(triangles, len(points))
+        hull_points(points, triangles, radius),
+        hull_faces(triangles, len(points)),
+        closed=True,
     )
 
 

@@ -105,7 +105,8 @@ class Falling:
             over = np.cross(b - a, c - a)[:, 1] < 0
             seen = np.where(over[:, None, None], seen[:, ::-1], seen)
             corners = seen.reshape(-1, 3)
-            shape = Mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            shape = Mesh(corners, faces, closed=True)
         poses = Poses.fixed(frame.origin, frame.rotation)
         floor = Collider(shape, poses, name="ground", friction=0.8)
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
@@ -246,7 +247,7 @@ class Falling:
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(turns[None, :count])
             )
-            options = RagdollOptions(mass=None, damping=2.0)
+            options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
             ragdoll = bodies_of_rig(rig, pose, options)
             joints = joints_of_rig(ragdoll, options, lambda _: np.zeros((0, 5)))
             around, forces = self._colliders, [self._gravity]

@@ -111,7 +111,7 @@ class Members:
         """
         points, moved = self.points, np.zeros(len(self), bool)
         for _ in range(MOVES if colliders.rigid else 0):
-            found = colliders.sample(points, self.begin)
+            found = colliders.volumes.sample(points, self.begin)
             depths = self.radii - found.distances
             worst = np.argmax(depths, axis=0)
             all_of_them = np.arange(len(self))

@@ -46,7 +46,7 @@ def filled(
             continue
         points = _lattice(spec, own["shape"], own["poses"], t)
         if colliders.rigid:
-            gaps = colliders.sample(points, t).distances.min(axis=0)
+            gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
             points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
         if not len(points):
             message = f"{name} has no particle: it is thinner than the spacing of "
@@ -87,7 +87,7 @@ def _check_outside(
     """Refuse points that are within colliders, or beyond a container."""
     if not colliders.rigid or not len(points):
         return
-    gaps = colliders.sample(points, t).distances
+    gaps = colliders.volumes.sample(points, t).distances
     within = gaps < 0
     if not within.any():
         return
@@ -144,7 +144,7 @@ def _lattice(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray
         for n, a, b in zip(sizes, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = Colliders([Collider(shape)]).sample(grid, 0.0).distances[0] < 0
+    inside = Colliders([Collider(shape).volume()]).sample(grid, 0.0).distances[0] < 0
     pose = poses.at(t)
     return so3.rotate(pose[3:], grid[inside]) + pose[:3]
 
@@ -232,5 +232,6 @@ def has_room(
         gaps, _ = cKDTree(near).query(points)
         kept = gaps >= ROOM * space
     if colliders.rigid:
-        kept = kept & (colliders.sample(points, t).distances >= 0).all(axis=0)
+        gaps = colliders.volumes.sample(points, t).distances
+        kept = kept & (gaps >= 0).all(axis=0)
     return kept

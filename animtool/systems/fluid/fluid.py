@@ -85,7 +85,9 @@ class Fluid:
                 spec.emitters, parts.get("emitters", ()), strict=True
             )
         ]
-        self._drains = [Colliders([drain]) for drain in parts.get("drains", ())]
+        self._drains = [
+            Colliders([drain.volume()]) for drain in parts.get("drains", ())
+        ]
         self._substeps = Substeps(spec)
         self._notices: list[Fault] = self._colliders.notices()
         self._said: set[str] = set()

@@ -62,7 +62,7 @@ class ParticleSimulation:
         self.colliders = Colliders(setup.colliders, setup.sheets, setup.bodies)
         self.contacts: Contacts | None = None  # as in `ParticleRun`
         self._notices: list[Fault] = self.colliders.notices()
-        self._kills = [Colliders([kill.region]) for kill in setup.kills]
+        self._kills = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._held = False
         self._mover = Mover(setup, self.colliders)
 

@@ -38,7 +38,7 @@ class KillRegion:
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
         """Return which of points ``(N, 3)`` are in it."""
-        found = Colliders([self.region]).sample(points, t).distances[0]
+        found = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(found < 0, np.bool_)
 
 

@@ -91,7 +91,7 @@ class Bodies:
                 several = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if several else model.name)
                 of.append(number)
-                moved.append(not model.kinematic)
+                moved.append(not model.kinematic or model.release is not None)
                 poses.append(placed_on(own, point, turn))
         if len(names) > MAX_BODIES:
             message = f"there are {len(names)} bodies, and {MAX_BODIES} at most"
@@ -99,6 +99,13 @@ class Bodies:
         return Bodies(
             kinds, names, np.array(of), np.array(moved, np.bool_), poses, begin
         )
+
+    @cached_property
+    def releases(self) -> FloatArray:
+        """When each is let go that is kinematic before ``(B,)`` [s]."""
+        times = [kind.model.release for kind in self.kinds]
+        own = [-np.inf if time is None else time for time in times]
+        return np.array(own, np.float64)[self.of]
 
     @cached_property
     def still(self) -> frozenset[int]:
@@ -146,6 +153,23 @@ class Bodies:
         idle = np.zeros((len(rows), 1))
         return np.concatenate([at, turns, velocities, momenta, idle], axis=1)
 
+    def told(self, number: int, t: float, dt: float) -> FloatArray:
+        """Return the state ``(14,)`` of one of those that are moved as its poses say.
+
+        Its velocities are those of the time [s] before.
+        """
+        i = int(self.dynamic[number])
+        before, row = self.poses[i].at(t - dt), self.poses[i].at(t)
+        places = [
+            p[:3] + so3.rotate(p[3:], self.centres[number]) for p in (before, row)
+        ]
+        spin = so3.log(so3.multiply(row[3:], so3.conjugate(before[3:]))) / dt
+        turn = so3.multiply(row[3:], self.axes[number])
+        own = so3.rotate(so3.conjugate(turn), spin) * self.moments[number]
+        velocity = (places[1] - places[0]) / dt
+        momentum = so3.rotate(turn, own)
+        return np.concatenate([places[1], turn, velocity, momentum, [0.0]])
+
     def spins(self, state: FloatArray) -> FloatArray:
         """Return angular velocities of the world ``(N, 3)`` [rad/s]."""
         own = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
@@ -172,6 +196,27 @@ class Bodies:
             for kind in [self.kinds[self.of[i]]]
             for shape, at, turn in kind.shapes
         ]
+
+    def apart(self, pairs: IntArray, first: int) -> IntArray:
+        """Return pairs that do not collide as the kernel has them ``(Q, 2)``.
+
+        Args:
+            pairs: Of all bodies ``(P, 2)``.
+            first: Number of the first of `colliders` among all.
+        """
+        shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
+        counts = np.where(self.moved, 0, shapes_of[self.of])
+        behind = len(self.dynamic) + first + np.cumsum(counts) - counts
+        place = np.cumsum(self.moved) - 1
+        rows: list[tuple[int, int]] = []
+        for one, other in pairs.tolist():
+            a, b = (one, other) if self.moved[one] else (other, one)
+            if self.moved[b]:
+                rows.append((int(place[a]), int(place[b])))
+            elif self.moved[a]:
+                shapes = range(int(behind[b]), int(behind[b] + counts[b]))
+                rows += [(int(place[a]), shape) for shape in shapes]
+        return np.array(rows, np.int64).reshape(-1, 2)
 
     @cached_property
     def outlines(self) -> Outlines:
@@ -204,8 +249,8 @@ class Bodies:
     ) -> Any:
         """Return them as the kernel takes them.
 
-        With joints ``(K, 3)`` and ``(K, 26)``, pairs that do not meet ``(P, 2)``, and
-        factors on their masses ``(N,)``.
+        With joints ``(K, 3)`` and ``(K, 27)``, pairs of `apart` ``(Q, 2)``, and factors
+        on their masses ``(N,)``.
         """
         masses = (self.masses * inertias)[:, None]
         weights = np.concatenate([masses, self.moments], axis=1)
@@ -251,7 +296,7 @@ def outline(shape: Shape) -> Shape:
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = shown(core_of(shape))
-    return Mesh(points, triangulated(counts, corners))
+    return Mesh(points, triangulated(counts, corners), closed=True)
 
 
 def placed_on(poses: Poses, at: FloatArray, turn: FloatArray) -> Poses:

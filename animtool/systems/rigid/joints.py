@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,12 @@ from animtool.errors import Fault, Severity, listed, refuse
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, Bodies
-from animtool.systems.rigid.spec import RigidJointModel
+from animtool.systems.rigid.spec import JointDriveModel, RigidJointModel
 
+# What the kernel has of a joint.
+NUMBERS = 27
+# Of a motor that is as hard as its most force or torque lets it [N s/m, N m s/rad].
+HARD = 1e15
 KINDS = {"fixed": 0, "pin": 1, "ball": 2, "prismatic": 3}
 # What only some types have.
 _OWN = {
@@ -34,15 +38,44 @@ class Joints:
     """K joints of bodies that are moved."""
 
     rows: IntArray  # type and both bodies (K, 3)
-    numbers: FloatArray  # (K, 26)
+    numbers: FloatArray  # (K, 27)
     anchors: Sequence[Poses]  # frames of the animation, of those that have one
     names: Sequence[str] = ()
     above: Sequence[int] = ()  # of all bodies, the one that each hangs on; -1 is none
     notices: Sequence[Fault] = ()
-    # Other pairs of bodies that do not meet (P, 2).
-    apart: IntArray = field(default_factory=lambda: NO_PAIRS)
+    # Of each the bodies that it keeps from colliding, as all are numbered; -1 is none
+    # (K, 2).
+    pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
+    # Other bodies that do not collide (P, 2).
+    others: IntArray = field(default_factory=lambda: NO_PAIRS)
+    # Most force [N] and torque [N m] that each holds (K, 2); none is any.
+    breaks: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     # Returns numbers at a time [s], where drives change; None is that they do not.
     driven: Callable[[float], FloatArray] | None = None
+
+    def some(self, which: IntArray) -> Joints:
+        """Return some of them, by number."""
+        own = which.tolist()
+        return replace(
+            self,
+            rows=self.rows[which],
+            numbers=self.numbers[which],
+            anchors=[self.anchors[k] for k in own],
+            names=[self.names[k] for k in own] if self.names else (),
+            above=[self.above[k] for k in own] if self.above else (),
+            pairs=self.pairs[which],
+            breaks=self.breaks[which],
+        )
+
+    @property
+    def breakable(self) -> bool:
+        """Whether any can break."""
+        return bool(np.isfinite(self.breaks).any())
+
+    @property
+    def apart(self) -> IntArray:
+        """All pairs of bodies that do not collide ``(P, 2)``."""
+        return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.others])
 
     def frames(self, t0: float, t1: float) -> FloatArray:
         """Return the frames of the animation at both ends of a step ``(K, 2, 7)``."""
@@ -59,6 +92,9 @@ def together(several: Sequence[Joints]) -> Joints:
         [name for one in several for name in one.names],
         [body for one in several for body in one.above],
         [notice for one in several for notice in one.notices],
+        np.concatenate([one.pairs for one in several]),
+        np.concatenate([one.others for one in several]),
+        np.concatenate([one.breaks for one in several]),
     )
 
 
@@ -68,7 +104,7 @@ def joints_of(
     bodies: Bodies,
 ) -> Joints:
     """Return the joints of a spec; what makes no sense is refused (SIM061)."""
-    rows, numbers, anchors, above = [], [], [], []
+    rows, numbers, anchors, above, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
     for i, (model, part) in enumerate(zip(models, parts, strict=True)):
@@ -106,16 +142,109 @@ def joints_of(
         numbers.append([*on_a, *on_b, *_limits(model, name, at), *_drive(model, at)])
         anchors.append(anchor)
         above.append(other)
+        apart = other >= 0 and not model.contacts
+        pairs.append((second, other) if apart else (-1, -1))
+        breaks.append(_breaks(model))
         for body in (second, other) if other >= 0 else (second,):
             notices += _far(bodies, body, frame, name, at)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, 26),
+        np.array(numbers, np.float64).reshape(-1, NUMBERS),
         anchors,
         [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
         above,
         notices,
+        np.array(pairs, np.int64).reshape(-1, 2),
+        breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
+
+
+def joints_in(joints: Joints, whole: Bodies, bodies: Bodies) -> tuple[Joints, IntArray]:
+    """Return the joints of bodies of which some go as they are told, and which.
+
+    Those between two such bodies do nothing, and are left out.
+
+    Args:
+        joints: Of all bodies when all of them are moved.
+        whole: The bodies then.
+        bodies: As they are.
+    """
+    if bodies is whole:
+        return joints, np.arange(len(joints.rows))
+    place = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    rows, numbers, anchors, which = [], [], [], []
+    for k, (row, own) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
+        kind, first, second = row.tolist()
+        on_a, on_b, rest = own[:7], own[7:14], own[14:]
+        a = -1 if first < 0 else int(whole.dynamic[first])
+        b, anchor = int(whole.dynamic[second]), joints.anchors[k]
+        if a >= 0 and a not in place:
+            on_a, anchor = in_body(whole, first, on_a), bodies.poses[a]
+        if b not in place:
+            if a not in place:
+                continue
+            # What hangs on the other is the first, and is turned the other way.
+            anchor, a, b = bodies.poses[b], b, a
+            on_a, on_b = in_body(whole, second, on_b), on_a
+            rest = turned_round(rest)
+        rows.append((kind, place.get(a, -1), place[b]))
+        numbers.append(np.concatenate([on_a, on_b, rest]))
+        anchors.append(anchor)
+        which.append(k)
+    some = joints.some(np.array(which, np.int64))
+    made = replace(
+        some,
+        rows=np.array(rows, np.int64).reshape(-1, 3),
+        numbers=np.array(numbers, np.float64).reshape(-1, NUMBERS),
+        anchors=anchors,
+    )
+    return made, np.array(which, np.int64)
+
+
+def turned_round(rest: FloatArray) -> FloatArray:
+    """Return numbers of a joint behind its frames as its second body sees them."""
+    made: FloatArray = rest.copy()
+    if rest[0] <= rest[1]:
+        made[:2] = -rest[1], -rest[0]
+    made[4], made[12] = -rest[4], -rest[12]
+    made[5:9] = so3.conjugate(rest[5:9])
+    return made
+
+
+def placed(pose: FloatArray, frame: FloatArray) -> FloatArray:
+    """Return a frame in another one, as what has that sees it ``(7,)``."""
+    at = pose[:3] + so3.rotate(pose[3:], frame[:3])
+    return np.concatenate([at, so3.multiply(pose[3:], frame[3:])])
+
+
+def in_body(bodies: Bodies, number: int, frame: FloatArray) -> FloatArray:
+    """Return a frame of principal axes as one of the body ``(7,)``."""
+    kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
+    return placed(np.concatenate([kind.centre, kind.axes]), frame)
+
+
+def joint_loads(joints: Joints, held: FloatArray) -> FloatArray:
+    """Return forces [N] and torques [N m] that joints hold ``(K, 2)``; drives apart.
+
+    Args:
+        joints: The joints.
+        held: Of each what its equations hold ``(K, 12)``.
+    """
+    force, torque = held[:, :3].copy(), held[:, 3:6].copy()
+    slides = joints.rows[:, 0] == KINDS["prismatic"]
+    along = held[:, 6] - held[:, 7]
+    force[slides, 0] += along[slides]
+    torque[~slides, 0] += along[~slides]
+    bent = np.hypot(np.linalg.norm(torque, axis=1), held[:, 8])
+    return np.stack([np.linalg.norm(force, axis=1), bent], axis=1)
+
+
+def _breaks(model: RigidJointModel) -> tuple[float, float]:
+    if model.breaks is None:
+        return np.inf, np.inf
+    own = model.breaks.force, model.breaks.torque
+    force, torque = (np.inf if one is None else one for one in own)
+    return force, torque
 
 
 def _axis(model: RigidJointModel, name: str, at: str) -> FloatArray:
@@ -167,7 +296,8 @@ def _limits(model: RigidJointModel, name: str, at: str) -> list[float]:
 def _drive(model: RigidJointModel, at: str) -> list[float]:
     drive = model.drive
     if drive is None:
-        return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0]
+        return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0, 0.0]
+    speed = _speed(model, drive, at)
     ball = model.type == "ball"
     if ("target" if ball else "rotation") in drive.model_fields_set:
         wrong, right = ("target", "rotation") if ball else ("rotation", "target")
@@ -181,7 +311,26 @@ def _drive(model: RigidJointModel, at: str) -> list[float]:
     own = _axis(model, model.name, at)
     turn = so3.multiply(so3.multiply(so3.conjugate(own), so3.normalize(turn)), own)
     most = -1.0 if drive.most is None else drive.most
-    return [target, *turn, drive.stiffness, drive.damping, most]
+    hard = drive.speed is not None and "damping" not in drive.model_fields_set
+    damping = HARD if hard else drive.damping
+    return [target, *turn, drive.stiffness, damping, most, speed]
+
+
+def _speed(model: RigidJointModel, drive: JointDriveModel, at: str) -> float:
+    """Return what a motor turns at [rad/s], or slides at [m/s]."""
+    if drive.speed is None:
+        return 0.0
+    if model.type == "ball":
+        message = "the drive of a ball has no speed: it has no axis to turn about"
+        refuse("SIM061", message, f"{at}.drive.speed", "type: pin")
+    for key in ("stiffness", "target"):
+        if key in drive.model_fields_set:
+            message = f"a drive has a speed or a {key}, not both"
+            refuse("SIM061", message, f"{at}.drive.{key}", "keep one")
+    if "damping" in drive.model_fields_set and not drive.damping:
+        message = "a motor without damping pulls nothing"
+        refuse("SIM061", message, f"{at}.drive.damping", "leave it out: it is hard")
+    return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
 def _far(bodies: Bodies, i: int, frame: FloatArray, name: str, at: str) -> list[Fault]:

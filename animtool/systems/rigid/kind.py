@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, refuse
+from animtool.errors import Fault, Severity, counted, refuse
 from animtool.frames import MeshFrame
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Shape
@@ -22,6 +22,13 @@ from animtool.systems.rigid.cores import (
     shown,
     solid_of,
     together,
+)
+from animtool.systems.rigid.pieces import (
+    EXTRA,
+    beyond,
+    installed,
+    pieces_of,
+    solid_of_mesh,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -95,7 +102,8 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
             f"{model.name!r} has no shape",
             hint="shape: {sphere: {radius: 0.1}}",
         )
-    cores, solids, notices = [], [], []
+    hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
+    cores, solids, notices, met, drawn = [], [], [], [], []
     for k, (shape, at, turn) in enumerate(shapes):
         key = "shape" if model.shape is not None else f"shapes[{k}]"
         if "height_field" in (model.shape or model.shapes[k].shape):
@@ -106,20 +114,43 @@ def kind_of(model: BodyModel, parts: Mapping[str, Any]) -> Kind:
         except ValueError as error:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
         solid = solid_of(shape, core)
+        pieces: Sequence[tuple[Shape, Core]] = [(shape, core)]
         if isinstance(shape, Mesh) and not convex(shape, solid):
-            message = (
-                f"a mesh of {model.name!r} is not convex, or open: its hull is met"
-            )
-            hint = "make it of several convex shapes"
-            fault = Fault("SIM125", message, hint=hint, severity=Severity.WARNING)
+            moved = not model.kinematic or model.release is not None
+            found = [] if hulls[k] or not moved else _pieces(shape)
+            fault = _concave(model.name, shape, found)
             notices.append(replace(fault, where=key))
-        cores.append(core.placed(at, turn))
+            if found:
+                pieces, solid = found, solid_of_mesh(shape)
+        cores += [core.placed(at, turn) for _, core in pieces]
+        met += [(one, at, turn) for one, _ in pieces]
+        whole = len(pieces) > 1
+        drawn.append((shape if whole else None, core.placed(at, turn), at, turn))
         solids.append(solid.placed(at, turn))
     mass, centre, inertia = _weighed(model, solids)
     moments, axes = principal(inertia)
     shows = parts.get("shows")
-    meshes = tuple(shows()) if shows is not None else (_mesh(cores),)
-    return Kind(model, shapes, cores, mass, centre, moments, axes, meshes[:1], notices)
+    meshes = tuple(shows()) if shows is not None else (_mesh(drawn),)
+    return Kind(model, met, cores, mass, centre, moments, axes, meshes[:1], notices)
+
+
+def _pieces(mesh: Mesh) -> list[tuple[Shape, Core]]:
+    """Return convex pieces of a mesh, none where it is met as its hull."""
+    return list(pieces_of(mesh)) if installed() else []
+
+
+def _concave(name: str, mesh: Mesh, found: Sequence[tuple[Shape, Core]]) -> Fault:
+    """Return how a mesh is met that is not convex."""
+    if found:
+        more = beyond(mesh, [core for _, core in found])
+        message = f"a mesh of {name!r} is met as {counted(len(found), 'convex piece')}"
+        message += f", {more:+.1%} of its volume"
+        return Fault("SIM198", message, severity=Severity.NOTE)
+    message = f"a mesh of {name!r} is not convex, or open: its hull is met"
+    hint = "make it of several convex shapes"
+    if not installed():
+        hint += f", or install coacd: {EXTRA}"
+    return Fault("SIM125", message, hint=hint, severity=Severity.WARNING)
 
 
 def _weighed(
@@ -179,10 +210,18 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
 
 
-def _mesh(cores: Sequence[Core]) -> MeshFrame:
+def _mesh(
+    drawn: Sequence[tuple[Mesh | None, Core, FloatArray, FloatArray]],
+) -> MeshFrame:
+    """Return the mesh that shows shapes: of what is in pieces its own."""
     points, counts, corners, base = [], [], [], 0
-    for core in cores:
+    for mesh, core, at, turn in drawn:
         own, count, corner = shown(core)
+        if mesh is not None:
+            welded, triangles = mesh.welded()
+            own = at + so3.rotate(turn, welded)
+            count = np.full(len(triangles), 3)
+            corner = triangles.ravel().astype(np.int64)
         points.append(own)
         counts.append(count)
         corners.append(corner + base)
@@ -203,7 +242,10 @@ def check_moved(model: BodyModel) -> None:
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is moved by what happens to it, not by {key}"
             refuse("SIM061", message, key, "kinematic: true")
-    if model.pushes and model.kinematic:
+    if model.release is not None and not model.kinematic:
+        message = f"{model.name!r} is not held, and cannot be released"
+        refuse("SIM061", message, "release", "kinematic: true")
+    if model.pushes and model.kinematic and model.release is None:
         refuse("SIM061", f"{model.name!r} is kinematic: nothing pushes it", "pushes")
     for k, push in enumerate(model.pushes):
         start, end = push.start, push.end

@@ -32,7 +32,14 @@ from animtool.sim.colliders import (
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.pulls import Gravity
 from animtool.systems.rigid.bodies import Bodies, outline
-from animtool.systems.rigid.joints import KINDS, Joints, within
+from animtool.systems.rigid.joints import (
+    KINDS,
+    NUMBERS,
+    Joints,
+    in_body,
+    placed,
+    within,
+)
 from animtool.systems.rigid.spec import BodyModel
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -117,22 +124,24 @@ def _shape(
 def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
     names = {number: kind for kind, number in KINDS.items()}
     dynamic = bodies.dynamic
+    apart = {pair for a, b in joints.apart.tolist() for pair in ((a, b), (b, a))}
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
-        on_a, on_b = numbers[:7], _in_body(bodies, second, numbers[7:14])
+        on_a, on_b = numbers[:7], in_body(bodies, second, numbers[7:14])
         above = joints.above[k]
         if first >= 0:
-            above, on_a = int(dynamic[first]), _in_body(bodies, first, on_a)
+            above, on_a = int(dynamic[first]), in_body(bodies, first, on_a)
         elif above < 0:
             pose = joints.anchors[k].at(bodies.begin)
-            on_a = _placed(pose, on_a)
+            on_a = placed(pose, on_a)
         low, high, *swing = numbers[14:18].tolist()
         target, most = float(numbers[18]), float(numbers[25])
         drive = None
         if numbers[23:25].any():
             stiffness, damping = numbers[23:25].tolist()
             strongest = None if most < 0 else most
-            drive = JointDrive(stiffness, damping, target, numbers[19:23], strongest)
+            turn, speed = numbers[19:23], float(numbers[26])
+            drive = JointDrive(stiffness, damping, target, turn, strongest, speed)
         yield PhysicsJoint(
             joints.names[k],
             names[int(row[0])],
@@ -141,6 +150,8 @@ def _joints(bodies: Bodies, joints: Joints) -> Iterator[PhysicsJoint]:
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
+            above >= 0 and (above, int(dynamic[second])) not in apart,
+            (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
         )
 
 
@@ -199,7 +210,9 @@ def body_entries(
         rows = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
         poses = Poses(times, rows[:, :3], rows[:, 3:])
-        shapes = [{"shape": shape_of(shape)} for shape in body.shapes]
+        shapes = [
+            {"shape": shape_of(shape), "hull": shape.hull} for shape in body.shapes
+        ]
         of = {"entry": entry, "origin": body.origin}
         parts.append({"poses": poses, "shapes": shapes, **of})
     return models, parts
@@ -229,24 +242,25 @@ def shape_of(shape: PhysicsShape) -> Shape:
             return Box(shape.size)
         case "plane":
             return Plane()
-    return Mesh(shape.points, shape.triangles)
+    return Mesh(shape.points, shape.triangles, closed=True)
 
 
 def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
     """Return the joints of a stage whose bodies begin at a number."""
     place = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, above, names = [], [], [], [], []
+    rows, numbers, anchors, above, names, pairs = [], [], [], [], [], []
+    breaks = []
     for joint in physics.joints:
         pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
-        target = 0.0 if drive is None else drive.target
+        target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
         turn = so3.IDENTITY if drive is None else drive.turn
         if pair[1] not in place:
             # What hangs on the other is the first, and is turned the other way.
             pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])
-            target, turn = -target, so3.conjugate(turn)
+            target, speed, turn = -target, -speed, so3.conjugate(turn)
         if pair[1] not in place:
             continue
         on_b, other, anchor = _of_centre(bodies, pair[1], frames[1]), pair[0], Poses()
@@ -256,10 +270,10 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         elif other >= 0:
             anchor = bodies.poses[other]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
-        drives = [0.0, 0.0, -1.0]
+        drives = [0.0, 0.0, -1.0, 0.0]
         if drive is not None:
             most = -1.0 if drive.most is None else drive.most
-            drives = [drive.stiffness, drive.damping, most]
+            drives = [drive.stiffness, drive.damping, most, speed]
         rows.append((KINDS[joint.kind], number, place[pair[1]]))
         numbers.append(
             [*on_a, *on_b, *(limits or (1.0, 0.0)), *swing, target, *turn, *drives]
@@ -267,13 +281,18 @@ def stage_joints(physics: Physics, bodies: Bodies, first: int) -> Joints:
         anchors.append(anchor)
         above.append(other)
         names.append(joint.name)
+        apart = other >= 0 and not joint.contacts
+        pairs.append((pair[1], other) if apart else (-1, -1))
+        breaks.append(joint.breaks)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
-        np.array(numbers, np.float64).reshape(-1, 26),
+        np.array(numbers, np.float64).reshape(-1, NUMBERS),
         anchors,
         names,
         above,
         physics.notices,
+        np.array(pairs, np.int64).reshape(-1, 2),
+        breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
 
 

@@ -25,9 +25,10 @@ from animtool.sim.colliders import Capsule, Collider, Poses
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.systems.fields import SystemColliderModel
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import SWING, Joints, seen_by
+from animtool.systems.rigid.joints import NUMBERS, SWING, Joints, seen_by
 from animtool.systems.rigid.kind import Kind, kind_of
 from animtool.systems.rigid.spec import BodyModel
+from animtool.systems.rigid.tone import passive, with_digits
 
 _TYPES = {
     JointType.FIXED: 0, JointType.PIN: 1, JointType.BALL: 2, JointType.FREE: 2,
@@ -58,10 +59,15 @@ class RagdollOptions:
     mass: Annotated[float | None, within(0.0, "SIM062", reached=False)] = None
     # Where no mass is given [kg/m³].
     density: Annotated[float, within(0.0, "SIM062", reached=False)] = 1000.0
-    # How strongly joints are drawn to the pose of the take [N m/rad]; 0 is limp.
+    # How strongly joints are drawn to the pose of the take [N m/rad].
     stiffness: Annotated[float, within(0.0, "SIM062")] = 0.0
     # What slows joints [N m s/rad].
     damping: Annotated[float, within(0.0, "SIM062")] = 0.5
+    # Passive stiffness and damping of joints towards the pose of `start`, as of muscles
+    # and ligaments [1]; 0 is limp.
+    tone: Annotated[float, within(0.0, "SIM062", 100.0)] = 1.0
+    # Whether fingers without colliders have some, that go with the hand.
+    fingers: bool = True
     # Downwards along the rig's up axis [m/s²].
     gravity: Annotated[float, within(-LARGEST, "SIM062")] = 9.81
     friction: Annotated[float, within(0.0, "SIM062")] = 0.6  # Coulomb's coefficient [1]
@@ -99,6 +105,8 @@ def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
         message = f"none of the joints of {rig.name!r} has colliders: nothing can fall"
         hint = "give its rig file `colliders`: capsules on joints"
         raise OptionError(Fault("SIM062", message, hint=hint))
+    if options.fingers:
+        capsules = with_digits(rig, world, capsules)
     joints = np.unique(capsules.joints)
     kinds = _kinds(rig, world, capsules, joints, options)
     turns = so3.split_scale(world.linear[0])[0]
@@ -214,6 +222,8 @@ def joints_of_rig(
     """Return the joints between bodies; ``targets`` are numbers of drives at a time."""
     rig, bodies = ragdoll.rig, ragdoll.bodies
     hung = np.flatnonzero(ragdoll.above >= 0)
+    own = _passive(ragdoll, options)
+    aims = targets(0.0) if options.tone else None
     rows, numbers = [], []
     for i in hung.tolist():
         joint = rig.joints[ragdoll.joints[i]]
@@ -221,24 +231,41 @@ def joints_of_rig(
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.turns[i])])
         above = int(ragdoll.above[i])
         rows.append((_TYPES[joint.type], above, i))
-        drive = [options.stiffness, options.damping, -1.0]
+        drive = [options.stiffness + own[i, 0], options.damping + own[i, 1], -1.0, 0.0]
+        aim = [0.0, *so3.IDENTITY] if aims is None else aims[i]
         on_a = seen_by(bodies, above, ragdoll.frames[i])
         on_b = seen_by(bodies, i, frame)
-        numbers.append([*on_a, *on_b, *_limits(joint), 0.0, *so3.IDENTITY, *drive])
-    made = np.array(numbers, np.float64).reshape(-1, 26)
+        numbers.append([*on_a, *on_b, *_limits(joint), *aim, *drive])
+    made = np.array(numbers, np.float64).reshape(-1, NUMBERS)
 
     def driven(t: float) -> FloatArray:
         now: FloatArray = made.copy()
         now[:, 18:23] = targets(t)[hung]
         return now
 
+    joined = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         made,
         [Poses()] * len(hung),
-        apart=_overlapping(ragdoll),
+        pairs=joined,
+        others=_overlapping(ragdoll),
+        breaks=np.full((len(rows), 2), np.inf),
         driven=driven if options.stiffness else None,
     )
+
+
+def _passive(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
+    """Return stiffness and damping of tone in the joints of bodies ``(N, 2)``."""
+    bodies, rig = ragdoll.bodies, ragdoll.rig
+    if not options.tone:
+        return np.zeros((len(ragdoll.joints), 2))
+    own = passive(
+        ragdoll.above, bodies.masses, bodies.start[:, :3], ragdoll.frames[:, :3]
+    )
+    turning = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
+    shares = np.array([options.tone, np.sqrt(options.tone)])
+    return np.asarray(own * shares * np.array(turning)[:, None])
 
 
 def _limits(joint: Joint) -> list[float]:

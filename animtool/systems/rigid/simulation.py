@@ -20,8 +20,15 @@ from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.system import Energy
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import Bodies
-from animtool.systems.rigid.joints import Joints, joints_of, together
+from animtool.systems.rigid.joints import (
+    Joints,
+    joint_loads,
+    joints_in,
+    joints_of,
+    together,
+)
 from animtool.systems.rigid.loads import BodyLoads, Loads
+from animtool.systems.rigid.phases import Phase, Phases, held_states
 from animtool.systems.rigid.physics import (
     body_entries,
     described,
@@ -29,7 +36,7 @@ from animtool.systems.rigid.physics import (
     still_colliders,
 )
 from animtool.systems.rigid.spec import RigidModel
-from animtool.systems.rigid.surroundings import BodyForces, Surroundings
+from animtool.systems.rigid.surroundings import BodyForces
 from animtool.systems.simulation import Diagnostics, SimContext, growing
 
 # Bodies that begin deeper in each other than this share of their size are a warning.
@@ -56,6 +63,8 @@ class RigidState:
             step.
         deepest_pairs: The shapes that were, colliders behind them; -1 where none
             ``(2, 2)``.
+        broken: When joints broke [s], infinite before, and the force [N] and torque
+            [N m] that they held then; nothing where none can ``(K, 3)``.
         pressing: Points that press.
         awake: Bodies that are awake.
         residual: What the last corrections changed velocities by [m/s].
@@ -67,6 +76,7 @@ class RigidState:
     held: FloatArray
     deepest: FloatArray
     deepest_pairs: IntArray
+    broken: FloatArray
     pressing: int = 0
     awake: int = 0
     residual: float = 0.0
@@ -83,15 +93,22 @@ class RigidSimulation:
         joints: Joints,
         colliders: Colliders,
         forces: Sequence[Force] = (),
+        still: Sequence[Collider] = (),
     ) -> None:
-        """Begin at a time [s]."""
+        """Begin at a time [s]; ``still`` are colliders behind those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._colliders = colliders
-        self._surroundings = Surroundings(colliders)
+        self._phases = Phases(
+            bodies,
+            lambda own: joints_in(joints, bodies, own),
+            list(colliders),
+            still,
+            colliders,
+        )
         self._forces = BodyForces(bodies, forces, begin)
         self._loads = BodyLoads(spec.name, bodies, self._forces)
-        self._kernel = bodies.kernel(joints.rows, joints.numbers, joints.apart)
+        whole = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
+        self._colliders = whole.surroundings.colliders
         self._settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -118,15 +135,14 @@ class RigidSimulation:
         bodies = Bodies.of_models(models, entries, context.begin)
         joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
         first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-        around = [*given, *bodies.colliders()]
+        still: list[Collider] = []
         for stage in stages:
             joints.append(stage_joints(stage, bodies, first))
             first += len(stage.bodies)
-            around += still_colliders(stage)
-        colliders = Colliders(around, given.sheets, given.bodies)
+            still += still_colliders(stage)
         forces = parts.get("forces", ())
         whole = together(joints) if stages else joints[0]
-        return RigidSimulation(spec, context.begin, bodies, whole, colliders, forces)
+        return RigidSimulation(spec, context.begin, bodies, whole, given, forces, still)
 
     def initial(self) -> RigidState:
         """Return where all begin."""
@@ -138,6 +154,7 @@ class RigidSimulation:
             np.zeros((count, 12)),
             np.zeros(2),
             np.full((2, 2), -1),
+            np.tile([np.inf, 0.0, 0.0], (count if self.joints.breakable else 0, 1)),
             awake=len(self.bodies.dynamic),
         )
 
@@ -150,7 +167,7 @@ class RigidSimulation:
         """
         parts = self._loads.parts(t, dt, state.motion)
         if self._forces.vary:
-            held = self._held(state)
+            held = self._held(state, t, dt)
             parts = self._loads.parts_of_held(t, dt, parts, state.motion, held)
         while True:
             after, more = self._in_parts(state, t, dt, parts)
@@ -168,7 +185,8 @@ class RigidSimulation:
         each = dt / parts
         for k in range(parts):
             now, motion = t + k * each, state.motion
-            held, flight = self._held(state), self._loads.fly(now, each, motion)
+            held = self._held(state, now, each)
+            flight = self._loads.fly(now, each, motion)
             loads = self._loads.over(now, each, motion, held, flight)
             after = self._solved(state, loads, now, each)
             missed = loads.missed(after.motion[:, 7:10], held)
@@ -181,13 +199,18 @@ class RigidSimulation:
             state = after
         return state, parts
 
-    def _held(self, state: RigidState) -> BoolArray:
+    def _phase(self, state: RigidState, t: float, dt: float) -> Phase:
+        broken = np.isfinite(state.broken[:, 0])
+        return self._phases.at(self._phases.number(t, dt), broken)
+
+    def _held(self, state: RigidState, t: float, dt: float) -> BoolArray:
         """Return who is held by contacts or joints, or sleeps ``(N,)``."""
         held = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.vary:
             return held
+        phase = self._phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
-        pressing = state.pairs[state.contacts[:, 3:].any(axis=1)]
+        pressing = phase.shapes_of(state.pairs[state.contacts[:, 3:].any(axis=1)])
         bodies = owners[np.minimum(pressing, len(owners) - 1)].ravel()
         bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
         held[bodies[bodies >= 0]] = True
@@ -201,33 +224,46 @@ class RigidSimulation:
         if loads.velocities is not None:
             motion = motion.copy()
             motion[:, 7:10] = loads.velocities
+        phase = self._phase(state, t, dt)
+        known = phase.number == self._phases.number(t - dt, dt)
+        free = phase.free
         stepped = _kernels.step_rigid(
-            self._weighed(loads, t + dt),
-            motion,
-            state.pairs,
-            state.contacts,
-            state.held,
-            loads.forces,
-            self._surroundings.arrays(t, t + dt),
-            self.joints.frames(t, t + dt),
+            self._weighed(phase, loads, t + dt),
+            motion[free],
+            state.pairs if known else state.pairs[:0],
+            state.contacts if known else state.contacts[:0],
+            state.held[phase.holding],
+            loads.forces[free],
+            phase.surroundings.arrays(t, t + dt),
+            phase.joints.frames(t, t + dt),
             dt,
             *self._settings,
         )
-        motion, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
+        moved, pairs, contacts, held, depth, residual, pressing, _, awake, _ = stepped[
             :10
         ]
-        self._check(motion, t + dt)
+        if not phase.whole:
+            motion = motion.copy()
+            motion[free] = moved
+            told = np.flatnonzero(~free)
+            motion[told] = held_states(self.bodies, told, t + dt, dt)
+            moved = motion
+        self._check(moved, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
             if deeper:
-                deepest[k], deepest_pairs[k] = depth, stepped[10:]
+                pair = np.array(stepped[10:])
+                deepest[k] = depth
+                deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
+        broken, held = self._broken(state, phase, held, t + dt)
         return RigidState(
-            motion,
+            moved,
             pairs,
             contacts,
             held,
             deepest,
             deepest_pairs,
+            broken,
             pressing,
             awake,
             residual,
@@ -246,14 +282,32 @@ class RigidSimulation:
         hint = "do joints begin where their limits allow? else take shorter steps"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
-    def _weighed(self, loads: Loads, t: float) -> Any:
+    def _weighed(self, phase: Phase, loads: Loads, t: float) -> Any:
         """Return bodies as the kernel takes them, with what loads make of them."""
         joints, inertias = self.joints, loads.inertias
         if joints.driven is None and inertias is None:
-            return self._kernel
+            return phase.kernel
         numbers = joints.numbers if joints.driven is None else joints.driven(t)
-        heavier = 1.0 if inertias is None else inertias
-        return self.bodies.kernel(joints.rows, numbers, joints.apart, heavier)
+        return phase.with_numbers(
+            numbers, 1.0 if inertias is None else inertias[phase.free]
+        )
+
+    def _broken(
+        self, state: RigidState, phase: Phase, held: FloatArray, t: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return when joints broke, and what all of them hold, at a time [s]."""
+        whole = held
+        if len(phase.holding) < len(self.joints.rows):
+            whole = np.zeros_like(state.held)
+            whole[phase.holding] = held
+        if not len(state.broken):
+            return state.broken, whole
+        found = joint_loads(phase.joints, held)
+        over = (found > phase.joints.breaks).any(axis=1)
+        broken = state.broken.copy()
+        broken[phase.holding[over], 0] = t
+        broken[phase.holding[over], 1:] = found[over]
+        return broken, whole
 
     def _woken(
         self, motion: FloatArray, loads: Loads, t: float, dt: float
@@ -420,6 +474,7 @@ class RigidSimulation:
         found = [*self.joints.notices, *self._colliders.notices()]
         for kind in self.bodies.kinds:
             found += kind.notices
+        found += self._breaks(state)
         size = float(self.bodies.reaches.min(initial=np.inf))
         ever, begin = state.deepest.tolist()
         if begin > DEEP * size:
@@ -434,6 +489,17 @@ class RigidSimulation:
             hint = "leave room between what closes in; take shorter steps"
             severity = Severity.WARNING
             found.append(Fault("SIM123", message, hint=hint, severity=severity))
+        return found
+
+    def _breaks(self, state: RigidState) -> list[Fault]:
+        """Return which joints broke, and when."""
+        found = []
+        order = np.argsort(state.broken[:, 0], kind="stable")
+        for k in order[np.isfinite(state.broken[order, 0])].tolist():
+            t, force, torque = state.broken[k].tolist()
+            message = f"joint {self.joints.names[k]!r} broke at {t:.4g} s, with "
+            message += f"{force:.4g} N and {torque:.4g} N m"
+            found.append(Fault("SIM197", message, severity=Severity.NOTE))
         return found
 
     def _pair(self, state: RigidState, k: int) -> str:

@@ -40,7 +40,7 @@ class BodyShapeModel(FileModel):
     """A shape of a body that has several."""
 
     shape: ShapeEntry = key(
-        "`sphere`, `capsule`, `box`, or `mesh`: the convex hull of its points.",
+        "`sphere`, `capsule`, `box`, or `mesh`: convex pieces of it, or its hull.",
         {"box": {"size": [0.4, 0.05, 0.05]}},
     )
     at: Vector = key(
@@ -98,7 +98,7 @@ class BodyModel(PlacedModel):
 
     name: Name = key("Its name; copies are `name[0]`, `name[1]` and so on.", "brick")
     shape: ShapeEntry | None = key(
-        "`sphere`, `capsule`, `box`, or `mesh`: the convex hull of its points.",
+        "`sphere`, `capsule`, `box`, or `mesh`: convex pieces of it, or its hull.",
         {"box": {"size": [0.4, 0.2, 0.2]}},
         default=None,
     )
@@ -150,6 +150,12 @@ class BodyModel(PlacedModel):
         True,
         default=False,
     )
+    release: Real | None = key(
+        "Of a kinematic body: the second from the first frame on that it is let go at, "
+        "with the velocity that it has then. Not given: never.",
+        1.5,
+        default=None,
+    )
     grid: GridModel | None = key(
         "Copies of it in rows.",
         {"count": [10, 8, 1], "spacing": [0.42, 0.2, 0]},
@@ -191,8 +197,28 @@ class JointDriveModel(FileModel):
     )
     stiffness: NotNegative = key("[N m/rad], or [N/m].", 200, default=0.0)
     damping: NotNegative = key("[N m s/rad], or [N s/m].", 10, default=0.0)
+    speed: Real | None = key(
+        "In place of `stiffness`: the constant speed of a motor, of a pin [deg/s], or "
+        "of a prismatic joint [m/s]. Hard up to `most`, or pulls by `damping` times "
+        "what the speed is off.",
+        90,
+        default=None,
+    )
     most: NotNegative | None = key(
         "Its most torque [N m] or force [N]. Not given: any.", 50, default=None
+    )
+
+
+class JointBreakModel(FileModel):
+    """What a joint breaks at; a drive's own force and torque do not count."""
+
+    force: Positive | None = key(
+        "Force that its two sides are held together with [N]. Not given: any.",
+        500,
+        default=None,
+    )
+    torque: Positive | None = key(
+        "Torque likewise [N m]. Not given: any.", 40, default=None
     )
 
 
@@ -233,6 +259,17 @@ class RigidJointModel(PlacedModel):
     )
     drive: JointDriveModel | None = key(
         "A spring or a motor.", {"stiffness": 200, "damping": 10}, default=None
+    )
+    breaks: JointBreakModel | None = key(
+        "What it breaks at: from then on it holds nothing, and its bodies collide. Not "
+        "given: never.",
+        {"force": 500, "torque": 40},
+        default=None,
+    )
+    contacts: bool = key(
+        "Its two bodies collide with each other, which other joints switch off.",
+        True,
+        default=False,
     )
 
 

@@ -158,10 +158,15 @@ class BodyForces:
 
 
 class Surroundings:
-    """Colliders as the kernel takes them."""
+    """Colliders as the kernel takes them.
 
-    def __init__(self, colliders: Colliders) -> None:
-        self.colliders = colliders
+    Attributes:
+        colliders: All of them.
+        first: How many come before those of bodies that go as they are told.
+    """
+
+    def __init__(self, colliders: Colliders, first: int = 0) -> None:
+        self.colliders, self.first = colliders, first
         # Points of surfaces in the last step, and these as colliders.
         self._known: tuple[list[FloatArray], Colliders] | None = None
 

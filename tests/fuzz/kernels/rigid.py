@@ -46,7 +46,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
     joints[:, 0] = rng.integers(0, 4, joined)
     joints[:, 1] = rng.choice([-1, 0], joined)
     joints[:, 2] = 1 + np.arange(joined)
-    numbers = np.zeros((joined, 26))
+    numbers = np.zeros((joined, 27))
     numbers[:, :3], numbers[:, 7:10] = rng.normal(size=(2, joined, 3))
     for at in (3, 10, 19):
         numbers[:, at : at + 4] = rotations(rng, joined)
@@ -54,6 +54,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
     numbers[:, 16:18] = rng.choice([-1.0, 0.7])
     numbers[:, 23:25] = rng.choice([0.0, 10.0], (joined, 2))
     numbers[:, 25] = rng.choice([-1.0, 3.0])
+    numbers[:, 26] = rng.choice([0.0, 2.0])
     corners = [np.array(face) for face in faces]
     return {
         "inertias": np.concatenate(

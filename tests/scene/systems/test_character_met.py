@@ -107,7 +107,9 @@ def test_a_character_walks_into_a_rope(
     nearest = []
     for t in np.arange(1, 11) / 24:
         points = np.array(rope.at(float(t)).points, np.float64)
-        seen = Colliders([Collider(Mesh(skin.points(t), skin.triangles(t)))])
+        seen = Colliders(
+            [Collider(Mesh(skin.points(t), skin.triangles(t), closed=True))]
+        )
         nearest.append(seen.sample(points, 0.0).distances.min())
     # Where it is open, corners are rounder than those of the mesh.
     assert min(nearest) > (0.015 - 1e-5 if closed else 0.012)
@@ -134,7 +136,9 @@ def test_a_character_wades_through_a_fluid(
     for t in np.arange(1, 7) / 24:
         frame = water.at(float(t))
         points = np.array(frame.points, np.float64)
-        seen = Colliders([Collider(Mesh(skin.points(t), skin.triangles(t)))])
+        seen = Colliders(
+            [Collider(Mesh(skin.points(t), skin.triangles(t), closed=True))]
+        )
         assert seen.sample(points, 0.0).distances.min() > 0
         assert (np.abs(points - [0, 1.5, 0.4]) <= [0.5, 1.5, 0.8]).all()
     assert np.linalg.norm(frame.velocities, axis=1).max() > 0.5

@@ -42,7 +42,7 @@ SHAPES: dict[str, Shape] = {
     "sphere": Sphere(0.7, (0.2, 0, -0.1)),
     "capsule": Capsule(0.4, 1.5, (1, 1, 0), (0.1, 0.2, 0)),
     "box": Box((1, 2, 0.5)),
-    "mesh": Mesh(CORNERS * [1, 2, 0.5], CUBE),
+    "mesh": Mesh(CORNERS * [1, 2, 0.5], CUBE, closed=True),
 }
 CLOSED = ["sphere", "capsule", "box", "mesh"]
 
@@ -115,14 +115,14 @@ def test_a_mesh_of_a_box_is_the_box() -> None:
 
 def test_faces_with_corners_of_their_own_close_up() -> None:
     points = (CORNERS * [1, 2, 0.5])[np.array(CUBE).ravel()]
-    apart = Mesh(points, np.arange(len(points)).reshape(-1, 3))
+    apart = Mesh(points, np.arange(len(points)).reshape(-1, 3), closed=True)
     where = np.random.default_rng(4).normal(0, 1, (300, 3))
     whole = distances(Collider(SHAPES["mesh"]), where)
     assert_allclose(distances(Collider(apart), where), whole, atol=1e-12)
 
 
 def test_several_meshes_keep_apart() -> None:
-    small = Mesh(CORNERS * 0.2, CUBE)
+    small = Mesh(CORNERS * 0.2, CUBE, closed=True)
     both = Colliders([Collider(SHAPES["mesh"]), Collider(small)])
     points = np.random.default_rng(5).normal(0, 1, (100, 3))
     seen = both.sample(points, 0.0).distances
@@ -131,7 +131,8 @@ def test_several_meshes_keep_apart() -> None:
 
 
 def test_beyond_the_rim_of_an_open_mesh_nothing_is_inside() -> None:
-    sheet = Mesh([[0, 0, 0], [0, 0, 1], [1, 0, 0]], [[0, 1, 2]])
+    corners = [[0, 0, 0], [0, 0, 1], [1, 0, 0]]
+    sheet = Mesh(corners, [[0, 1, 2]], closed=True)
     seen = distances(Collider(sheet), [[0.2, -0.1, 0.2], [-1, -0.1, 0.2]])
     assert seen[0] == pytest.approx(-0.1)
     assert seen[1] > 1
@@ -154,7 +155,9 @@ def test_containers_are_the_other_way_round() -> None:
 # Contacts
 
 
-@pytest.mark.parametrize("shape", [Plane(), Box((9, 2, 9)), Mesh(CORNERS * 9, CUBE)])
+@pytest.mark.parametrize(
+    "shape", [Plane(), Box((9, 2, 9)), Mesh(CORNERS * 9, CUBE, closed=True)]
+)
 @pytest.mark.parametrize("restitution", [0.3, 0.8, 1.0])
 def test_bounces_are_as_high_as_they_should(shape: Shape, restitution: float) -> None:
     top = {Plane: 0.0, Box: 1.0, Mesh: 4.5}[type(shape)]

@@ -13,7 +13,7 @@ from support.suite import examples
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import OptionError
-from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Sheet, collide
+from animtool.sim.colliders import Collider, Colliders, Plane, Sheet, collide
 from animtool.sim.colliders.sheets import hull
 from animtool.systems.springs import Family, sheet
 
@@ -146,7 +146,7 @@ def test_a_hull_is_closed_and_its_outside_is_outside() -> None:
     assert {tuple(s) for s in sides.tolist()} == {
         tuple(s) for s in sides[:, ::-1].tolist()
     }
-    seen = Colliders([Collider(Mesh(made.points, made.triangles))])
+    seen = Colliders([Collider(made)])
     points = [[0.1, 0.02, 0.1], [0.1, -0.02, 0.1], [1.1, 0, 0], [0.1, 0, 0.1]]
     found = seen.sample(points, 0.0).distances[0]
     assert_allclose(found, [0.01, 0.01, 0.1, -0.01], atol=1e-9)

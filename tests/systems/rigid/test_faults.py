@@ -12,6 +12,7 @@ from support.rigid import FLOOR, Rigid, ball, box
 from animtool.errors import AnimtoolError, FormatError, Severity
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.rigid import kind
 
 MOVES = [[0, 0, 0, 0], [1, 1, 0, 0]]
 NONE = [0, 0, 0, 0]
@@ -256,9 +257,14 @@ def hollow(folder: Path, dent: float, triangles: int) -> dict[str, Any]:
     ("dent", "triangles", "warns"), [(-0.5, 8, 0), (0.5, 8, 1), (-0.5, 7, 1)]
 )
 def test_a_mesh_that_is_not_its_hull_is_warned_of(
-    tmp_path: Path, dent: float, triangles: int, warns: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    dent: float,
+    triangles: int,
+    warns: int,
 ) -> None:
     """SIM125: convex and closed is fine, dented or open is not."""
+    monkeypatch.setattr(kind, "installed", lambda: False)
     mesh = {"shape": hollow(tmp_path, dent, triangles)}
     nut = {"name": "nut", "shapes": [ROUND, {**mesh, "at": [0, 3, 0]}]}
     found = Rigid(tmp_path, BOX, nut, forces=[])

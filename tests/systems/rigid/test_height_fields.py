@@ -97,7 +97,8 @@ def test_who_looks_out_of_a_closed_mesh_comes_out_the_nearest_way(
     outside = (turned * hull.equations[:, :3]).sum(axis=1) > 0
     triangles = np.where(outside[:, None], hull.simplices, hull.simplices[:, ::-1])
     np.savez(tmp_path / "cube.npz", points=points, triangles=triangles)
-    mesh = {"mesh": {"points": "cube.npz", "triangles": "cube.npz"}}
+    arrays = {"points": "cube.npz", "triangles": "cube.npz"}
+    mesh = {"mesh": {**arrays, "closed": True}}
     found = Rigid(
         tmp_path, ball(0.2, at=[0.1, 0.2, 0.85]), colliders=[{"shape": mesh}], forces=[]
     )

@@ -71,7 +71,9 @@ def still(rig: Rig, frames: int = 25, fps: int = 24, speed: float = 0.0) -> Take
 
 def fallen(take: Take, **options: Any) -> Take:
     context = PassContext(lambda _: take, Path())
-    made = ragdoll(take, RagdollOptions(**{"blend": 0.0, **options}), context)
+    made = ragdoll(
+        take, RagdollOptions(**{"blend": 0.0, "tone": 0.0, **options}), context
+    )
     return replace(made, notices=tuple(context.notices))
 
 

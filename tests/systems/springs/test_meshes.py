@@ -225,9 +225,22 @@ def test_a_mesh_put_elsewhere_hits_nothing(solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("side", [1, -1])
+def test_arrays_are_met_from_both_sides(solver: Solver, side: int) -> None:
+    for speed in (1.0, 30.0, 300.0):
+        thrown = loose(
+            [0.1, 0.2, side * 0.5], [Collider(Mesh(FLAT, FLAT_FACES))],
+            (0, 0, -side * speed), gravity=0,
+        )  # fmt: skip
+        motion = run(thrown, 1.0 if speed < 2 else 0.1, solver)
+        assert (motion.positions[:, 0, 2] * side > -1e-6).all()
+        assert abs(motion.positions[-1, 0, 2]) < 0.01
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_what_begins_inside_leaves_without_a_pop(solver: Solver) -> None:
     for colliders in (
-        [Collider(Mesh(*box_mesh(1.0)), depenetration=0.5)],
+        [Collider(Mesh(*box_mesh(1.0), closed=True), depenetration=0.5)],
         still(*box_mesh(1.0), closed=True, depenetration=0.5),
     ):
         system = loose([0.1, 0, 0.35], colliders, gravity=0)

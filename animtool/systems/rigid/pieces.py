@@ -1,0 +1,86 @@
+"""Meshes that are not convex as convex pieces, by coacd where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib.util import find_spec
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.colliders import Mesh
+from animtool.systems.rigid.cores import Core, Solid, core_of, filled
+
+# How much pieces may differ from the mesh, over its size: the usual of coacd.
+THRESHOLD = 0.05
+# Points of surfaces that are looked at to tell it.
+SAMPLES = 400
+EXTRA = "pip install 'animtool[convex]'"
+
+
+def installed() -> bool:
+    """Return whether meshes can be taken apart."""
+    return find_spec("coacd") is not None
+
+
+def pieces_of(mesh: Mesh) -> list[tuple[Mesh, Core]]:
+    """Return convex pieces of a mesh, the same on every run; none of what has holes.
+
+    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
+    collision-aware concavity and tree search".
+    """
+    if not mesh.watertight:
+        return []
+    points, triangles = mesh.welded()
+    return _taken_apart(points.tobytes(), triangles.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _taken_apart(point_bytes: bytes, corner_bytes: bytes) -> list[tuple[Mesh, Core]]:
+    """Return the pieces of points and triangles; one mesh may be asked for often."""
+    import coacd
+
+    points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
+    triangles = np.frombuffer(corner_bytes, np.int32).reshape(-1, 3)
+    coacd.set_log_level("off")
+    found = coacd.run_coacd(
+        coacd.Mesh(points, triangles),
+        threshold=THRESHOLD,
+        preprocess_mode="off",
+        resolution=SAMPLES,
+        seed=0,
+    )
+    made = []
+    for own, faces in found:
+        piece = Mesh(np.asarray(own, np.float64), np.asarray(faces), closed=True)
+        try:
+            made.append((piece, core_of(piece)))
+        except ValueError:
+            # A piece so thin that it has no volume holds nothing up.
+            continue
+    return made
+
+
+def solid_of_mesh(mesh: Mesh) -> Solid:
+    """Return what is inside of a watertight mesh, with density 1."""
+    points, triangles = mesh.welded()
+    inside = filled(points[triangles])
+    if inside.volume > 0:
+        return inside
+    return filled(points[triangles[:, ::-1]])
+
+
+def beyond(mesh: Mesh, cores: Sequence[Core]) -> float:
+    """Return how much more volume pieces have than the mesh, over its own [1]."""
+    whole = solid_of_mesh(mesh).volume
+    return sum(_volume(core) for core in cores) / whole - 1
+
+
+def _volume(core: Core) -> float:
+    triangles: list[FloatArray] = [
+        core.points[[face[0], face[k], face[k + 1]]]
+        for face in core.faces
+        for k in range(1, len(face) - 1)
+    ]
+    return filled(np.array(triangles)).volume
