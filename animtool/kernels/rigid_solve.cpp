@@ -20,6 +20,8 @@ constexpr double STIFF = 0.35;
 constexpr double CONTACT_DAMPING = 10, JOINT_DAMPING = 2;
 // Speed at which bodies that begin inside each other are moved apart at most [m/s].
 constexpr double PUSH = 2;
+// Speed at which joints that begin apart are closed at most [m/s, rad/s].
+constexpr double PULL = 100;
 // A point of contact is the one of the step before where it is as near, over the size.
 constexpr double SAME = 0.1;
 // Islands of fewer points than these are corrected more often, and at most so much more.
@@ -756,8 +758,8 @@ class Solver {
       } else if (row.kind == Row::LIMIT && row.error > 0) {
         change = -row.mass * (speed + row.error / h_);
       } else if (pushing) {
-        change = -row.mass * joint_.mass * (speed + joint_.bias * row.error) -
-                 joint_.leak * row.impulse;
+        const double back = std::clamp(joint_.bias * row.error, -PULL, PULL);
+        change = -row.mass * joint_.mass * (speed + back) - joint_.leak * row.impulse;
       } else {
         change = -row.mass * speed;
       }
