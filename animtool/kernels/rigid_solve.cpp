@@ -205,8 +205,14 @@ class Solver {
     for (std::size_t k = 0; k < island.joints.size(); ++k) {
       auto& slots = held_[island.joints[k]];
       slots.fill(0);
-      for (std::size_t r = 0; r < rows_[k].count; ++r)
-        slots[static_cast<std::size_t>(rows_[k].of[r].slot)] = rows_[k].of[r].impulse / small_;
+      const double reach = world_.bodies[world_.joints[island.joints[k]].b].reach;
+      for (std::size_t r = 0; r < rows_[k].count; ++r) {
+        const Row& row = rows_[k].of[r];
+        slots[static_cast<std::size_t>(row.slot)] = row.impulse / small_;
+        const bool turns = dot(row.line, row.line) == 0;
+        const double off = row.kind == Row::LIMIT ? -row.error : std::fabs(row.error);
+        island.parting |= row.kind != Row::DRIVE && off > PARTING * (turns ? 1 : reach);
+      }
     }
   }
 
