@@ -20,10 +20,21 @@ constexpr double REACH = 2.0;
 constexpr double SKIN = 0.15;
 // How much further off walls and bodies count than they are, in spacings: measured by how much
 // fluid is displaced.
-constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
-// Share of a step to the place where nothing is dense that is taken: all particles step at
-// once, and steps of more than two thirds grow where every second one is dense.
-constexpr double RELAXED = 0.6;
+constexpr double LOOSE = 0.0, LOOSE_AROUND = 0.12;
+// Share of a step to the place where nothing is dense that is taken, of a lattice: all
+// particles step at once, and steps of more than two thirds grow where every second one is
+// dense. All are as stiff, so that pressure has a potential: else it drives fluid round and
+// round for ever. Particles that are much more crowded than a lattice are less stiff, by this
+// share of the squares of their slopes.
+constexpr double RELAXED = 0.45, STEEP = 0.6;
+// Pairs that part or close in by less than this over the speed of sound are noise, which
+// fades by CALM each time that sound goes one spacing; faster ones, hardly. That many parts
+// are taken together.
+constexpr double NOISE = 1.2e-3, CALM = 0.12;
+// What that is as a viscosity, over the speed of sound and the spacing, by how it slows shear
+// that is slower than noise.
+constexpr double CALM_VISCOSITY = 0.014;
+constexpr std::size_t CALMED = 4;
 
 // Weight by distance over the radius, and its slope over the distance, both by the radius and
 // without their scale. Of those of its kind it is the one that makes lattices of this radius
@@ -52,6 +63,9 @@ class Walls {
   // Share of what a particle sees that is beyond a surface of a curvature (1 over the radius
   // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
   void share(double distance, double curvature, double& value, double& slope) const;
+
+  // Sum of squares of the slopes of the density of a lattice, in radii.
+  static double steepness();
 
   // Pressure of the layers that a wall is in place of, by the way to them, over what they add
   // to the density and the multiplier (R. Clausius's virial).
