@@ -526,7 +526,8 @@ class Steps {
 
   // Takes the noise of particles, in the mean of so many parts at once.
   bool calm(double h, std::size_t part, std::size_t parts) {
-    // What viscosity takes by itself is none.
+    // What viscosity takes by itself is none. Drops that are drawn together would set.
+    if (rule_.cohesion > 0) return false;
     const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
     if (part % CALMED != 0 || !(left > 0)) return false;
     const double share = std::min(sound_ * h / rule_.spacing, 1.0);

@@ -34,7 +34,7 @@ constexpr double NOISE = 1.2e-3, CALM = 0.12;
 // What that is as a viscosity, over the speed of sound and the spacing, by how it slows shear
 // that is slower than noise.
 constexpr double CALM_VISCOSITY = 0.014;
-constexpr std::size_t CALMED = 4;
+constexpr std::size_t CALMED = 6;
 
 // Weight by distance over the radius, and its slope over the distance, both by the radius and
 // without their scale. Of those of its kind it is the one that makes lattices of this radius

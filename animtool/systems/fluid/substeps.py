@@ -24,8 +24,8 @@ RIPPLE = 0.4
 # Within which it slows down where it need not be as fast any more, and within which it
 # gets faster [s]: where that is sudden, what is pressed then gains energy.
 FORGET, GAIN = 1.0, 0.05
-# As long as it is no more than this many times what is needed it stays: a fluid that is
-# made now more, now less stiff swells and sinks as if it were pumped.
+# It stays as long as it is no more than this many times too fast or too slow: a fluid that
+# is now more, now less stiff with its pressure swells and sinks as if it were pumped.
 SLACK = 1.2
 # Particles that may have more speed and pressure than parts are made as stiff for.
 FEW = 0.005
@@ -81,7 +81,7 @@ class Substeps:
         layers = LAYERS * self._spec.spacing * pull
         head = max(head, layers, self._pulled) + fastest**2 / 2
         needed = self._sound(head)
-        if 0 < needed <= before <= SLACK * needed:
+        if before and needed / SLACK <= before <= needed * SLACK:
             return before
         slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         sound = max(slower, min(needed, faster) if before else needed)
