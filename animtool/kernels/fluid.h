@@ -20,7 +20,7 @@ constexpr double REACH = 2.0;
 constexpr double SKIN = 0.15;
 // How much further off walls and bodies count than they are, in spacings: measured by how much
 // fluid is displaced.
-constexpr double LOOSE = 0.0, LOOSE_AROUND = 0.12;
+constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
 // Share of a step to the place where nothing is dense that is taken, of a lattice: all
 // particles step at once, and steps of more than two thirds grow where every second one is
 // dense. All are as stiff, so that pressure has a potential: else it drives fluid round and

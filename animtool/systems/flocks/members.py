@@ -150,15 +150,21 @@ class Members:
         faults = []
         if odd.any():
             message = f"{counted(int(odd.sum()), 'member')} would begin nearer to each "
-            message += f"other than they come, {self.named(int(np.argmax(odd)))} first: "
+            message += (
+                f"other than they come, {self.named(int(np.argmax(odd)))} first: "
+            )
             message += f"moved apart, by {moved.max():.3g} m at most"
             hint = "begin farther apart, or keep a smaller repulsion.least"
-            faults.append(Fault("SIM147", message, hint=hint, severity=Severity.WARNING))
+            faults.append(
+                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
+            )
         if overlap > MOVED * float(self.radii.max()):
             message = f"members begin {overlap:.3g} m nearer to each other than they "
             message += "come: there are too many for their place"
             hint = "a larger place, fewer members, or a smaller repulsion.least"
-            faults.append(Fault("SIM147", message, hint=hint, severity=Severity.WARNING))
+            faults.append(
+                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
+            )
         return faults
 
 

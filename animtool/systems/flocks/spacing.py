@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
 from animtool.errors import Fault, ToleranceError
 from animtool.systems.flocks.members import Members
+from animtool.systems.flocks.rules import Indices
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 # Others are braked for within so many times the least distance.
@@ -48,7 +49,7 @@ class Spacing:
         period = np.array(domain.size) if domain is not None and wraps else None
         return Spacing(own, period) if len(own) > 1 and own.max() > 0 else None
 
-    def _pairs(self, x: FloatArray, times: float) -> tuple[IntArray, IntArray]:
+    def _pairs(self, x: FloatArray, times: float) -> tuple[Indices, Indices]:
         """Return who are within so many times the largest least distance.
 
         Raises:
@@ -75,14 +76,18 @@ class Spacing:
         return i[kept], j[kept]
 
     def _apart(
-        self, x: FloatArray, i: IntArray, j: IntArray
+        self, x: FloatArray, i: Indices, j: Indices
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ways from i to j ``(P, 3)``, distances and least distances [m]."""
         off = x[j] - x[i]
         if self.period is not None:
             off = off - self.period * np.round(off / self.period)
         far = np.sqrt((off * off).sum(axis=1))
-        return off / np.maximum(far, 1e-300)[:, None], far, (self.own[i] + self.own[j]) / 2
+        return (
+            off / np.maximum(far, 1e-300)[:, None],
+            far,
+            (self.own[i] + self.own[j]) / 2,
+        )
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return what stops members before they are too near ``(N, 3)`` [m/s²].
@@ -94,6 +99,8 @@ class Spacing:
         if not np.isfinite(x).all():
             return made
         i, j = self._pairs(x, SEEN)
+        if not len(i):
+            return made
         ways, far, least = self._apart(x, i, j)
         closing = np.maximum(-((v[j] - v[i]) * ways).sum(axis=1), 0.0)
         room = np.maximum(far - least, ROOM * least)
@@ -122,9 +129,7 @@ class Spacing:
         return x, overlap
 
 
-def _added(
-    values: FloatArray, i: IntArray, j: IntArray, push: FloatArray
-) -> FloatArray:
+def _added(values: FloatArray, i: Indices, j: Indices, push: FloatArray) -> FloatArray:
     """Return values, less what is done to i, and more what is to j."""
     for axis in range(3):
         count = len(values)

@@ -24,7 +24,7 @@ RIPPLE = 0.4
 # Within which it slows down where it need not be as fast any more, and within which it
 # gets faster [s]: where that is sudden, what is pressed then gains energy.
 FORGET, GAIN = 1.0, 0.05
-# It stays as long as it is no more than this many times too fast or too slow: a fluid that
+# It stays as long as it is within this many times what is needed: a fluid that
 # is now more, now less stiff with its pressure swells and sinks as if it were pumped.
 SLACK = 1.2
 # Particles that may have more speed and pressure than parts are made as stiff for.
