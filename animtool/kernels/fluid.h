@@ -30,11 +30,11 @@ constexpr double RELAXED = 0.45, STEEP = 0.6;
 // Pairs that part or close in by less than this over the speed of sound are noise, which
 // fades by CALM each time that sound goes one spacing; faster ones, hardly. That many parts
 // are taken together.
-constexpr double NOISE = 1.2e-3, CALM = 0.12;
+constexpr double NOISE = 1.6e-3, CALM = 0.1;
 // What that is as a viscosity, over the speed of sound and the spacing, by how it slows shear
 // that is slower than noise.
-constexpr double CALM_VISCOSITY = 0.014;
-constexpr std::size_t CALMED = 6;
+constexpr double CALM_VISCOSITY = 0.012;
+constexpr std::size_t CALMED = 8;
 
 // Weight by distance over the radius, and its slope over the distance, both by the radius and
 // without their scale. Of those of its kind it is the one that makes lattices of this radius

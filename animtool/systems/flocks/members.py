@@ -142,7 +142,8 @@ class Members:
     def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
         """Return what there is to say of members moved apart to points ``(N, 3)``.
 
-        Those whose places a file gives are named, and an overlap [m] that is left (SIM147).
+        Those whose places a file gives are named, and an overlap [m] that is left
+        (SIM147).
         """
         moved = np.linalg.norm(points - self.points, axis=1)
         given = np.array([own.get("points") is not None for own in self.parts])

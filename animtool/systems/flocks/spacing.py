@@ -17,8 +17,8 @@ from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 SEEN = 2.0
 # Share of the least distance below which the room to brake in is no smaller.
 ROOM = 0.1
-# Rounds in which members are moved apart in a step, and at the beginning; each goes this
-# share of the way, and pairs are found anew after so many.
+# Rounds in which members are moved apart in a step, and at the beginning; each goes
+# this share of the way, and pairs are found anew after so many.
 ROUNDS, FIRST, SHARE, ANEW = 24, 400, 0.6, 8
 # They are moved farther apart than must be by this share of it.
 CLEAR = 1e-4
