@@ -58,19 +58,6 @@ double lattice_beyond(int coordinates) {
   return sum;
 }
 
-// Sum of slopes of weights, along the first coordinate, over places below 0 there.
-double slope_beyond() {
-  const int far = static_cast<int>(std::ceil(REACH));
-  double sum = 0;
-  for (int x = -far; x < 0; ++x)
-    for (int y = -far; y <= far; ++y)
-      for (int z = -far; z <= far; ++z) {
-        const double r = std::sqrt(static_cast<double>(x * x + y * y + z * z));
-        if (r < REACH) sum += Weight::slope(r / REACH) * x / r;
-      }
-  return sum;
-}
-
 }  // namespace
 
 double Walls::lattice() { return lattice_beyond(0); }
@@ -112,7 +99,6 @@ Walls::Walls() {
     integral(0.5 / REACH, 0, value, slope);
     (value > wall / whole_ ? least : most) = scale_;
   }
-  push_ = 2 * slope_beyond() / (whole_ * -slope);
   for (int i = 0; i < KNOTS; ++i)
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
 }

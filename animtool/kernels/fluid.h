@@ -74,17 +74,13 @@ class Walls {
   // What all of it would add, in sums of weights.
   double whole() const { return whole_; }
 
-  // How much more a wall moves a particle than its share's slope says: by the layer of a
-  // lattice that it is in place of, which is as dense as what is before it.
-  double push() const { return push_; }
-
  private:
   static constexpr int SHELLS = 16, KNOTS = 257;
   void integral(double distance, double curvature, double& value, double& slope) const;
 
   double radii_[SHELLS], weights_[SHELLS];
   double scale_ = 1;  // of distances
-  double whole_ = 1, push_ = 2;
+  double whole_ = 1;
   double flat_[KNOTS][2];
 };
 
