@@ -58,22 +58,22 @@ double lattice_beyond(int coordinates) {
   return sum;
 }
 
-// Sum of slopes of weights, along the first coordinate, over places below 0 there.
-double slope_beyond() {
-  const int far = static_cast<int>(std::ceil(REACH));
-  double sum = 0;
-  for (int x = -far; x < 0; ++x)
-    for (int y = -far; y <= far; ++y)
-      for (int z = -far; z <= far; ++z) {
-        const double r = std::sqrt(static_cast<double>(x * x + y * y + z * z));
-        if (r < REACH) sum += Weight::slope(r / REACH) * x / r;
-      }
-  return sum;
-}
-
 }  // namespace
 
 double Walls::lattice() { return lattice_beyond(0); }
+
+double Walls::steepness() {
+  const int far = static_cast<int>(std::ceil(REACH));
+  double sum = 0;
+  for (int x = -far; x <= far; ++x)
+    for (int y = -far; y <= far; ++y)
+      for (int z = -far; z <= far; ++z) {
+        const double q = std::sqrt(static_cast<double>(x * x + y * y + z * z)) / REACH;
+        const double slope = q < 1 ? Weight::slope(q) : 0.0;
+        sum += slope * slope;
+      }
+  return sum / (lattice_beyond(0) * lattice_beyond(0));
+}
 
 double Walls::virial() {
   const int far = static_cast<int>(std::ceil(REACH));
@@ -99,7 +99,6 @@ Walls::Walls() {
     integral(0.5 / REACH, 0, value, slope);
     (value > wall / whole_ ? least : most) = scale_;
   }
-  push_ = 2 * slope_beyond() / (whole_ * -slope);
   for (int i = 0; i < KNOTS; ++i)
     integral(2.0 * i / (KNOTS - 1) - 1, 0, flat_[i][0], flat_[i][1]);
 }
@@ -306,9 +305,10 @@ class Steps {
       place_colliders(share, poses_);
       if (!listed_ || stale()) list();
       look();
-      drag(h, k, parts);
+      draw(h);
       press(h);
       settle(h);
+      slow(h, k, parts);
       push_bodies(h, 1 - share);
     }
     for (double& one : pressure_) one /= static_cast<double>(parts);
@@ -450,6 +450,7 @@ class Steps {
     return {count_,          first_.data(),    seen_.data(),     &place_.data()->x,
             &velocity_.data()->x, factor_.data(), &sums_.data()->x, &moved_.data()->x,
             squares_.data(), inverse,          steep,            0,
+            0,
             0};
   }
 
@@ -457,7 +458,7 @@ class Steps {
   void look() {
     sums_.assign(count_ + 1, {}), moved_.assign(count_ + 1, {}), squares_.assign(count_ + 1, 0);
     loops_.look(pairs());
-    const double scale = 1 / lattice_, least = LEAST / (radius_ * radius_);
+    const double scale = 1 / lattice_, steep = Walls::steepness() / (radius_ * radius_);
     const double per_wall = Walls::virial();
     double sum = 0;
     for (std::size_t i = 0; i < count_; ++i) {
@@ -470,29 +471,58 @@ class Steps {
       sum += over;
       const double steepness =
           slope.x * slope.x + slope.y * slope.y + slope.z * slope.z + slope.w;
-      place_[i].w = over > 0 ? -relaxed_ * over / std::max(steepness, least) : 0.0;
+      place_[i].w = over > 0 ? -relaxed_ * over / std::max(STEEP * steepness, steep) : 0.0;
       // A wall presses as the layers of a lattice would that it is in place of.
       virial_[i] = -per_wall * beyond * place_[i].w;
     }
     compression_ = count_ ? sum / static_cast<double>(count_) : 0.0;
   }
 
-  // Viscosity of one part stands for as many as are stable together.
-  void drag(double h, std::size_t part, std::size_t parts) {
+  void draw(double h) {
+    if (!(rule_.cohesion > 0)) return;
     FluidPairs given = pairs();
+    given.cohesion = rule_.cohesion * h * h / rule_.mass();
+    loops_.draw(given);
+  }
+
+  // What slows velocities comes before the next places are looked at: after that, it and
+  // pressure would overshoot together.
+  void slow(double h, std::size_t part, std::size_t parts) {
+    std::fill(moved_.begin(), moved_.end(), Row());
+    const bool dragged = drag(h, part, parts), calmed = calm(h, part, parts);
+    if (!dragged && !calmed) return;
+    for (std::size_t i = 0; i < count_; ++i) {
+      velocity_[i].x += moved_[i].x, velocity_[i].y += moved_[i].y;
+      velocity_[i].z += moved_[i].z;
+    }
+  }
+
+  // Viscosity of one part stands for as many as are stable together.
+  bool drag(double h, std::size_t part, std::size_t parts) {
     const double longest = STICKY * rule_.spacing * rule_.spacing / (rule_.viscosity * h);
     const std::size_t together = longest < static_cast<double>(parts)
                                      ? std::max<std::size_t>(static_cast<std::size_t>(longest), 1)
                                      : parts;
-    if (rule_.viscosity > 0 && part % together == 0)
-      given.drag = -2 * rule_.viscosity * h * h *
-                   static_cast<double>(std::min(together, parts - part));
-    given.cohesion = rule_.cohesion * h * h / rule_.mass();
-    if (given.drag < 0 || given.cohesion > 0) loops_.drag(given);
+    if (!(rule_.viscosity > 0) || part % together != 0) return false;
+    FluidPairs given = pairs();
+    given.drag = -2 * rule_.viscosity * h * static_cast<double>(std::min(together, parts - part));
+    loops_.drag(given);
+    return true;
   }
 
-  // Squares of slopes below are as good as none, in radii.
-  static constexpr double LEAST = 1e-6;
+  // Takes the noise of particles, in the mean of so many parts at once.
+  bool calm(double h, std::size_t part, std::size_t parts) {
+    // What viscosity takes by itself is none. Drops that are drawn together would set.
+    if (rule_.cohesion > 0) return false;
+    const double left = 1 - rule_.viscosity / (CALM_VISCOSITY * sound_ * rule_.spacing);
+    if (part % CALMED != 0 || !(left > 0)) return false;
+    const double share = std::min(sound_ * h / rule_.spacing, 1.0);
+    FluidPairs given = pairs();
+    given.noise = NOISE * sound_;
+    given.drag = -CALM * left * share * static_cast<double>(std::min(CALMED, parts - part));
+    loops_.calm(given);
+    return true;
+  }
 
   double look_at_colliders(std::size_t i, double scale, Row& slope) {
     const std::size_t first = near_first_[i], last = near_first_[i + 1];
@@ -526,7 +556,7 @@ class Steps {
       Vec to = place_[i].vec() + moved_[i].vec();
       for (std::size_t k = near_first_[i]; k < near_first_[i + 1]; ++k) {
         // The wall presses as what is before it does.
-        const Vec by = near_[k].found.push * (walls().push() * place_[i].w);
+        const Vec by = near_[k].found.push * place_[i].w;
         near_[k].pushed = by;
         to = to + by;
       }

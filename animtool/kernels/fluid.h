@@ -21,9 +21,20 @@ constexpr double SKIN = 0.15;
 // How much further off walls and bodies count than they are, in spacings: measured by how much
 // fluid is displaced.
 constexpr double LOOSE = 0.02, LOOSE_AROUND = 0.12;
-// Share of a step to the place where nothing is dense that is taken: all particles step at
-// once, and steps of more than two thirds grow where every second one is dense.
-constexpr double RELAXED = 0.6;
+// Share of a step to the place where nothing is dense that is taken, of a lattice: all
+// particles step at once, and steps of more than two thirds grow where every second one is
+// dense. All are as stiff, so that pressure has a potential: else it drives fluid round and
+// round for ever. Particles that are much more crowded than a lattice are less stiff, by this
+// share of the squares of their slopes.
+constexpr double RELAXED = 0.45, STEEP = 0.6;
+// Pairs that part or close in by less than this over the speed of sound are noise, which
+// fades by CALM each time that sound goes one spacing; faster ones, hardly. That many parts
+// are taken together.
+constexpr double NOISE = 1.6e-3, CALM = 0.1;
+// What that is as a viscosity, over the speed of sound and the spacing, by how it slows shear
+// that is slower than noise.
+constexpr double CALM_VISCOSITY = 0.012;
+constexpr std::size_t CALMED = 8;
 
 // Weight by distance over the radius, and its slope over the distance, both by the radius and
 // without their scale. Of those of its kind it is the one that makes lattices of this radius
@@ -53,6 +64,9 @@ class Walls {
   // of a ball, 0 of a plane) at a distance, both in radii, and its slope over the distance.
   void share(double distance, double curvature, double& value, double& slope) const;
 
+  // Sum of squares of the slopes of the density of a lattice, in radii.
+  static double steepness();
+
   // Pressure of the layers that a wall is in place of, by the way to them, over what they add
   // to the density and the multiplier (R. Clausius's virial).
   static double virial();
@@ -60,17 +74,13 @@ class Walls {
   // What all of it would add, in sums of weights.
   double whole() const { return whole_; }
 
-  // How much more a wall moves a particle than its share's slope says: by the layer of a
-  // lattice that it is in place of, which is as dense as what is before it.
-  double push() const { return push_; }
-
  private:
   static constexpr int SHELLS = 16, KNOTS = 257;
   void integral(double distance, double curvature, double& value, double& slope) const;
 
   double radii_[SHELLS], weights_[SHELLS];
   double scale_ = 1;  // of distances
-  double whole_ = 1, push_ = 2;
+  double whole_ = 1;
   double flat_[KNOTS][2];
 };
 

@@ -23,11 +23,14 @@ struct FluidPairs {
   double* squares;        // of slopes
   double inverse, steep;  // 1 over the radius; the scale of slopes
   double drag, cohesion;  // of velocities, and of the force between particles
+  double noise;           // speed of particles that is as good as rest
 };
 
 struct FluidFunctions {
   void (*look)(const FluidPairs&);   // fills factors, adds to sums and squares
-  void (*drag)(const FluidPairs&);   // adds to what is moved: viscosity and cohesion
+  void (*draw)(const FluidPairs&);   // adds to what is moved: cohesion
+  void (*drag)(const FluidPairs&);   // adds to what is moved: viscosity
+  void (*calm)(const FluidPairs&);   // adds to what is moved: the noise of particles
   void (*press)(const FluidPairs&);  // adds to what is moved: multipliers
 };
 const FluidFunctions* fluid_in_quads();  // null where the processor has no such registers
@@ -81,21 +84,43 @@ struct FluidLoops {
     });
   }
 
-  // Brookshaw's Laplacian, of velocities; and cohesion.
+  // Brookshaw's Laplacian, of velocities.
   static void drag(const FluidPairs& pairs) {
-    const D inverse = pairs.inverse, viscous = pairs.drag;
-    const D cohesion = pairs.cohesion * pairs.inverse;
-    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+    const D viscous = pairs.drag;
+    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D*, D* parts) {
       D there[4];
       gather(pairs.velocities, pairs.partners + k, there);
       const D across = viscous * D::of(pairs.factors + k);
       for (std::size_t c = 0; c < 3; ++c)
         parts[c] = across * (there[c] - pairs.velocities[4 * i + c]);
       parts[3] = 0.0;
-      if (!(pairs.cohesion > 0)) return;
+    });
+  }
+
+  static void draw(const FluidPairs& pairs) {
+    const D inverse = pairs.inverse, cohesion = pairs.cohesion * pairs.inverse;
+    each(pairs, pairs.moved, [&](std::size_t, std::size_t, const D* off, D* parts) {
       const D q = root(squares_of(off)) * inverse, left = most(1.0 - q, 0.0);
       const D along = cohesion * left * left * (FLUID_BALANCE - q);
-      for (std::size_t c = 0; c < 3; ++c) parts[c] = parts[c] + along * off[c];
+      for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
+      parts[3] = 0.0;
+    });
+  }
+
+  // Of how fast pairs part or close in, what is as slow as the noise of particles. Momentum and
+  // spin stay.
+  static void calm(const FluidPairs& pairs) {
+    const D scale = pairs.drag, noise = pairs.noise * pairs.noise, none = 1e-300;
+    each(pairs, pairs.moved, [&](std::size_t i, std::size_t k, const D* off, D* parts) {
+      D there[4];
+      gather(pairs.velocities, pairs.partners + k, there);
+      D along = 0.0;
+      for (std::size_t c = 0; c < 3; ++c)
+        along = along + off[c] * (there[c] - pairs.velocities[4 * i + c]);
+      const D slow = squares_of(off) * noise;
+      along = scale * D::of(pairs.factors + k) * along * slow / (slow + along * along + none);
+      for (std::size_t c = 0; c < 3; ++c) parts[c] = along * off[c];
+      parts[3] = 0.0;
     });
   }
 
@@ -108,7 +133,7 @@ struct FluidLoops {
     });
   }
 
-  static constexpr FluidFunctions functions{look, drag, press};
+  static constexpr FluidFunctions functions{look, draw, drag, calm, press};
 };
 
 }  // namespace animtool

@@ -18,6 +18,7 @@ from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
 from animtool.systems.flocks.rules import Rule, flocking, rules_of
+from animtool.systems.flocks.spacing import FIRST, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance,
@@ -129,6 +130,7 @@ class FlockForces(SecondOrder):
     forces: Sequence[Force]
     rules: Sequence[Rule]
     motion: FloatArray  # (2, N, 3)
+    spacing: Spacing | None = None
     settles = True
 
     @property
@@ -141,6 +143,8 @@ class FlockForces(SecondOrder):
         members = self.members
         made = flocking(self.rules, self.domain, x, v)
         made += own_ways(members, t, x, v)
+        if self.spacing is not None:
+            made += self.spacing.braking(x, v)
         if self.colliders.rigid:
             made += avoidance(members, self.colliders, t, x, v)
         made = steered(members, v, made)
@@ -153,8 +157,10 @@ class FlockForces(SecondOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return where speeds and colliders let a step end."""
+        """Return where speeds, other members and colliders let a step end."""
         x, v = after[0], kept_speeds(self.members, after[1])
+        if self.spacing is not None:
+            x, _ = self.spacing.moved_apart(x)
         if self.colliders.active:
             radii = self.members.radii
             done = collide(x, v, before, self.colliders, t - h, t, radii)
@@ -189,13 +195,24 @@ class Flock:
                 [*colliders, walls], colliders.sheets, colliders.bodies
             )
         self._members = Members.of(spec, context.parts["species"], context.begin)
+        spacing = Spacing.of(self._members, spec.domain)
         points, self._notices = self._members.outside(colliders)
+        if spacing is not None:
+            points, overlap = spacing.moved_apart(points, FIRST)
+            self._notices += self._members.spread(points, overlap)
+            points, _ = replace(self._members, points=points).outside(colliders)
         forces = context.parts.get("forces", ())
         start = np.stack([points, self._members.velocities])
         self._domain = spec.domain
         rules = rules_of(self._members)
         self.system = FlockForces(
-            self._members, spec.domain, colliders, forces, rules, self._within(start)
+            self._members,
+            spec.domain,
+            colliders,
+            forces,
+            rules,
+            self._within(start),
+            spacing,
         )
         check_fit(Equations(self.system), integrator)
         shows = [parts.get("shows") for parts in context.parts["species"]]

@@ -21,6 +21,8 @@ from animtool.systems.particles.state import ParticleState
 MOVES = 20
 # How far beyond the surface it is put then, over its radius [1].
 CLEAR = 1e-6
+# What members are moved by, over their radius: less shows nowhere.
+MOVED = 4e-3
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,35 @@ class Members:
         message += f"{self.named(int(np.argmax(moved)))} first: moved out"
         hint = "begin elsewhere"
         return points, [Fault("SIM124", message, hint=hint, severity=Severity.WARNING)]
+
+    def spread(self, points: FloatArray, overlap: float) -> list[Fault]:
+        """Return what there is to say of members moved apart to points ``(N, 3)``.
+
+        Those whose places a file gives are named, and an overlap [m] that is left
+        (SIM147).
+        """
+        moved = np.linalg.norm(points - self.points, axis=1)
+        given = np.array([own.get("points") is not None for own in self.parts])
+        odd = (moved > MOVED * self.radii) & given[self.kinds]
+        faults = []
+        if odd.any():
+            message = f"{counted(int(odd.sum()), 'member')} would begin nearer to each "
+            message += (
+                f"other than they come, {self.named(int(np.argmax(odd)))} first: "
+            )
+            message += f"moved apart, by {moved.max():.3g} m at most"
+            hint = "begin farther apart, or keep a smaller repulsion.least"
+            faults.append(
+                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
+            )
+        if overlap > MOVED * float(self.radii.max()):
+            message = f"members begin {overlap:.3g} m nearer to each other than they "
+            message += "come: there are too many for their place"
+            hint = "a larger place, fewer members, or a smaller repulsion.least"
+            faults.append(
+                Fault("SIM147", message, hint=hint, severity=Severity.WARNING)
+            )
+        return faults
 
 
 def _drawn(

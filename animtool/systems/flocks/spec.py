@@ -62,6 +62,12 @@ class RepulsionModel(PullModel):
     softening: NotNegative = key(
         "Below this distance the push grows no more [m].", 0.05, default=0.1
     )
+    least: NotNegative | None = key(
+        "No two are nearer to each other [m]; of two species, the mean of both; 0 is "
+        "any distance. Not given: twice the radius, and any if the weight is 0.",
+        0.5,
+        default=None,
+    )
 
 
 class OtherModel(FileModel):

@@ -24,6 +24,9 @@ RIPPLE = 0.4
 # Within which it slows down where it need not be as fast any more, and within which it
 # gets faster [s]: where that is sudden, what is pressed then gains energy.
 FORGET, GAIN = 1.0, 0.05
+# It stays as long as it is within this many times what is needed: a fluid that
+# is now more, now less stiff with its pressure swells and sinks as if it were pumped.
+SLACK = 1.2
 # Particles that may have more speed and pressure than parts are made as stiff for.
 FEW = 0.005
 # Moves of sheets between looks, in spacings, and looks in a step.
@@ -77,8 +80,10 @@ class Substeps:
         head, fastest = float(pressure) / self._spec.density, float(fast) + pull * dt
         layers = LAYERS * self._spec.spacing * pull
         head = max(head, layers, self._pulled) + fastest**2 / 2
-        slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         needed = self._sound(head)
+        if before and needed / SLACK <= before <= needed * SLACK:
+            return before
+        slower, faster = before * math.exp(-dt / FORGET), before * math.exp(dt / GAIN)
         sound = max(slower, min(needed, faster) if before else needed)
         # Where nothing presses, one part is as stiff as it can be.
         return sound or self._spec.spacing / dt

@@ -23,7 +23,9 @@ def main(source: str, runs: str, output: str) -> None:
     """Simulate the dam; write where particles are in every frame."""
     arrays = np.load(source)
     tank = arrays["tank"]
-    walls = Collider(Box(tuple(tank)), Poses.fixed(tank / 2), "tank", container=True)
+    walls = Collider(
+        Box(tuple(tank)), Poses.fixed(tank / 2), name="tank", container=True
+    )
     parts = {"fills": [{"points": arrays["x"]}], "forces": [find_force("gravity")()]}
     context = SimpleNamespace(
         begin=0.0, last=9.0, budget=None, colliders=Colliders([walls]), parts=parts

@@ -316,6 +316,46 @@ def test_two_keep_the_distance_at_which_pull_and_push_are_equal(
     assert gap == pytest.approx(np.sqrt(0.5 / 2 - 0.3**2), abs=1e-6)
 
 
+@pytest.mark.parametrize("wrap", [False, True])
+def test_no_two_are_nearer_than_their_least_distance(
+    simulator: Simulator, wrap: bool
+) -> None:
+    """Of two species, in a crowd that a goal draws together; without repulsion any."""
+    crowd = {
+        **BIRD, "count": 80, "radius": 0.15, "attraction": {"weight": 3},
+        "goals": [{"at": [0, 0, 2], "weight": 2}], "turning": 200,
+    }  # fmt: skip
+    large = {**crowd, "name": "crow", "count": 10, "seed": 8, "radius": 0.3}
+    keys = {"domain": {"size": [8, 8, 8], "wrap": True}} if wrap else {}
+
+    def nearest(*species: dict[str, Any]) -> float:
+        rows = simulator.simulate(flock(*species, **keys), FRAMES)["it"]
+        counts = [one["count"] for one in species]
+        radii = np.repeat([one["radius"] for one in species], counts)
+        shares = []
+        for row in rows:
+            off = row.points[:, None] - row.points
+            off -= 8 * np.round(off / 8) if wrap else 0
+            far = np.linalg.norm(off, axis=2) / (radii[:, None] + radii)
+            shares.append(far[~np.eye(len(far), dtype=bool)].min())
+        return min(shares)
+
+    assert nearest(crowd, large) > 0.99
+    free = {"repulsion": {"weight": 0}}
+    assert nearest({**crowd, **free}, {**large, **free}) < 0.6
+
+
+def test_who_is_given_a_place_in_another_is_moved_with_a_word(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "two.npz", points=[[0.0, 0, 0], [0.05, 0, 0]])
+    scene = simulator.scene(flock({"name": "fish", "points": "two.npz"}))
+    run = SystemRun(scene.systems, 0.0)
+    ((_, (row,)),) = run.rows([0], 0, 1)  # type: ignore[list-item,arg-type]
+    assert np.linalg.norm(row.points[1] - row.points[0]) >= 0.2
+    assert [notice.code for notice in run.notices] == ["SIM147"]
+
+
 def test_random_directions_become_one_in_a_domain_without_walls(
     simulator: Simulator,
 ) -> None:

@@ -108,6 +108,20 @@ def test_water_at_rest_stays_and_its_pressure_is_that_of_its_depth(
         assert pressure[layer].mean() == pytest.approx(wanted[layer].mean(), rel=0.07)
 
 
+@pytest.mark.parametrize("viscosity", [1e-6, 1e-3])
+@pytest.mark.parametrize(("spacing", "deep"), [(0.1, 0.5), (0.06, 0.24)])
+def test_a_pool_comes_to_rest(
+    simulator: Simulator, spacing: float, deep: float, viscosity: float
+) -> None:
+    """By positions: within a few millimetres a second from four seconds on."""
+    pool = {"shape": {"box": {"size": [0.6, deep, 0.6]}}, "at": [0.3, deep / 2, 0.3]}
+    own = fluid(spacing=spacing, fills=[pool], viscosity=viscosity)
+    rows = simulator.simulate(own, [0.0, *(4 + np.arange(13) / 24)])["it"][1:]
+    ways = np.diff([row.points for row in rows], axis=0) * 24
+    assert np.sqrt((ways**2).sum(axis=2).mean()) < 0.005
+    assert rows[-1].points[:, 1].mean() == pytest.approx(deep / 2, rel=0.04)
+
+
 def floated(simulator: Simulator, density: float, high: float) -> np.ndarray:
     """Return how high a box .3 m wide is over time, put in water .5 m deep."""
     body = {
