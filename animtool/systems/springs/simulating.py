@@ -350,7 +350,9 @@ class SpringRun:
         if not self.grid.stretch <= options.stretch:
             message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
             message += f"not by its own give; {options.stretch:.1%} is allowed"
-            hint = "take bdf2, or less stiffness or mass"
+            hint = "take auto or bdf2, or less stiffness or mass"
+            if system.self_contact is not None:
+                hint = "take less stiffness or mass, or a greater stretch"
             notices.append(warning("SIM131", message, hint))
         elif self.longest > 1 + GIVES * options.stretch:
             least = f"{GIVES * options.stretch:.3g}"

@@ -165,8 +165,12 @@ CASES = {
     "no such place": (PIN, "[{particles: [strat]}]", ["SIM052"]),
     "no such number": (PIN, "[{particles: [11, -12]}]", ["SIM052", "SIM052"]),
     "an array of no particles": (PIN, f"[{{particles: ['{NPZ}#pins']}}]", ["SIM052"]),
-    "named twice": (PIN, "[{particles: [start, 0]}]", ["SIM052"]),
-    "held twice": (PIN, "[{particles: [0]}, {particles: [start]}]", ["SIM052"]),
+    "numbered twice": (PIN, "[{particles: [3, 0, 3]}]", ["SIM052"]),
+    "held in two ways": (
+        PIN,
+        "[{particles: [0]}, {particles: [start], moves: [[0, 0, 0, 0]]}]",
+        ["SIM052"],
+    ),
     "two ways": (
         PIN,
         "[{particles: [0], moves: [[0, 0, 0, 0]], prim: {file: set.usda, "
