@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, counted
+from animtool.errors import Fault, Severity, counted
 from animtool.maths.faces import sides
 from animtool.quantities import length_text, plain
 from animtool.sim.colliders import Collider
@@ -57,14 +57,14 @@ class SelfCrossings:
             self.most, self.when = count - self._first, t
 
     def notices(self, name: str) -> list[Fault]:
-        """Return a warning where a surface went through itself (SIM197)."""
+        """Return a note where a surface went through itself (SIM197)."""
         if not self.most:
             return []
         message = f"{name} went through itself: {counted(self.most, 'pair')} of an "
         message += f"edge and a face, at {plain(self.when)} s, as its self_contact is "
         message += "off"
-        hint = "give it self_contact, with the thickness of the cloth"
-        return [warning("SIM197", message, hint)]
+        hint = "give it self_contact with a thickness, such as half an edge"
+        return [Fault("SIM197", message, hint=hint, severity=Severity.NOTE)]
 
 
 def widest_gap(shape: Shape, points: FloatArray) -> float:

@@ -37,6 +37,8 @@ CELL = 1 / 240
 SAFE = 0.8
 # Time for each second of motion that is short enough for explicit steps anyway [s].
 LITTLE = 0.03
+# Explicit steps a second from which on doubles hold no solution of implicit ones.
+SOLVABLE = 1e9
 # Steps in a cell to begin with.
 FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 # Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
@@ -45,9 +47,14 @@ FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 COSTS = {
     # Springs of neighbours are pulled four at a time, from columns of particles.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
-    # Newton's corrections, each of some ten products of a matrix.
+    # Newton's corrections, each of some ten products of a matrix; more where explicit
+    # steps were many in each of its own, see `implicit_cost`.
     Solver.BDF2: 150e-9,
 }
+# The same of chains, whose equations are solved directly, however stiff [s].
+CHAIN_COST = 500e-9
+# Numbers that the ends of springs of a chain lie apart, at most, as kernels have it.
+WIDEST_CHAIN = 4
 # What kernels take of colliders for some cells; None without any.
 CellColliders: TypeAlias = tuple[Any, ...] | None
 
@@ -88,7 +95,7 @@ def choose(
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
     elif requested is Solver.AUTO:
-        solver, reason = _cheapest(system, rate, options.step)
+        solver, reason = _cheapest(system, options, rate)
     if options.step is not None:
         steps = 1
         if requested is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
@@ -106,22 +113,39 @@ def choose(
     return Choice(solver, CELL, FIRST[solver], reason, limit)
 
 
+def implicit_cost(system: SpringSystem, ratio: float) -> float:
+    """Return what a step of bdf2 takes for each spring [s].
+
+    The ratio is how many steps of semi-implicit Euler one step stands for: products of
+    the matrix are about as many as its square root.
+    """
+    apart = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
+    if apart <= WIDEST_CHAIN:
+        return CHAIN_COST
+    return COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
+
+
 def _cheapest(
-    system: SpringSystem, rate: float, step: float | None
+    system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
     """Return what is expected to take least time, of what is of the second order.
 
     Both keep a swing's energy where the other does, explicit steps that are stable and
     those of bdf2: time decides, steps times what each costs. A step that is asked for
-    is the longest: explicit ones are as short as they have to be.
+    is the longest: explicit ones are as short as they have to be. Where an error is to
+    be kept steps of bdf2 count as little as they ever take.
     """
+    step = options.step
     limits = f"semi-implicit Euler needs {rate:.0f} steps a second"
     cell = CELL if step is None else step
     steps = FIRST[Solver.BDF2] / CELL if step is None else 1 / step
-    if math.ceil(cell * min(rate, 1e9)) > MAX_SUBSTEPS:
+    if rate > SOLVABLE:
+        return Solver.XPBD, f"{limits}, and bdf2 finds no solution of any"
+    if math.ceil(cell * rate) > MAX_SUBSTEPS:
         return Solver.BDF2, f"{limits}, which are too many"
     explicit = max(rate, 1 / cell) * COSTS[Solver.SYMPLECTIC_EULER]
-    implicit = steps * COSTS[Solver.BDF2]
+    ratio = rate / steps if options.error is None else 1.0
+    implicit = steps * implicit_cost(system, ratio)
     alternative = f"about {steps:.0f} of {Solver.BDF2}"
     if explicit * len(system.body.springs.rest) <= LITTLE:
         why = "little time"
