@@ -115,7 +115,8 @@ class SpringOptions:
         step: None leaves it to the solver: as many steps in each 1/240 s as it needs.
         stretch: Over the length at rest [1]; steps are halved where it is more.
         growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up; of xpbd it is not asked for.
+            which on a motion has blown up; of xpbd it is not asked for, and of bdf2 and
+            implicit Euler not where there are colliders.
         longest: Length of a spring, in lengths at rest, from which on it has.
     """
 

@@ -205,8 +205,11 @@ class SpringRun:
         self.taken = 1.0
         # Of a spring of xpbd, over that at rest.
         self.longest = 1.0
-        # What xpbd leaves of a stretch is no energy that it goes on with.
-        growth = np.inf if grid.solver is Solver.XPBD else options.growth
+        # What xpbd leaves of a stretch is no energy that it goes on with, nor is what
+        # colliders leave of one to implicit steps.
+        stable = grid.solver is not Solver.SYMPLECTIC_EULER and system.colliders.active
+        calm = stable or grid.solver is Solver.XPBD
+        growth = np.inf if calm else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
         # Its springs that are not torn.
         self.left, self._gone = system, 0
