@@ -18,7 +18,7 @@ from animtool.systems.springs.drawing import Curves, Faces, Shape
 from animtool.systems.springs.motion import warning
 
 # Looks at a surface over a whole motion: one takes as long as some steps do.
-LOOKS = 24
+LOOKS = 12
 # Of many colliders, those that are named.
 MAX_NAMED = 3
 
