@@ -1,5 +1,5 @@
 // Implicit Euler and BDF2 steps of networks of springs: Newton's method, whose equations
-// are solved by conjugate gradients without a matrix.
+// are solved by conjugate gradients without a matrix; those of chains directly.
 //
 // D. Baraff, A. Witkin, Large Steps in Cloth Simulation, 1998; K.-J. Choi, H.-S. Ko,
 // Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
@@ -7,6 +7,7 @@
 #include <algorithm>
 
 #include "checks.h"
+#include "springs_chain.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -116,7 +117,33 @@ class Implicit {
     diagonal_.resize(network.particles());
     for (std::size_t n = 0; n < network.particles(); ++n) diagonal_[n] = blocks_[9 * n];
     for (const Spring& spring : run_.lines().springs) stiffen_spring(spring, s);
+    reach_ = 0;
+    for (const Link& link : links_)
+      reach_ = std::max(reach_, static_cast<std::size_t>(std::abs(link.i - link.j)));
+    if (is_chain()) return factor_chain();
     for (std::size_t n = 0; n < network.particles(); ++n) invert(blocks_.data() + 9 * n);
+  }
+
+  bool is_chain() const { return reach_ <= WIDEST_CHAIN; }
+
+  void factor_chain() {
+    const SpringNetwork& network = run_.network;
+    chain_.begin(network.particles(), reach_);
+    for (std::size_t n = 0; n < network.particles(); ++n)
+      for (std::size_t row = 0; row < 3; ++row)
+        for (std::size_t c = 0; c < 3; ++c)
+          chain_.add(3 * n + row, 3 * n + c, blocks_[9 * n + 3 * row + c]);
+    for (const Link& link : links_) {
+      const auto [low, high] = std::minmax(link.i, link.j);
+      const std::size_t i = static_cast<std::size_t>(low), j = static_cast<std::size_t>(high);
+      // What is held does not move: nothing else hangs on it.
+      if (network.inverse_masses[i] == 0 || network.inverse_masses[j] == 0) continue;
+      for (std::size_t row = 0; row < 3; ++row)
+        for (std::size_t c = 0; c < 3; ++c)
+          chain_.add(3 * j + row, 3 * i + c,
+                     -(link.along * link.u[row] * link.u[c] + (row == c ? link.across : 0)));
+    }
+    chain_.factor();
   }
 
   void stiffen_air(double s) {
@@ -202,7 +229,8 @@ class Implicit {
       std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
   }
 
-  void precondition(const std::vector<double>& in, std::vector<double>& out) const {
+  void precondition(const std::vector<double>& in, std::vector<double>& out) {
+    if (is_chain()) return chain_.solve(in, out, ROW);
     for (std::size_t n = 0; n < run_.network.particles(); ++n) {
       const double *block = blocks_.data() + 9 * n, *a = in.data() + ROW * n;
       for (std::size_t k = 0; k < 3; ++k) out[ROW * n + k] = dot3(block + 3 * k, a);
@@ -244,6 +272,8 @@ class Implicit {
   SpringRun& run_;
   double tolerance_;
   std::vector<Link> links_;
+  std::size_t reach_ = 0;  // numbers that the ends of springs lie apart, at most
+  ChainFactor chain_;
   std::vector<double> residual_, step_, r_, z_, p_, q_, blocks_, diagonal_, trial_x_, trial_v_;
 };
 

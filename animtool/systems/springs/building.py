@@ -58,8 +58,9 @@ class _Building:
     def simulation(self) -> SpringSimulation:
         """Return them with what each entry shows."""
         context = self._context
+        spec = self._spec
         made = SpringSimulation(
-            self._system, self._spec.options, context.begin, context
+            self._system, spec.options, context.begin, context, settled=spec.settle
         )
         springs = 0
         views: list[SpringView] = []

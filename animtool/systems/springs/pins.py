@@ -92,41 +92,75 @@ def read_pins(
 ) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
     """Return what holds particles of a body, and what joins them to other systems."""
     pins, joins = [], []
-    held: set[int] = set()
+    held: dict[int, PinModel] = {}  # what holds each particle
     models: Sequence[PinModel] = entry.spec.pins
     for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
         at: Location = ("pins", i)
         particles = _particles_of(entry, (*at, "particles"), parts["particles"], body)
-        if model.stiffness is None and model.to is None:
-            twice = sorted(held.intersection(particles.tolist()))
-            if twice:
-                message = f"particles that another pin holds: {listed(twice)}"
-                entry.note("SIM052", message, *at, "particles")
-            held.update(particles.tolist())
         if model.to is not None:
             _check_alone(entry, at, model, "to")
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
-        else:
-            carrier = _carrier(entry, at, model, parts)
-            pins.append(Pin(model, particles, carrier, f"pins[{i}]"))
+            continue
+        carrier = _carrier(entry, at, model, parts)
+        own = particles
+        if model.stiffness is None:
+            own = _left_to(entry, at, model, particles, held)
+        if len(own) or not len(particles):
+            pins.append(Pin(model, own, carrier, f"pins[{i}]"))
     return tuple(pins), tuple(joins)
+
+
+def _left_to(
+    entry: BodyEntry,
+    at: Location,
+    model: PinModel,
+    particles: IntArray,
+    held: dict[int, PinModel],
+) -> IntArray:
+    """Return the particles that a pin holds alone, and record that it does.
+
+    Those that an earlier pin holds in the same way are left to that; in another way,
+    they are noted.
+    """
+    twice = [n for n in particles.tolist() if n in held]
+    apart = sorted(n for n in twice if not _alike(model, held[n]))
+    if apart:
+        message = f"particles that another pin holds in another way: {listed(apart)}"
+        hint = "leave them out of one of the two pins"
+        entry.note("SIM052", message, *at, "particles", hint=hint)
+    own = particles[~np.isin(particles, np.array(twice, np.int64))]
+    held.update(dict.fromkeys(own.tolist(), model))
+    return own
+
+
+def _alike(first: PinModel, second: PinModel) -> bool:
+    """Return whether two pins hold what they hold in the same way."""
+    one, other = (pin.model_dump(exclude={"particles"}) for pin in (first, second))
+    return one == other
 
 
 def _particles_of(
     entry: BodyEntry, at: Location, names: Sequence[list[str | int]], body: SpringBody
 ) -> IntArray:
-    """Return the numbers of particles, those of each name in its order."""
+    """Return the numbers of particles, those of each name in its order, each once.
+
+    Places may share particles, such as the corners of a sheet; a number that is
+    written twice is noted.
+    """
     particles: list[int] = []
-    for i, written in enumerate(names):
-        numbers, faults = numbered(written, body)
+    written: list[int] = []
+    for i, each in enumerate(names):
+        numbers, faults = numbered(each, body)
         for _, fault in faults:
             entry.add(fault, *at, i)
         particles += numbers
-    if len(set(particles)) < len(particles):
-        twice = sorted({n for n in particles if particles.count(n) > 1})
+        if not any(isinstance(name, str) for name in each):
+            written += numbers
+    if len(set(written)) < len(written):
+        twice = sorted({n for n in written if written.count(n) > 1})
         message = f"particles that are named twice: {listed(twice)}"
         entry.note("SIM052", message, *at)
-    return np.array(particles, np.int64)
+    return np.array(list(dict.fromkeys(particles)), np.int64)
 
 
 def numbered(

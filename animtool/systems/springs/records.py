@@ -89,10 +89,11 @@ class Solver(StrEnum):
     """What takes springs through time.
 
     Attributes:
-        AUTO: The one that is expected to take least time: steps, times their cost.
+        AUTO: Semi-implicit Euler or BDF2, what is expected to take less time:
+            steps, times their cost. XPBD where a surface keeps apart from itself.
         SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
         XPBD: Extended position based dynamics in small steps: stable with any, and
-            less accurate.
+            less accurate. It damps, and long chains hang lower than they are to.
         BDF2: Backward differences of two steps, for accuracy where springs are stiff.
         IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
     """
@@ -114,7 +115,8 @@ class SpringOptions:
         step: None leaves it to the solver: as many steps in each 1/240 s as it needs.
         stretch: Over the length at rest [1]; steps are halved where it is more.
         growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up; of xpbd it is not asked for.
+            which on a motion has blown up; of xpbd it is not asked for, and of bdf2 and
+            implicit Euler not where there are colliders.
         longest: Length of a spring, in lengths at rest, from which on it has.
     """
 

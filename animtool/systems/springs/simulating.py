@@ -205,8 +205,11 @@ class SpringRun:
         self.taken = 1.0
         # Of a spring of xpbd, over that at rest.
         self.longest = 1.0
-        # What xpbd leaves of a stretch is no energy that it goes on with.
-        growth = np.inf if grid.solver is Solver.XPBD else options.growth
+        # What xpbd leaves of a stretch is no energy that it goes on with, nor is what
+        # colliders leave of one to implicit steps.
+        stable = grid.solver is not Solver.SYMPLECTIC_EULER and system.colliders.active
+        calm = stable or grid.solver is Solver.XPBD
+        growth = np.inf if calm else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
         # Its springs that are not torn.
         self.left, self._gone = system, 0
@@ -350,7 +353,9 @@ class SpringRun:
         if not self.grid.stretch <= options.stretch:
             message = f"a spring was {self.grid.stretch:.1%} longer than at rest, and "
             message += f"not by its own give; {options.stretch:.1%} is allowed"
-            hint = "take bdf2, or less stiffness or mass"
+            hint = "take auto or bdf2, or less stiffness or mass"
+            if system.self_contact is not None:
+                hint = "take less stiffness or mass, or a greater stretch"
             notices.append(warning("SIM131", message, hint))
         elif self.longest > 1 + GIVES * options.stretch:
             least = f"{GIVES * options.stretch:.3g}"

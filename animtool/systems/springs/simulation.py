@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -16,7 +16,6 @@ from animtool.frames import Frame, MeshFrame, PointsFrame
 from animtool.quantities import length_text, plain
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.trial import FINER, Setting, stepwise
 from animtool.systems.fields import Member
 from animtool.systems.run import ON_STEP
 from animtool.systems.simulation import (
@@ -28,12 +27,16 @@ from animtool.systems.simulation import (
     TrialSettings,
 )
 from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.crossings import SelfCrossings, thin_notices, widest_gap
 from animtool.systems.springs.drawing import Faces, Tearing
+from animtool.systems.springs.losses import DAMPING, Losses
 from animtool.systems.springs.motion import Grid, SpringState, warning
 from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.settling import rest_of_xpbd
 from animtool.systems.springs.simulating import SpringRun, simulate_springs
 from animtool.systems.springs.solvers import advance, choose
 from animtool.systems.springs.system import SpringSystem
+from animtool.systems.springs.trials import trial_settings
 
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
@@ -44,10 +47,6 @@ _GROWING = {"SIM131", "SIM123"}
 LONG = 2.0
 # Surfaces of others are asked for from one look before a step on [s].
 LOOK_BACK = 1 / 240
-# What settings of a table are compared with: of the second order, and stable.
-EXACT = Solver.BDF2
-# Instead, where the stiffest springs let no implicit step be solved.
-EXPLICIT = Solver.SYMPLECTIC_EULER
 
 
 class SpringSimulation:
@@ -62,8 +61,10 @@ class SpringSimulation:
         options: SpringOptions,
         begin: float,
         context: SimContext,
+        *,
+        settled: bool = False,
     ) -> None:
-        self.system, self._begin = system, begin
+        self.system, self.begin, self.last = system, begin, context.last
         self.error: float | None = None  # of positions, where it was asked for [m]
         self._said: dict[str, Fault] = {}
         self._worst = 0.0
@@ -74,13 +75,18 @@ class SpringSimulation:
         self.options = options
         solver = check_options(options)
         self.choice = choose(system, options, solver, begin, system.state)
+        if settled and self.choice.solver is Solver.XPBD:
+            rested = rest_of_xpbd(system, options, self.choice, begin)
+            self.system, self.choice = rested.system, rested.choice
+            self._say(rested.notices, 0.0)
         self.reason = reason or self.choice.reason
         self.step_length = self.choice.cell
         self.shortest, self.taken, self.stretch, self.unresolved = math.inf, 0, 0.0, 0
         self._measured: FloatArray | None = None
+        self._losses = Losses(float(system.free_masses.sum()))
         start = self.initial()
         self._take_note(self._run(start, begin), begin)
-        self.measure(start)
+        self.measure(start, begin)
         self._stretch_at_start = self.stretch
         self.clock = context.clock()
 
@@ -88,7 +94,7 @@ class SpringSimulation:
         self, options: SpringOptions, context: SimContext
     ) -> tuple[SpringOptions, str]:
         """Return options whose steps keep the error over the whole motion, and why."""
-        begin, last = self._begin, max(context.last, self._begin)
+        begin, last = self.begin, max(context.last, self.begin)
         times = np.linspace(begin, last, COMPARED)
         progress = _by_motions(context.phase, begin, last)
         motion = simulate_springs(self.system, times, options, progress=progress)
@@ -138,7 +144,7 @@ class SpringSimulation:
         return SpringRun(self.system, self.options, choice, grid, self.clock)
 
     def _grid(self, state: SpringState, t: float) -> Grid:
-        choice, begin = self.choice, self._begin
+        choice, begin = self.choice, self.begin
         index = round((t - begin) / choice.cell)
         return Grid(choice.solver, begin, choice.cell, index, state)
 
@@ -173,8 +179,8 @@ class SpringSimulation:
                 self._said[key] = fault
         self._worst = max(self._worst, stretch)
 
-    def measure(self, state: SpringState) -> None:
-        """Count how long springs are in a state that is looked at."""
+    def measure(self, state: SpringState, t: float) -> None:
+        """Count how long springs are in a state that is looked at, and its energy."""
         if state.motion is self._measured:
             return
         self._measured = state.motion
@@ -184,6 +190,10 @@ class SpringSimulation:
             lengths = springs.lengths(state.motion[0])[whole]
             longest = float((lengths / springs.rest[whole]).max()) - 1.0
             self.stretch = max(self.stretch, longest)
+        if self.choice.solver in DAMPING and self.system.self_contact is None:
+            energy = self._energy(state, t)
+            if energy is not None:
+                self._losses.look(t, energy)
 
     @property
     def ahead(self) -> bool:
@@ -196,9 +206,9 @@ class SpringSimulation:
             if view.tears:
                 view.part(last)
 
-    def frame(self, state: SpringState, t: float) -> PointsFrame:  # noqa: ARG002
+    def frame(self, state: SpringState, t: float) -> PointsFrame:
         """Return all particles."""
-        self.measure(state)
+        self.measure(state, t)
         points, velocities = state.motion
         radii = np.full(len(points), self.system.radius)
         return PointsFrame(np.arange(len(points)), points, velocities, radii, {})
@@ -216,7 +226,7 @@ class SpringSimulation:
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far."""
-        return list(self._said.values())
+        return [*self._said.values(), *self._losses.notices(self.choice.solver)]
 
     def _energy(self, state: SpringState, t: float) -> Energy | None:
         if self._slowed or state.torn.any():
@@ -234,35 +244,7 @@ class SpringSimulation:
 
     def trial_settings(self) -> TrialSettings:
         """Return solvers in several steps, about those that each takes itself."""
-        own, free = self.options, replace(self.options, step=None)
-
-        def usual(solver: Solver, options: SpringOptions = free) -> Setting:
-            """Return a solver with the step that options come to."""
-            system, begin = self.system, self._begin
-            choice = choose(system, options, solver, begin, system.state)
-            return Setting.of(choice.solver, step=choice.cell / choice.substeps)
-
-        chosen = usual(Solver(own.solver), own)
-
-        def settings() -> list[Setting]:
-            each = [usual(solver) for solver in Solver if solver is not Solver.AUTO]
-            each = [chosen if one.method == chosen.method else one for one in each]
-            return [way for one in each for way in stepwise(one.method, one["step"])]
-
-        def references() -> list[list[Setting]]:
-            """Return ever shorter steps of bdf2; of the explicit where that fails."""
-            step = min(chosen["step"], usual(EXACT)["step"])
-            return [
-                stepwise(EXACT, step, FINER),
-                stepwise(EXPLICIT, usual(EXPLICIT)["step"], FINER),
-            ]
-
-        def changes(setting: Setting) -> Mapping[str, Any]:
-            if setting == chosen:
-                return {"error": None, "solver": own.solver, "step": own.step}
-            return {"error": None, "solver": setting.method, "step": setting["step"]}
-
-        return TrialSettings(chosen, settings, references, changes)
+        return trial_settings(self.system, self.options, self.begin)
 
     @property
     def long(self) -> bool:
@@ -285,6 +267,7 @@ class SpringView:
     _torn_mesh: Tearing | Faces | None = None
     # How many springs are torn, and the faces that are whole then.
     _whole: tuple[int, IntArray, IntArray] | None = None
+    _crossings: SelfCrossings | None = None
 
     @property
     def body(self) -> Any:
@@ -305,13 +288,32 @@ class SpringView:
         shape = cast(Faces, self.body.shape)
         self._torn_mesh = shape.parted(self.torn(last), self.body.body.positions)
 
-    def frame(self, state: SpringState, t: float) -> Frame:  # noqa: ARG002
+    def frame(self, state: SpringState, t: float) -> Frame:
         """Return what is drawn of it."""
-        self.simulation.measure(state)
+        self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
+        self._look(points, t)
         shape = self._torn_mesh or self.body.shape
         frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
+
+    def _look(self, points: FloatArray, t: float) -> None:
+        """Count what of a surface goes through it, where nothing keeps it apart."""
+        made, shape = self.simulation, self.body.shape
+        if made.system.self_contact is not None or not isinstance(shape, Faces):
+            return
+        if self._crossings is None:
+            corners = self.body.body.triangles
+            self._crossings = SelfCrossings(corners, made.begin, made.last)
+        self._crossings.look(t, points)
+
+    def _crossing_notices(self) -> list[Fault]:
+        """Return warnings of what went through it, or may have (SIM200, SIM201)."""
+        made, body, name = self.simulation, self.body, self.member.name
+        found = self._crossings.notices(name) if self._crossings is not None else []
+        gap = widest_gap(body.shape, body.body.positions)
+        colliders, radius = list(made.system.colliders), made.system.radius
+        return found + thin_notices(name, colliders, radius, gap, made.stretch)
 
     @property
     def radius(self) -> float:
@@ -324,9 +326,9 @@ class SpringView:
         """Whether only its outside is run into."""
         return getattr(self.body.shape, "closed", False)
 
-    def surface(self, state: SpringState, t: float) -> MeshFrame:  # noqa: ARG002
+    def surface(self, state: SpringState, t: float) -> MeshFrame:
         """Return those of its faces that are not torn."""
-        self.simulation.measure(state)
+        self.simulation.measure(state, t)
         shape, torn = cast(Faces, self.body.shape), self.torn(state)
         gone = int(torn.sum())
         if self._whole is None or gone != self._whole[0]:
@@ -352,7 +354,7 @@ class SpringView:
         }
         if made.error is not None:
             values["error"] = made.error if math.isfinite(made.error) else None
-        notices = list(self.own)
+        notices = [*self.own, *self._crossing_notices()]
         if self.first:
             notices += made.notices
             if made.long:

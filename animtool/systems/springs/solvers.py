@@ -13,7 +13,6 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.quantities import plain
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
@@ -38,9 +37,8 @@ CELL = 1 / 240
 SAFE = 0.8
 # Time for each second of motion that is short enough for explicit steps anyway [s].
 LITTLE = 0.03
-# What is less accurate is to take this share of the time at most: explicit steps of the
-# same time are ten times as near as those of xpbd on sheets.
-WORTH = 0.5
+# Explicit steps a second from which on doubles hold no solution of implicit ones.
+SOLVABLE = 1e9
 # Steps in a cell to begin with.
 FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 # Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
@@ -49,38 +47,16 @@ FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 COSTS = {
     # Springs of neighbours are pulled four at a time, from columns of particles.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
-    # Each spring reads what the one before it wrote, wherever it is.
-    Solver.XPBD: 9.5e-9,
-    # Newton's corrections, each of some ten products of a matrix.
+    # Newton's corrections, each of some ten products of a matrix; more where explicit
+    # steps were many in each of its own, see `implicit_cost`.
     Solver.BDF2: 150e-9,
 }
-# Of a spring's stretch xpbd asks twice of what is not its own give.
-TWICE = 2.0
+# The same of chains, whose equations are solved directly, however stiff [s].
+CHAIN_COST = 500e-9
+# Numbers that the ends of springs of a chain lie apart, at most, as kernels have it.
+WIDEST_CHAIN = 4
 # What kernels take of colliders for some cells; None without any.
 CellColliders: TypeAlias = tuple[Any, ...] | None
-
-
-def projected_rate(system: SpringSystem, stretch: float) -> float:
-    """Return how many steps a second xpbd is expected to take, from what springs bear.
-
-    A step of length h moves the ends of a spring that bears a force F by F w h² as
-    those beside it are gone through, w being what its ends weigh, inverse and added
-    up. At each pin or target hangs its part of the whole weight. Speeds are not
-    counted: a motion may take twice as many, or half. A spring may be longer by the
-    stretch, over its length at rest [1].
-    """
-    springs = system.body.springs
-    firm = (springs.rest > 0) & (springs.stiffness > 0)
-    free = ~system.fixed
-    if not firm.any() or not free.any():
-        return 0.0
-    holders = np.count_nonzero(system.fixed) + len(system.draws.particles) or len(free)
-    pull = float(np.linalg.norm(system.gravity))
-    force = float(system.body.masses[free].sum()) * pull / holders
-    ends = springs.ends[firm]
-    moved = system.inverse_masses[ends].sum(axis=1) / springs.rest[firm]
-    rate = np.sqrt(TWICE * force * float(np.median(moved)) / stretch)
-    return min(float(rate), 1 / SHORTEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,18 +95,17 @@ def choose(
         if requested is Solver.AUTO:
             solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
     elif requested is Solver.AUTO:
-        solver, reason = (
-            _cheapest(system, options, rate)
-            if options.step is None
-            else _steady(options, options.step, limit)
-        )
+        solver, reason = _cheapest(system, options, rate)
     if options.step is not None:
-        return Choice(solver, options.step, 1, reason, limit)
+        steps = 1
+        if requested is Solver.AUTO and solver is Solver.SYMPLECTIC_EULER:
+            steps = max(1, math.ceil(options.step * rate))
+        return Choice(solver, options.step, steps, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
         most = MAX_SUBSTEPS / CELL
         if rate > most:
             message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g}"
-            hint = "take xpbd or auto, less stiffness or damping, or more mass"
+            hint = "take bdf2 or auto, less stiffness or damping, or more mass"
             fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
             raise OptionError(fault)
         steps = max(1, math.ceil(CELL * rate))
@@ -138,40 +113,47 @@ def choose(
     return Choice(solver, CELL, FIRST[solver], reason, limit)
 
 
-def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
-    """Return what takes steps of one length."""
-    limits = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
-    if step <= SAFE * limit:
-        return Solver.SYMPLECTIC_EULER, limits
-    if options.error is None:
-        return Solver.XPBD, f"{limits}, and xpbd with any"
-    return Solver.BDF2, f"{limits}, and bdf2 with longer ones"
+def implicit_cost(system: SpringSystem, ratio: float) -> float:
+    """Return what a step of bdf2 takes for each spring [s].
+
+    The ratio is how many steps of semi-implicit Euler one step stands for: products of
+    the matrix are about as many as its square root.
+    """
+    apart = np.abs(np.diff(system.body.springs.ends, axis=1)).max(initial=0)
+    if apart <= WIDEST_CHAIN:
+        return CHAIN_COST
+    return COSTS[Solver.BDF2] * math.sqrt(max(ratio, 1.0))
 
 
 def _cheapest(
     system: SpringSystem, options: SpringOptions, rate: float
 ) -> tuple[Solver, str]:
-    """Return what is expected to take least time: steps, times what each costs."""
+    """Return what is expected to take least time, of what is of the second order.
+
+    Both keep a swing's energy where the other does, explicit steps that are stable and
+    those of bdf2: time decides, steps times what each costs. A step that is asked for
+    is the longest: explicit ones are as short as they have to be. Where an error is to
+    be kept steps of bdf2 count as little as they ever take.
+    """
+    step = options.step
     limits = f"semi-implicit Euler needs {rate:.0f} steps a second"
-    if options.error is None:
-        other, most = Solver.XPBD, WORTH
-        steps = projected_rate(system, options.stretch)
-    else:
-        other, most, steps = Solver.BDF2, 1.0, 0.0
-    steps = max(steps, FIRST[other] / CELL)
-    explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
-    alternative = f"about {steps:.0f} of {other}"
-    if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
-        return other, f"{limits}, which are too many"
+    cell = CELL if step is None else step
+    steps = FIRST[Solver.BDF2] / CELL if step is None else 1 / step
+    if rate > SOLVABLE:
+        return Solver.XPBD, f"{limits}, and bdf2 finds no solution of any"
+    if math.ceil(cell * rate) > MAX_SUBSTEPS:
+        return Solver.BDF2, f"{limits}, which are too many"
+    explicit = max(rate, 1 / cell) * COSTS[Solver.SYMPLECTIC_EULER]
+    ratio = rate / steps if options.error is None else 1.0
+    implicit = steps * implicit_cost(system, ratio)
+    alternative = f"about {steps:.0f} of {Solver.BDF2}"
     if explicit * len(system.body.springs.rest) <= LITTLE:
         why = "little time"
-    elif explicit <= instead:
+    elif explicit <= implicit:
         why = f"less time than {alternative}"
-    elif explicit * most <= instead:
-        why = f"little longer than {alternative}, and are far nearer"
     else:
-        share = f"{alternative} take {instead / explicit:.0%} of their time"
-        return other, f"{limits}, and {share}"
+        share = f"{alternative} take {implicit / explicit:.0%} of their time"
+        return Solver.BDF2, f"{limits}, and {share}"
     return Solver.SYMPLECTIC_EULER, f"{limits}, which take {why}"
 
 

@@ -167,3 +167,15 @@ def test_among_colliders_a_motion_in_parts_is_the_whole(solver: Solver) -> None:
         rest = simulate_springs(system, times[5:], options, first.checkpoint)
         parts = np.concatenate([first.states, rest.states[1:]])
         assert whole.states.tobytes() == parts.tobytes()
+
+
+@pytest.mark.parametrize("solver", [Solver.AUTO, Solver.BDF2, Solver.IMPLICIT_EULER])
+def test_stiff_ropes_that_fall_on_a_floor_come_to_lie(solver: Solver) -> None:
+    line = rope([0, 0, 0], [0.3, 0.1, -0.9], 151, Family(3e8, ratio=0.1), mass=6e-4)
+    floor = Collider(Plane(UP, -1.0), friction=0.4)
+    system = SpringSystem(line, colliders=[floor], radius=0.01)
+    motion = simulate_springs(system, [0, 0.25, 0.5], SpringOptions(solver))
+    assert motion.solver is not Solver.XPBD
+    assert motion.stats.status is Status.OK
+    assert motion.positions[..., 2].min() > -0.99 - 1e-6
+    assert motion.notices == ()

@@ -165,8 +165,12 @@ CASES = {
     "no such place": (PIN, "[{particles: [strat]}]", ["SIM052"]),
     "no such number": (PIN, "[{particles: [11, -12]}]", ["SIM052", "SIM052"]),
     "an array of no particles": (PIN, f"[{{particles: ['{NPZ}#pins']}}]", ["SIM052"]),
-    "named twice": (PIN, "[{particles: [start, 0]}]", ["SIM052"]),
-    "held twice": (PIN, "[{particles: [0]}, {particles: [start]}]", ["SIM052"]),
+    "numbered twice": (PIN, "[{particles: [3, 0, 3]}]", ["SIM052"]),
+    "held in two ways": (
+        PIN,
+        "[{particles: [0]}, {particles: [start], moves: [[0, 0, 0, 0]]}]",
+        ["SIM052"],
+    ),
     "two ways": (
         PIN,
         "[{particles: [0], moves: [[0, 0, 0, 0]], prim: {file: set.usda, "
@@ -332,3 +336,28 @@ def test_axial_stiffness_is_for_ropes_and_strands(folder: Path) -> None:
     with pytest.raises(FormatError) as caught:
         load_scene(folder / "s.scene.yaml").open()
     assert "axial_stiffness" in str(caught.value.faults[0].where)
+
+
+@pytest.mark.parametrize(
+    "pins",
+    [
+        "[{particles: [top, bottom, left, right]}]",
+        "[{particles: [top, bottom]}, {particles: [left, right]}]",
+        "[{particles: [left]}, {particles: [top]}, {particles: [left, right, bottom]}]",
+        "[{particles: [top, bottom, left, right]}, {particles: [0]}]",
+    ],
+)
+def test_pins_of_places_hold_their_union(tmp_path: Path, pins: str) -> None:
+    path = tmp_path / "net.scene.yaml"
+    path.write_text(
+        "scene: animtool/1\nfps: 24\nrange: [1, 2]\nsystems:\n- cloth:\n"
+        "    name: net\n    resolution: [6, 4]\n    mass: 1\n"
+        "    springs: {structural: {stiffness: 9}}\n"
+        f"    pins: {pins}\noutput: {{file: net.usdc}}\n",
+        "utf-8",
+    )
+    (system,) = load_scene(path).systems
+    held = np.concatenate([pin.particles for pin in system.setup.record.pins])
+    rim = np.ones((4, 6), bool)
+    rim[1:-1, 1:-1] = False
+    assert sorted(held.tolist()) == np.flatnonzero(rim).tolist()

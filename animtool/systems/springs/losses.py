@@ -1,0 +1,58 @@
+"""How much energy of a motion its solver takes by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from animtool.errors import Fault, percent
+from animtool.quantities import plain
+from animtool.sim.system import Energy
+from animtool.systems.springs.motion import warning
+from animtool.systems.springs.records import Solver
+
+# Solvers of the first order, which take energy from all that moves.
+DAMPING = frozenset({Solver.XPBD, Solver.IMPLICIT_EULER})
+# Of the energy of a motion, the loss from which on it is reported [1].
+REPORTED = 0.02
+# Speed below which all of it is at rest [m/s].
+RESTING = 1e-3
+
+
+@dataclass(slots=True)
+class Losses:
+    """Energy where nothing that is asked for takes or brings any.
+
+    Attributes:
+        mass: Of what moves [kg].
+    """
+
+    mass: float
+    _begin: tuple[float, float] | None = None  # time [s] and energy [J]
+    _most: float = 0.0  # of motion, so far [J]
+    _lost: float = 0.0  # by now [J]
+    _span: float = 0.0  # since the begin [s]
+
+    def look(self, t: float, energy: Energy) -> None:
+        """Count the energy at a time [s]."""
+        if self._begin is None:
+            self._begin = t, energy.total
+        begin, total = self._begin
+        self._most = max(self._most, energy.kinetic)
+        self._lost, self._span = total - energy.total, t - begin
+
+    @property
+    def share(self) -> float:
+        """Of the energy that moves, what is lost by now [1]."""
+        if not self._most > 0.5 * self.mass * RESTING**2:
+            return 0.0
+        return max(self._lost, 0.0) / max(self._lost, self._most)
+
+    def notices(self, solver: Solver) -> list[Fault]:
+        """Return a warning where a solver takes much (SIM196)."""
+        if not self.share >= REPORTED:
+            return []
+        message = f"{solver} damps the motion: it took {percent(self.share)} of its "
+        message += f"energy within {plain(self._span)} s, and no drag or damping is "
+        message += "given"
+        hint = "take auto or bdf2, which keep it, or a shorter step"
+        return [warning("SIM196", message, hint)]

@@ -1,0 +1,139 @@
+"""What goes through cloth: itself, and colliders that are thinner than its faces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool import BakeOptions, bake
+from animtool.scene.file import load_scene
+from animtool.sim.colliders import Collider
+from animtool.sim.colliders.shapes import Box, Capsule, Plane, Sphere
+from animtool.systems.springs import Family, rope, sheet
+from animtool.systems.springs.crossings import (
+    LOOKS,
+    SelfCrossings,
+    thickness,
+    thin_notices,
+    widest_gap,
+)
+from animtool.systems.springs.drawing import Curves, Faces
+
+CLOTH = """\
+scene: animtool/1
+fps: 24
+range: [1, 25]
+systems:
+- cloth:
+    name: towel
+    corner: [-0.5, 1, 0.5]
+    across: [1, 0, 0]
+    up: [0, 0, -1]
+    resolution: [11, 11]
+    mass: 0.2
+    springs: {structural: {stiffness: 200, ratio: 0.2}}
+    pins: [{particles: [top_left]}, {particles: [top_right]}]
+"""
+OUTPUT = "output: {file: shot.usdc}\n"
+ROD = (
+    "    colliders: [{{shape: {{capsule: {{radius: {radius}, length: 0.4, "
+    "axis: [1, 0, 0]}}}}, at: [0, 0.8, 0]}}]\n"
+)
+
+
+def notices(folder: Path, more: str) -> dict[str, str]:
+    """Return what baking cloth says, by code."""
+    path = folder / "shot.scene.yaml"
+    path.write_text(CLOTH + more + OUTPUT, "utf-8")
+    report = bake(load_scene(path), folder / "shot.usdc", BakeOptions(overwrite=True))
+    return {n.code: n.message for n in report.notices}
+
+
+def faces(columns: int, rows: int) -> Faces:
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    quads = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]]
+    indices = np.stack(quads, axis=-1).reshape(-1)
+    body = sheet(columns, rows, mass=1, structural=Family(1.0))
+    return Faces(np.full((rows - 1) * (columns - 1), 4), indices, body.springs)
+
+
+def test_pairs_beyond_those_at_the_start_are_counted() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, 2], [0.2, 0.2, 3]])
+    points = np.append(points, [[3, 0.2, 2.5]], axis=0)
+    seen = SelfCrossings(np.array([[0, 1, 2], [3, 4, 5]]), 0.0, 1.0)
+    through = points.copy()
+    through[3:, 2] -= 2.5
+    for t, now in [(0, points), (0.5, through), (1, points)]:
+        seen.look(t, now)
+    assert (seen.most, seen.when) == (2, 0.5)
+    (notice,) = seen.notices("sail")
+    assert notice.code == "SIM200"
+    assert "2 pairs" in notice.message
+    tangled = SelfCrossings(seen.triangles, 0.0, 1.0)
+    for t in (0, 1):
+        tangled.look(t, through)
+    assert tangled.notices("sail") == []
+
+
+def test_looks_are_as_many_however_many_frames() -> None:
+    seen = SelfCrossings(np.zeros((1, 3), np.int64), 0.0, 2.0)
+    points = np.zeros((3, 3))
+    waits = []
+    for t in np.linspace(0, 2, 1001):
+        before = seen._next
+        seen.look(float(t), points)
+        waits.append(seen._next != before)
+    assert sum(waits) <= LOOKS + 2
+    assert waits[-1]
+
+
+def test_cloth_that_fell_through_itself_says_so(tmp_path: Path) -> None:
+    folded = "    drag: 0.1\n"
+    found = notices(tmp_path, folded)
+    assert "SIM201" not in found
+    assert "pairs of an edge and a face" in found["SIM200"]
+    contact = "    self_contact: {thickness: 0.02}\n    drag: 0.1\n"
+    assert "SIM200" not in notices(tmp_path, contact)
+
+
+@pytest.mark.parametrize(("radius", "thin"), [(0.02, True), (0.3, False)])
+def test_a_thin_rod_is_named_with_numbers(
+    tmp_path: Path, radius: float, thin: bool
+) -> None:
+    found = notices(tmp_path, ROD.format(radius=radius))
+    assert ("SIM201" in found) is thin
+    if thin:
+        assert "4 cm" in found["SIM201"] or "40 mm" in found["SIM201"]
+
+
+def test_gaps_are_diagonals_of_faces_and_lengths_of_segments() -> None:
+    body = sheet(3, 4, mass=1, structural=Family(1.0), across=[2, 0, 0], up=[0, 3, 0])
+    assert widest_gap(faces(3, 4), body.positions) == pytest.approx(np.sqrt(2))
+    line = rope([0, 0, 0], [4, 0, 0], 5, Family(1.0), mass=1)
+    curves = Curves(np.array([3, 2]), 0.01, line.springs)
+    points = line.positions.copy()
+    points[3:] += 9.0
+    assert widest_gap(curves, points) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "thick"),
+    [
+        (Sphere(0.1), 0.2),
+        (Capsule(0.03, 1.0), 0.06),
+        (Box((2.0, 0.01, 0.3)), 0.3),
+        (Plane(), np.inf),
+    ],
+)
+def test_how_thick_colliders_are(shape: object, thick: float) -> None:
+    assert thickness(Collider(shape)) == pytest.approx(thick)
+
+
+def test_radius_and_stretch_count() -> None:
+    rod = [Collider(Capsule(0.01, 1.0))]
+    assert thin_notices("sail", rod, 0.0, 0.019, 0.0) == []
+    (notice,) = thin_notices("sail", rod, 0.0, 0.019, 0.1)
+    assert notice.code == "SIM201"
+    assert thin_notices("sail", rod, 0.001, 0.019, 0.1) == []
