@@ -201,20 +201,26 @@ class Walker {
           static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
       if (which == self || agents_.does[which] == GONE) continue;
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
-      seen_.push_back({off, off.dot(off), which});
+      keep({off, off.dot(off), which});
       const double along = off.dot(near);
       if (along > 0) weigh(off.dot(aside), 1 - along, which, fast);
     }
     met_ = std::min(met_, 1.0);
+  }
+
+  // Keeps the nearest in order, the first of two as near.
+  void keep(const Seen& one) {
     const auto nearer = [](const Seen& a, const Seen& b) {
       return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
     };
-    if (seen_.size() > rules_.nearest) {
-      const auto last = seen_.begin() + static_cast<std::ptrdiff_t>(rules_.nearest);
-      std::nth_element(seen_.begin(), last, seen_.end(), nearer);
-      seen_.erase(last, seen_.end());
+    if (seen_.size() < rules_.nearest) {
+      seen_.push_back(one);
+    } else if (seen_.empty() || !nearer(one, seen_.back())) {
+      return;
     }
-    std::sort(seen_.begin(), seen_.end(), nearer);
+    std::size_t at = seen_.size() - 1;
+    for (; at > 0 && nearer(one, seen_[at - 1]); --at) seen_[at] = seen_[at - 1];
+    seen_[at] = one;
   }
 
   // To the left of z is x.
