@@ -229,13 +229,13 @@ class Walker {
   // Adds what it costs to walk in the lanes of another who is ahead: the more, the nearer and
   // the slower along, or against.
   void weigh(double aside, double near, std::size_t which, const Vec2& fast) {
-    if (std::fabs(aside) >= LANES + 1) return;
+    // There is one more on each side, so that both lanes of two that another is in exist.
+    const double place = aside + (LANES + 1);
+    if (!(place >= 0 && place < 2 * LANES + 2)) return;
     const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
     const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
     const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
     if (likes < ALONG) met_ += near;
-    // There is one more on each side, so that both lanes of two that another is in exist.
-    const double place = aside + (LANES + 1);
     const int lane = static_cast<int>(place);
     const double second = cost * (place - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - second;
