@@ -176,7 +176,7 @@ def door(width: float, seed: int) -> tuple[float, float]:
 
 def main() -> None:
     """Simulate, print the tables, write the CSV."""
-    made = parser(__doc__, "crowd_lanes.csv", runs=1)
+    made = parser(__doc__, "crowd_streams.csv", runs=1)
     made.add_argument("--seeds", type=int, nargs="+", default=[501, 502, 503])
     options = made.parse_args()
     on_one_thread()
