@@ -4,6 +4,7 @@
 // collision avoidance, 2011); what then still overlaps is moved apart (Weiss et al., Position-
 // based multi-agent dynamics, 2017).
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -22,10 +23,22 @@ constexpr double TINY = 1e-12;
 constexpr double PARALLEL = 1e-9;
 // Of the preferred directions of two who go the same way, the cosine is larger.
 constexpr double ALIKE = 0.7;
-// Of two who go against each other, less than minus it.
-constexpr double ONCOMING = 0.5;
-// Who is slower than this part of what it likes is stuck, and shoves by so much of it.
-constexpr double STUCK = 0.3, SHOVE = 0.5;
+// Who goes along with another does so at this part of its speed, or comes against it or
+// across.
+constexpr double ALONG = 0.5;
+// Who is slower than this part of what it likes is stuck, and shoves by so much of it;
+// likewise where others come against it.
+constexpr double STUCK = 0.3, SHOVE = 0.5, PRESSED = 0.8, PRESSES = 1.0;
+// There it follows as much closer, and looks ahead at least this part of the usual time.
+constexpr double CLOSER = 0.6, SHORTEST = 0.25;
+// Lanes to each side of the own, one agent wide, and what one costs that is one farther off;
+// what those cost that are between, over what it costs to walk in them.
+constexpr int LANES = 3;
+constexpr double STRAY = 0.2, ACROSS = 0.3;
+// Part of its speed at which an agent goes to a lane: so much for each metre, and the most.
+constexpr double SLANT = 1.0, MOST_SLANT = 0.4;
+// An agent may be as deep in a wall [m] where a lane is.
+constexpr double GRAZE = 0.1;
 
 // What agents do: they walk, others walk around them, or nobody sees them.
 enum Does : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
@@ -145,14 +158,19 @@ class Walker {
     }
     const std::size_t hard = planes_.size();
     const Vec2 own = vec2(agents_.velocities + 2 * self);
+    // Who is held up looks less far ahead: all would stand, were they to avoid each other.
+    const double likes = std::max(vec2(agents_.preferred + 2 * self).length(), TINY);
+    const double least = between(1, SHORTEST);
+    horizon_ = std::max(rules_.horizon * std::clamp(own.length() / likes, least, 1.0), rules_.step);
     for (const Seen& one : seen_) avoid(self, own, one);
     const Chooser chooser(agents_.most[self]);
     Vec2 v;
     const Vec2 wanted = wish(self);
     const std::size_t met = chooser.choose(planes_.data(), planes_.size(), wanted, false, v);
     if (met < planes_.size()) least_outside(chooser, planes_, hard, met, between_, v);
-    const double speed = v.length(), most = STUCK * wanted.length();
-    if (speed < most) v += (wanted - v) * (SHOVE * (1 - speed / most));
+    const double speed = v.length();
+    const double most = between(STUCK, PRESSED) * wanted.length();
+    if (speed < most) v += (wanted - v) * (between(SHOVE, PRESSES) * (1 - speed / most));
     return v;
   }
 
@@ -163,57 +181,120 @@ class Walker {
     std::size_t which;
   };
 
+  // A value where nobody comes against an agent, and where many do.
+  double between(double alone, double met) const { return alone + (met - alone) * met_; }
+
   void look(std::size_t self, const std::int32_t* hit, const std::int32_t* end) {
     seen_.clear();
+    costs_.fill(0);
+    met_ = 0;
     const Vec2 here = vec2(agents_.points + 2 * self);
+    const Vec2 wanted = vec2(agents_.preferred + 2 * self);
+    const double speed = wanted.length(), wide = 2 * agents_.radii[self];
+    // Along in sights, aside in widths, and along in speeds.
+    const bool walks = speed > TINY && wide > 0;
+    const Vec2 ahead = wanted * (walks ? 1 / speed : 0.0);
+    const Vec2 near = ahead * (1 / rules_.sight), fast = ahead * (walks ? 1 / speed : 0.0);
+    const Vec2 aside = left_of(ahead) * (walks ? 1 / wide : 0.0);
     for (; hit < end; ++hit) {
       const std::size_t which =
           static_cast<std::size_t>(agents_.grid.index()[static_cast<std::size_t>(*hit)]);
       if (which == self || agents_.does[which] == GONE) continue;
       const Vec2 off = vec2(agents_.points + 2 * which) - here;
-      seen_.push_back({off, off.dot(off), which});
+      keep({off, off.dot(off), which});
+      const double along = off.dot(near);
+      if (along > 0) weigh(off.dot(aside), 1 - along, which, fast);
     }
+    met_ = std::min(met_, 1.0);
+  }
+
+  // Keeps the nearest in order, the first of two as near.
+  void keep(const Seen& one) {
     const auto nearer = [](const Seen& a, const Seen& b) {
       return a.squared != b.squared ? a.squared < b.squared : a.which < b.which;
     };
-    if (seen_.size() > rules_.nearest) {
-      const auto last = seen_.begin() + static_cast<std::ptrdiff_t>(rules_.nearest);
-      std::nth_element(seen_.begin(), last, seen_.end(), nearer);
-      seen_.erase(last, seen_.end());
+    if (seen_.size() < rules_.nearest) {
+      seen_.push_back(one);
+    } else if (seen_.empty() || !nearer(one, seen_.back())) {
+      return;
     }
-    std::sort(seen_.begin(), seen_.end(), nearer);
+    std::size_t at = seen_.size() - 1;
+    for (; at > 0 && nearer(one, seen_[at - 1]); --at) seen_[at] = seen_[at - 1];
+    seen_[at] = one;
   }
 
-  // What it would like: slower behind those who go the same way, and off from who is near.
+  // To the left of z is x.
+  static Vec2 left_of(const Vec2& ahead) { return {ahead.y, -ahead.x}; }
+
+  // Adds what it costs to walk in the lanes of another who is ahead: the more, the nearer and
+  // the slower along, or against.
+  void weigh(double aside, double near, std::size_t which, const Vec2& fast) {
+    // There is one more on each side, so that both lanes of two that another is in exist.
+    const double place = aside + (LANES + 1);
+    if (!(place >= 0 && place < 2 * LANES + 2)) return;
+    const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
+    const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
+    const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
+    if (likes < ALONG) met_ += near;
+    const int lane = static_cast<int>(place);
+    const double second = cost * (place - lane);
+    costs_[static_cast<std::size_t>(lane)] += cost - second;
+    costs_[static_cast<std::size_t>(lane) + 1] += second;
+  }
+
+  // How far to its left the lane is that costs least [m]: not in a wall, and as its side is.
+  double lane(std::size_t self, const Vec2& ahead) const {
+    const Vec2 here = vec2(agents_.points + 2 * self), left = left_of(ahead);
+    const double wide = 2 * agents_.radii[self];
+    double least = costs_[LANES + 1], best = 0;
+    for (const int way : {-1, 1}) {
+      double across = 0;
+      for (int k = 1; k <= LANES; ++k) {
+        const double off = way * k, own = costs_[static_cast<std::size_t>(LANES + 1 + way * k)];
+        if (!open(self, here + left * (off * wide))) break;
+        const double cost = own + STRAY * k + across - rules_.side * met_ * off;
+        if (cost < least) least = cost, best = off * wide;
+        across += ACROSS * own;
+      }
+    }
+    return best;
+  }
+
+  bool open(std::size_t self, const Vec2& there) const {
+    for (std::int32_t k = agents_.starts[self]; k < agents_.starts[self + 1]; ++k) {
+      const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
+      if (vec2(wall).dot(there) < wall[3] - GRAZE) return false;
+    }
+    return true;
+  }
+
+  // What it would like: slower behind those who go the same way, off from who is near, and
+  // where others come against it, in the lane that costs least.
   Vec2 wish(std::size_t self) const {
     Vec2 wanted = vec2(agents_.preferred + 2 * self);
     const double speed = wanted.length(), own = agents_.radii[self];
     const Vec2 ahead = wanted * (speed > TINY ? 1 / speed : 0.0);
-    double most = speed, aside = 0;
+    const double headway = rules_.headway * between(1, CLOSER);
+    double most = speed;
     Vec2 away;
     for (const Seen& one : seen_) {
       const double far = std::sqrt(one.squared), wide = own + agents_.radii[one.which];
       const double gap = std::max(far - wide, 0.0);
       const double along = one.off.dot(ahead);
-      if (rules_.headway > 0 && along > 0 && one.squared - along * along < wide * wide) {
+      if (headway > 0 && along > 0 && one.squared - along * along < wide * wide) {
         const Vec2 other = vec2(agents_.preferred + 2 * one.which);
         // Not if that one sees this one ahead of it, too.
         if (other.dot(ahead) > ALIKE * other.length() && one.off.dot(other) >= 0)
-          most = std::min(most, gap / rules_.headway);
-      }
-      if (rules_.side != 0 && along > 0 && one.squared - along * along < 2.25 * wide * wide) {
-        const Vec2 other = vec2(agents_.preferred + 2 * one.which);
-        if (other.dot(ahead) < -ONCOMING * other.length() && other.length() > TINY)
-          aside = std::max(aside, 1 - far / rules_.sight);
+          most = std::min(most, gap / headway);
       }
       const bool together =
           agents_.groups[self] >= 0 && agents_.groups[self] == agents_.groups[one.which];
       if (gap < rules_.space && far > TINY && !together)
         away -= one.off * (rules_.push * (1 - gap / rules_.space) / far);
     }
-    // To the left of z is x.
-    const Vec2 left{ahead.y, -ahead.x};
-    return ahead * most + left * (rules_.side * speed * aside) + away;
+    if (met_ == 0) return ahead * most + away;
+    const double slant = std::clamp(SLANT * lane(self, ahead), -MOST_SLANT, MOST_SLANT);
+    return ahead * most + left_of(ahead) * (slant * speed) + away;
   }
 
   // The half-plane of velocities that an agent and another, who does its share, agree on.
@@ -221,7 +302,7 @@ class Walker {
     const double wide = agents_.radii[self] + agents_.radii[one.which];
     const Vec2 relative = own - vec2(agents_.velocities + 2 * one.which);
     const bool apart = one.squared > wide * wide;
-    const double time = apart ? rules_.horizon : rules_.step;
+    const double time = apart ? horizon_ : rules_.step;
     // From the middle of the disc that cuts the cone of collisions off.
     const Vec2 off = relative - one.off * (1 / time);
     const double ahead = off.dot(one.off), size = off.length();
@@ -250,6 +331,9 @@ class Walker {
   const Rules& rules_;
   const Agents& agents_;
   std::vector<Seen> seen_;
+  std::array<double, 2 * LANES + 3> costs_;
+  double met_ = 0;  // how many come against it or across, nearer ones more: 1 at most
+  double horizon_ = 0;
   std::vector<HalfPlane> planes_, between_;
 };
 

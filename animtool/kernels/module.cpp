@@ -246,8 +246,9 @@ Returns ``(forces, energies, virial)``: ``(N, 3)``, half the energies of the pai
 
 They would go at ``preferred`` ``(N, 2)`` [m/s], slower where less than ``headway`` [s] is
 between them and who goes the same way ahead of them, and ``push`` [m/s] away from those
-nearer than ``space`` [m] who are not of their group (-1 is none). Those who come against
-them they leave to their right by ``side`` of their speed, 0 to 1, or to their left below 0. No velocity is larger than
+nearer than ``space`` [m] who are not of their group (-1 is none). Where others come against
+them or across, they go to the lane that costs least; each lane farther to the left costs
+less by ``side``, -1 to 1. No velocity is larger than
 ``most``, none collides within ``horizon`` [s] with one of the ``nearest`` that are in
 ``sight`` [m], or if there is none such the least. What each ``does`` is 0 for who walks, 1 for who
 stays and 2 for who is gone. ``walls`` ``(M, 4)``

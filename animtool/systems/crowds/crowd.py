@@ -42,8 +42,8 @@ MOVES = 20
 WALKS, STAYS, OUT = np.uint8(0), np.uint8(1), np.uint8(2)
 # Agents look where they go, and by this part where they would like to.
 FACING = 0.5
-# By which part of their speed agents leave those who come against them to a side.
-SIDES = {"right": -0.3, "left": 0.3, "none": 0.0}
+# What a lane to the left, one farther off, costs less where others come against.
+SIDES = {"right": -0.2, "left": 0.2, "none": 0.0}
 # Who is slower than this part of the speed that it likes turns as much slower.
 SLOW = 0.6
 # How long agents take to turn to where they go [s].

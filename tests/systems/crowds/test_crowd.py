@@ -211,6 +211,38 @@ def test_who_is_crowded_walks_as_slowly_as_people(
     assert speed == pytest.approx(published, rel=0.2)
 
 
+@pytest.mark.parametrize(("width", "count", "yaw"), [(3.2, 60, 0.0), (2.8, 40, 0.8)])
+def test_two_streams_in_a_corridor_get_by_each_other(
+    simulator: Simulator, width: float, count: int, yaw: float
+) -> None:
+    """People form lanes (Zhang et al., 2012): most are through, past a pillar."""
+    rng = np.random.default_rng(7)
+    half = count // 2
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    rotate = [float(np.cos(yaw / 2)), 0, float(np.sin(yaw / 2)), 0]
+    populations, goals = [], []
+    for k, way in enumerate((-1, 1)):
+        along = way * rng.uniform(5, 11, half)
+        across = rng.uniform(0.4 - width / 2, width / 2 - 0.4, half)
+        starts = np.insert(np.stack([along, across], axis=1) @ turn, 1, 0.0, axis=1)
+        np.savez(simulator.folder / f"stream{k}.npz", points=starts)
+        file = str(simulator.folder / f"stream{k}.npz")
+        populations.append({"points": file, "route": [f"g{k}"], "seed": k})
+        x, z = (np.array([-14.0 * way, 0]) @ turn).tolist()
+        goals.append(goal(f"g{k}", x, z, radius=1.5))
+    walls = []
+    for way in (-1, 1):
+        x, z = (np.array([0, way * (width / 2 + 0.1)]) @ turn).tolist()
+        walls.append(box(x, z, 40, 0.2, rotate=rotate))
+    x, z = (np.array([0.0, 0.2]) @ turn).tolist()
+    pillar = {"shape": {"capsule": {"radius": 0.3, "length": 3}}, "at": [x, 1.5, z]}
+    systems = crowd(populations, goals=goals, colliders=[*walls, pillar])
+    track = tracks(simulator.simulate(systems, times(45))["it"])
+    along = (track[-1] @ turn.T)[:, 0] * np.repeat([1, -1], half)
+    assert (along > 9).sum() >= count * 5 / 6
+    assert closest(track) > 2 * 0.22 - TOUCHING
+
+
 def test_queues_serve_one_at_a_time_and_doors_let_nobody_through_shut(
     simulator: Simulator,
 ) -> None:
