@@ -14,10 +14,12 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.gaits import (
+    PHASES,
     Gaits,
     eased,
 )
 from animtool.systems.crowds.ground import turned, wrapped
+from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, hurried
 
 # Slower than this part of the slowest gait agents stand, but for a foot off its place.
 STANDS = 0.1
@@ -39,8 +41,14 @@ APART = 0.6
 PASSING, LONG = 0.09, 0.35
 # A foot that lands within this last part of its cycle does not lift any more.
 LAST = 0.95
+# From this part of a swing on it is settled where its foot lands.
+SETTLED = 0.6
 # How far a landing is looked ahead [rad] where a body turns.
 MAX_TURN = 1.0
+# Whose push makes them go as fast to a side or back, over `STANDS`, walk.
+PUSHED = 3.0
+# Steps to a side, and back, go no farther from the hips, over the length of a leg.
+SIDE, BACK = 0.25, 0.3
 
 
 class Heights(Protocol):
@@ -57,9 +65,11 @@ class BodyState:
     phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
     places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
     swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
+    aims: FloatArray  # where each that swings is to land (N, 2, 3)
     still: FloatArray  # 1 for who stands, 0 for who walks (N,)
     clocks: FloatArray  # of what they do as they stand (N,) [s]
-    paces: FloatArray  # how fast they go [m/s] and turn [rad/s], smoothed (N, 2)
+    # How fast they go ahead [m/s], turn [rad/s] and go to their left, smoothed (N, 3).
+    paces: FloatArray
     reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
 
 
@@ -107,11 +117,13 @@ class Bodies:
     def first(self, going: Going, chances: FloatArray) -> BodyState:
         """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
         count = len(chances)
-        paces = np.zeros((count, 2))
+        paces = np.zeros((count, 3))
+        places = self._stands(going, self.blend(paces))
         return BodyState(
             chances,
-            self._stands(going, self.blend(paces)),
+            places,
             -np.ones((count, 2)),
+            places,
             np.ones(count),
             chances * self.gaits.idle.period,
             paces,
@@ -119,25 +131,36 @@ class Bodies:
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return what agents play that go [m/s] and turn [rad/s] as fast ``(N, 2)``."""
+        """Return what agents play that go and turn as fast ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
-        speeds, around = paces[:, 0] / self.scales, paces[:, 1]
+        speeds, around, aside = (
+            paces[:, 0] / self.scales,
+            paces[:, 1],
+            paces[:, 2] / self.scales,
+        )
         weights = _weights(
-            np.stack([speeds, leg * around], axis=1),
+            np.stack([np.maximum(speeds, 0.0), leg * around], axis=1),
             np.array([[one.speed, leg * one.turning] for one in moving]),
         )
         # BLAS adds in an order that depends on the number of agents; einsum does not.
         paced = np.array([[one.speed, one.period] for one in moving])
         speed, period = np.einsum("ng,gk->kn", weights, paced)
-        share = np.maximum(speeds, 0.0) / speed
-        cadence = np.clip(share**CADENCE, SLOWEST, FASTEST)
+        cadence = (np.hypot(speeds, aside) / speed) ** CADENCE
+        rate = np.clip(cadence, SLOWEST, FASTEST) / period
         steps = np.einsum(
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
         )
-        stride = share / cadence
-        steps[..., 1] *= stride[:, None]
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
-        return Blend(weights, cadence / period, stride, stands, steps)
+        # Who is pushed to a side or back makes shorter steps, more of them.
+        side = aside * stands.mean(axis=1) / (2 * rate)
+        back = -speeds * stands.mean(axis=1) / (2 * rate)
+        over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
+        over = np.clip(over, 1.0, np.maximum(MAX_RATE / rate, 1.0))
+        rate = rate * over
+        stride = speeds / speed / (rate * period)
+        steps[..., 1] *= stride[:, None]
+        steps[..., 0] += (side / over)[:, None]
+        return Blend(weights, rate, stride, stands, steps)
 
     def next(
         self,
@@ -152,29 +175,96 @@ class Bodies:
         ``hit``: whom something hit ``(N,)``.
         """
         turning = wrapped(after.headings - before.headings) / dt
-        paces = np.stack([_ahead(after), turning], axis=1)
+        # As they are moved: who is pushed goes where its own will does not.
+        went = turned((after.points - before.points) / dt, -after.headings)
+        paces = np.stack([went[:, 1], turning, went[:, 0]], axis=1)
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
         blend = self.blend(paces)
         off = self._off(state, after, blend)
         standing = (state.swings < 0).all(axis=1)
-        fast = _ahead(after) > STANDS * self.gaits.moving[0].speed * self.scales
+        slow = STANDS * self.gaits.moving[0].speed * self.scales
+        fast = (went[:, 1] > slow) | (np.linalg.norm(went, axis=1) > PUSHED * slow)
         moves = fast | off.any(axis=1)
         phases = self._begun(state, blend, moves & (state.still >= 1), off, after)
         goes = moves | ~standing
-        change = np.where(goes, blend.rate * dt, 0.0)
+        rates, ends = self._hurried(state, after, went, phases, blend)
+        change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
+        aims = state.aims.copy()
         for k in range(2):
+            swings[ends[:, k], k] = 0.0
             self._advance(k, phases, change, blend, (before, after), places, swings)
+            settled = state.swings[:, k] >= SETTLED
+            landed = settled & (swings[:, k] < 0)
+            places[landed, k] = state.aims[landed, k]
+        phases = (phases + change) % 1.0
+        for k in range(2):
+            aimed = (swings[:, k] >= 0) & ~(state.swings[:, k] >= SETTLED)
+            left = (1 - (phases - 0.5 * k) % 1.0) / rates
+            turn = np.clip(paces[:, 1] * left, -MAX_TURN, MAX_TURN)
+            then = after.points + after.velocities * left[:, None]
+            lands = self._placed(k, blend, then, after.headings + turn, places)
+            aims[aimed, k] = lands[aimed]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
         return BodyState(
-            (phases + change) % 1.0,
+            phases,
             places,
             swings,
+            aims,
             np.clip(state.still + target, 0.0, 1.0),
             state.clocks + dt,
             paces,
             self._reacting(state.reacts, dt, hit),
         )
+
+    @cached_property
+    def reach(self) -> Reach:
+        """Return how far legs reach."""
+        return Reach.of(self.gaits)
+
+    def pitches(
+        self, k: int, begins: FloatArray, blend: Blend, still: FloatArray
+    ) -> FloatArray:
+        """Return how far heels of feet that stand are up ``(N,)`` [rad]."""
+        stood = np.clip(begins / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
+        pitch = np.zeros(len(begins))
+        for weight, one in zip(blend.weights.T, self.gaits.moving, strict=True):
+            pitch += weight * np.interp(stood, np.arange(PHASES), one.pitches[k])
+        return np.asarray(pitch * (1 - still))
+
+    def _hurried(
+        self,
+        state: BodyState,
+        going: Going,
+        went: FloatArray,
+        phases: FloatArray,
+        blend: Blend,
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return rates of cycles ``(N,)`` [1/s], and which feet lift as none reaches.
+
+        ``went``: how fast bodies are moved in their own frame ``(N, 2)`` [m/s].
+        """
+        feet = np.zeros((len(phases), 2, 4))
+        off = turned(
+            state.places[..., :2] - going.points[:, None], -going.headings[:, None]
+        )
+        feet[..., [0, 2]] = off / self.scales[:, None, None]
+        feet[..., 3] = wrapped(state.places[..., 2] - going.headings[:, None])
+        heights, _ = self.heights(state.places[..., :2].reshape(-1, 2))
+        base, _ = self.heights(going.points)
+        feet[..., 1] = (heights.reshape(-1, 2) - base[:, None]) / self.scales[:, None]
+        thighs = self.reach.thighs(phases, blend.weights, state.still)
+        thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
+        begins = (phases[:, None] - [0.0, 0.5]) % 1.0
+        pitches = np.array(
+            [
+                [self.pitches(k, at[:, k], blend, state.still) for k in range(2)]
+                for at in (begins, blend.stands)
+            ]
+        ).swapaxes(1, 2)
+        stances = Stances(begins, blend.stands, state.swings >= 0, pitches, blend.rate)
+        speeds = went / self.scales[:, None]
+        return hurried(self.reach, stances, thighs, feet, speeds)
 
     def _reacting(
         self, reacts: FloatArray, dt: float, hit: BoolArray | None
@@ -290,29 +380,31 @@ class Bodies:
         return np.asarray((far > OFF * leg) | (turns > OFF_TURN))
 
     def feet(
-        self, state: BodyState, going: Going, blend: Blend
-    ) -> tuple[FloatArray, FloatArray]:
+        self, state: BodyState, going: Going
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ground below feet in the frame of bodies ``(N, 2, 4)``, and normals.
 
-        x, y, z and how far each is turned; in lengths of the rig.
+        x, y, z and how far each is turned; in lengths of the rig. And how far each is
+        from where it stood or will stand, whichever is nearer ``(N, 2)``.
         """
         made = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
-        base, _ = self._heights(going.points)
+        away = np.zeros((len(state.phases), 2))
+        base, _ = self.heights(going.points)
         places = state.places.copy()
         for k in range(2):
             up = state.swings[:, k] >= 0
             share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
-            left = (1 - (state.phases - 0.5 * k) % 1.0) / blend.rate
-            turn = np.clip(state.paces[:, 1] * left, -MAX_TURN, MAX_TURN)
-            then = going.points + going.velocities * left[:, None]
-            next_ = self._placed(k, blend, then, going.headings + turn, state.places)
-            from_ = state.places[:, k]
+            from_, next_ = state.places[:, k], state.aims[:, k]
             way = next_ - from_
             places[:, k] = np.where(up[:, None], from_ + share * way, from_)
-            low, first = self._heights(from_[:, :2])
-            high, last = self._heights(next_[:, :2])
-            here, _ = self._heights(places[:, k, :2])
+            ends = np.linalg.norm(way[:, :2], axis=1)[:, None] * np.hstack(
+                [share, 1 - share]
+            )
+            away[:, k] = np.where(up, ends.min(axis=1), 0.0) / self.scales
+            low, first = self.heights(from_[:, :2])
+            high, last = self.heights(next_[:, :2])
+            here, _ = self.heights(places[:, k, :2])
             height = np.where(
                 up, np.maximum(low + share[:, 0] * (high - low), here), low
             )
@@ -323,7 +415,7 @@ class Bodies:
         made[..., [0, 2]] = off / self.scales[:, None, None]
         made[..., 3] = wrapped(places[..., 2] - going.headings[:, None])
         normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
-        return made, normals
+        return made, normals, away
 
     def _pass(self, state: BodyState, going: Going, places: FloatArray) -> None:
         """Let feet that swing go around those that stand, in place."""
@@ -341,17 +433,10 @@ class Bodies:
             out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
             places[:, k, :2] += turned(out, going.headings)
 
-    def _heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights and normals of the ground; where there is none it is at 0."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
-
-
-def _ahead(going: Going) -> FloatArray:
-    """Return how fast agents go where they look ``(N,)`` [m/s]."""
-    looks = np.stack([np.sin(going.headings), np.cos(going.headings)], axis=1)
-    along = (going.velocities * looks).sum(axis=1)
-    return np.asarray(np.maximum(along, 0.0))
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:
