@@ -5,7 +5,7 @@ All is in the frame of the ground; a body has x to its left and z ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -41,6 +41,8 @@ APART = 0.6
 PASSING, LONG = 0.09, 0.35
 # A foot that lands within this last part of its cycle does not lift any more.
 LAST = 0.95
+# How fast hips rise that legs had lowered, over the length of a leg [1/s].
+RISES = 0.6
 # From this part of a swing on it is settled where its foot lands.
 SETTLED = 0.6
 # How far a landing is looked ahead [rad] where a body turns.
@@ -66,6 +68,7 @@ class BodyState:
     places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
     swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
     aims: FloatArray  # where each that swings is to land (N, 2, 3)
+    lowered: FloatArray  # hips, that legs reach; they rise slowly (N,) [m]
     still: FloatArray  # 1 for who stands, 0 for who walks (N,)
     clocks: FloatArray  # of what they do as they stand (N,) [s]
     # How fast they go ahead [m/s], turn [rad/s] and go to their left, smoothed (N, 3).
@@ -124,6 +127,7 @@ class Bodies:
             places,
             -np.ones((count, 2)),
             places,
+            np.zeros(count),
             np.ones(count),
             chances * self.gaits.idle.period,
             paces,
@@ -187,15 +191,16 @@ class Bodies:
         moves = fast | off.any(axis=1)
         phases = self._begun(state, blend, moves & (state.still >= 1), off, after)
         goes = moves | ~standing
-        rates, ends = self._hurried(state, after, went, phases, blend)
+        stances = self._stances(state, after, phases, blend)
+        speeds = went / self.scales[:, None]
+        rates, ends = hurried(self.reach, stances, speeds)
         change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
         aims = state.aims.copy()
         for k in range(2):
             swings[ends[:, k], k] = 0.0
             self._advance(k, phases, change, blend, (before, after), places, swings)
-            settled = state.swings[:, k] >= SETTLED
-            landed = settled & (swings[:, k] < 0)
+            landed = (state.swings[:, k] >= SETTLED) & (swings[:, k] < 0)
             places[landed, k] = state.aims[landed, k]
         phases = (phases + change) % 1.0
         for k in range(2):
@@ -206,16 +211,37 @@ class Bodies:
             lands = self._placed(k, blend, then, after.headings + turn, places)
             aims[aimed, k] = lands[aimed]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
-        return BodyState(
-            phases,
-            places,
-            swings,
-            aims,
-            np.clip(state.still + target, 0.0, 1.0),
-            state.clocks + dt,
-            paces,
-            self._reacting(state.reacts, dt, hit),
+        made = replace(
+            state,
+            phases=phases,
+            places=places,
+            swings=swings,
+            aims=aims,
+            still=np.clip(state.still + target, 0.0, 1.0),
+            clocks=state.clocks + dt,
+            paces=paces,
+            reacts=self._reacting(state.reacts, dt, hit),
         )
+        return self._reached(state, made, after, blend, dt)
+
+    def _reached(
+        self, before: BodyState, state: BodyState, going: Going, blend: Blend, dt: float
+    ) -> BodyState:
+        """Return bodies whose feet landed where legs reach, and hips lowered for it."""
+        stances = self._stances(state, going, state.phases, blend)
+        places = state.places.copy()
+        leg = self.gaits.walker.leg
+        lowered = np.maximum(before.lowered - RISES * leg * dt, 0.0)
+        for k in range(2):
+            seen = k, stances.thighs[:, k], stances.feet[:, k], stances.pitches[0, :, k]
+            stands = state.swings[:, k] < 0
+            room, ways = self.reach.room(*seen)
+            landed = stands & (places[:, k] != before.places[:, k]).any(axis=1)
+            back = np.minimum(room, 0.0)[:, None] * ways * self.scales[:, None]
+            places[landed, k, :2] += turned(back, going.headings)[landed]
+            need = np.where(stands, self.reach.lowered(*seen), 0.0)
+            lowered = np.maximum(lowered, need)
+        return replace(state, places=places, lowered=lowered)
 
     @cached_property
     def reach(self) -> Reach:
@@ -232,18 +258,10 @@ class Bodies:
             pitch += weight * np.interp(stood, np.arange(PHASES), one.pitches[k])
         return np.asarray(pitch * (1 - still))
 
-    def _hurried(
-        self,
-        state: BodyState,
-        going: Going,
-        went: FloatArray,
-        phases: FloatArray,
-        blend: Blend,
-    ) -> tuple[FloatArray, BoolArray]:
-        """Return rates of cycles ``(N,)`` [1/s], and which feet lift as none reaches.
-
-        ``went``: how fast bodies are moved in their own frame ``(N, 2)`` [m/s].
-        """
+    def _stances(
+        self, state: BodyState, going: Going, phases: FloatArray, blend: Blend
+    ) -> Stances:
+        """Return how feet stand of bodies in phases."""
         feet = np.zeros((len(phases), 2, 4))
         off = turned(
             state.places[..., :2] - going.points[:, None], -going.headings[:, None]
@@ -262,9 +280,8 @@ class Bodies:
                 for at in (begins, blend.stands)
             ]
         ).swapaxes(1, 2)
-        stances = Stances(begins, blend.stands, state.swings >= 0, pitches, blend.rate)
-        speeds = went / self.scales[:, None]
-        return hurried(self.reach, stances, thighs, feet, speeds)
+        up = state.swings >= 0
+        return Stances(begins, blend.stands, up, feet, thighs, pitches, blend.rate)
 
     def _reacting(
         self, reacts: FloatArray, dt: float, hit: BoolArray | None
@@ -410,15 +427,19 @@ class Bodies:
             )
             normals[:, k] = np.where(up[:, None], first + share * (last - first), first)
             made[:, k, 1] = (height - base) / self.scales
-        self._pass(state, going, places)
+        away += self._pass(state, going, places) / self.scales[:, None]
         off = turned(places[..., :2] - going.points[:, None], -going.headings[:, None])
         made[..., [0, 2]] = off / self.scales[:, None, None]
         made[..., 3] = wrapped(places[..., 2] - going.headings[:, None])
         normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
         return made, normals, away
 
-    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> None:
-        """Let feet that swing go around those that stand, in place."""
+    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> FloatArray:
+        """Let feet that swing go around those that stand, in place.
+
+        Returns how far they do ``(N, 2)`` [m].
+        """
+        around = np.zeros((len(places), 2))
         local = turned(places[..., :2], -going.headings[:, None])
         wide, long = (
             part * self.gaits.walker.leg * self.scales for part in (PASSING, LONG)
@@ -432,6 +453,8 @@ class Bodies:
             out = np.zeros_like(off)
             out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
             places[:, k, :2] += turned(out, going.headings)
+            around[:, k] = np.abs(out[:, 0])
+        return around
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights and normals of the ground; where there is none it is at 0."""

@@ -25,12 +25,14 @@ from animtool.systems.crowds.gaits import (
     standing_ankle,
 )
 from animtool.systems.crowds.ground import about_up
-from animtool.systems.crowds.reach import MOST_LOWERED, STRAIGHT
+from animtool.systems.crowds.reach import AIRBORNE, MOST_LOWERED, STRAIGHT
 
 # How long bodies take to begin and to end a reaction [s].
 RAMP = 0.2
 # Feet follow ground that is steeper no farther [rad].
 TILT = 0.45
+# In this first and last part of a swing hips are lowered for its foot.
+NEARING = 0.4
 # Soles come down as steep as this, from over so much [m].
 STEEP, CLEAR = 1.5, 0.012
 
@@ -56,8 +58,7 @@ def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
     goals, soles = _ankles(bodies, state, blend, feet, normals, away)
     # Hips are over the middle of both feet's ground.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    up = state.swings >= 0
-    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles, up)
+    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles, state)
     roots[:, 1] -= lowered
     return Poses(turns, roots, lowered, missed)
 
@@ -68,7 +69,7 @@ def _reach(
     roots: FloatArray,
     goals: FloatArray,
     soles: FloatArray,
-    up: BoolArray,
+    state: BodyState,
 ) -> tuple[FloatArray, FloatArray]:
     """Turn legs so that ankles are at goals ``(N, 2, 3)``, and feet as soles, in place.
 
@@ -86,9 +87,9 @@ def _reach(
         for joint in (thigh, shin, int(rig.parents[thigh]))
         if joint >= 0
     }
-    lowered = _lowered(walker, joints, goals)
+    lowered = _lowered(walker, joints, goals, state)
     joints = joints - lowered[:, None, None] * UP
-    goals = _reached(walker, joints, goals, up)
+    goals = _reached(walker, joints, goals, state.swings >= 0)
     missed = np.zeros((len(turns), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         above = int(rig.parents[thigh])
@@ -115,16 +116,25 @@ def _reach(
     return lowered, missed
 
 
-def _lowered(walker: Walker, joints: FloatArray, goals: FloatArray) -> FloatArray:
-    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m]."""
-    lowered = np.zeros(len(joints))
+def _lowered(
+    walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
+) -> FloatArray:
+    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m].
+
+    Halfway of a swing they need not.
+    """
+    lowered = state.lowered.copy()
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         bones = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
         way = joints[:, thigh] - goals[:, k]
         across = (way[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
-        lowered = np.maximum(lowered, way[:, 1] - high)
+        ends = (np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * NEARING) / (2 * NEARING)
+        need = way[:, 1] - high
+        air = eased(np.clip(ends, 0.0, 1.0)) * need
+        air = np.minimum(air, state.lowered + AIRBORNE * walker.leg)
+        lowered = np.maximum(lowered, np.where(state.swings[:, k] < 0, need, air))
     return np.minimum(lowered, MOST_LOWERED * walker.leg)
 
 

@@ -27,6 +27,8 @@ STRAIGHT = 0.998
 # Hips are lowered so far at most for a foot that stands, over the length of a leg, and
 # so far in poses, as thighs are not quite where they were looked for.
 LOWERED, MOST_LOWERED = 0.09, 0.11
+# So much more they are for a foot in the air.
+AIRBORNE = 0.045
 # Legs step no more often [cycles/s].
 MAX_RATE = 2.5
 
@@ -74,15 +76,31 @@ class Reach:
             feet: x, y, z and heading of feet ``(N, 4)``.
             pitches: How far their heels are up ``(N,)`` [rad].
         """
-        walker = self.gaits.walker
-        lifts = standing_ankle(walker, k, about_side(pitches))
+        leg = self.gaits.walker.leg
+        way = self._ways(k, thighs, feet, pitches)
+        high = np.maximum(-way[:, 1] - LOWERED * leg, 0.0)
+        away = np.linalg.norm(way[:, [0, 2]], axis=1)
+        ways = way[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
+        far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
+        return np.sqrt(far) - away, ways
+
+    def lowered(
+        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+    ) -> FloatArray:
+        """Return how far hips are lowered for a foot that stands ``(N,)``."""
+        leg = self.gaits.walker.leg
+        way = self._ways(k, thighs, feet, pitches)
+        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
+        return np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg)
+
+    def _ways(
+        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+    ) -> FloatArray:
+        """Return ways from thighs to ankles of feet that stand ``(N, 3)``."""
+        lifts = standing_ankle(self.gaits.walker, k, about_side(pitches))
         ankles = feet[:, :3] + so3.rotate(about_up(feet[:, 3]), lifts)
-        high = thighs[:, 1] - ankles[:, 1] - LOWERED * walker.leg
-        far = (STRAIGHT * walker.leg) ** 2 - np.maximum(high, 0.0) ** 2
-        across = (ankles - thighs)[:, [0, 2]]
-        away = np.linalg.norm(across, axis=1)
-        ways = across / np.maximum(away, 1e-9)[:, None]
-        return np.sqrt(np.maximum(far, 0.0)) - away, ways
+        return np.asarray(ankles - thighs)
 
 
 @dataclass(frozen=True)
@@ -93,6 +111,8 @@ class Stances:
         begins: Phases of each foot since it landed ``(N, 2)``.
         stands: For which share of a cycle each stands ``(N, 2)``.
         swings: Which are in the air ``(N, 2)``.
+        feet: x, y, z and heading of each ``(N, 2, 4)``.
+        thighs: Where their legs begin ``(N, 2, 3)``.
         pitches: How far heels are up now, and as they lift ``(2, N, 2)`` [rad].
         rate: Of cycles as nothing hurries them ``(N,)`` [1/s].
     """
@@ -100,16 +120,14 @@ class Stances:
     begins: FloatArray
     stands: FloatArray
     swings: BoolArray
+    feet: FloatArray
+    thighs: FloatArray
     pitches: FloatArray
     rate: FloatArray
 
 
 def hurried(
-    reach: Reach,
-    stances: Stances,
-    thighs: FloatArray,
-    feet: FloatArray,
-    went: FloatArray,
+    reach: Reach, stances: Stances, went: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return rates of cycles ``(N,)`` [1/s], and which feet no leg reaches ``(N, 2)``.
 
@@ -121,8 +139,9 @@ def hurried(
     for k in range(2):
         up = stances.swings[:, k]
         begin, stand = stances.begins[:, k], stances.stands[:, k]
-        now, _ = reach.room(k, thighs[:, k], feet[:, k], stances.pitches[0, :, k])
-        last, way = reach.room(k, thighs[:, k], feet[:, k], stances.pitches[1, :, k])
+        seen = k, stances.thighs[:, k], stances.feet[:, k]
+        now, _ = reach.room(*seen, stances.pitches[0, :, k])
+        last, way = reach.room(*seen, stances.pitches[1, :, k])
         leaves = -(way * went).sum(axis=1)
         lasts = np.maximum(last, 1e-3) / np.maximum(leaves, 1e-9)
         need = np.where(leaves > 0, np.maximum(stand - begin, 0.0) / lasts, 0.0)
