@@ -51,6 +51,8 @@ MAX_TURN = 1.0
 PUSHED = 3.0
 # Steps to a side, and back, go no farther from the hips, over the length of a leg.
 SIDE, BACK = 0.25, 0.3
+# Nor does a body turn farther over a foot that stands [rad].
+SPUN = 0.8
 
 
 class Heights(Protocol):
@@ -155,10 +157,13 @@ class Bodies:
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
         )
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
-        # Who is pushed to a side or back makes shorter steps, more of them.
+        # Who is pushed to a side or back makes shorter steps, more of them, and so does
+        # who spins.
         side = aside * stands.mean(axis=1) / (2 * rate)
         back = -speeds * stands.mean(axis=1) / (2 * rate)
         over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
+        spun = np.abs(around) * stands.mean(axis=1) / rate
+        over = np.maximum(over, spun / SPUN)
         over = np.clip(over, 1.0, np.maximum(MAX_RATE / rate, 1.0))
         rate = rate * over
         stride = speeds / speed / (rate * period)
@@ -193,7 +198,7 @@ class Bodies:
         goes = moves | ~standing
         stances = self._stances(state, after, phases, blend)
         speeds = went / self.scales[:, None]
-        rates, ends = hurried(self.reach, stances, speeds)
+        rates, ends = hurried(self.reach, stances, speeds, turning)
         change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
         aims = state.aims.copy()

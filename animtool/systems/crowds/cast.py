@@ -22,6 +22,8 @@ from animtool.systems.crowds.poses import poses_of
 
 # Samples a second of what those do who stand: it is slow.
 STANDING_RATE = 24.0
+# From and to these parts of a swing on soles are close to the ground.
+LIFTED, LANDING = 0.08, 0.78
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,8 @@ class Casting:
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only[list(fallen)] = False
-        stands = state.swings < 0
+        # Feet that are about to land, or just lifted, are as near the ground.
+        stands = (state.swings < LIFTED) | (state.swings > LANDING)
         stands[list(fallen)] = False
         return CharactersFrame(
             order,

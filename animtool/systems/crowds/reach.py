@@ -27,6 +27,8 @@ STRAIGHT = 0.998
 # Hips are lowered so far at most for a foot that stands, over the length of a leg, and
 # so far in poses, as thighs are not quite where they were looked for.
 LOWERED, MOST_LOWERED = 0.09, 0.11
+# A foot that stands is turned in or out no farther [rad].
+TURNED_IN, TURNED_OUT = 0.4, 0.6
 # So much more they are for a foot in the air.
 AIRBORNE = 0.045
 # Legs step no more often [cycles/s].
@@ -127,12 +129,13 @@ class Stances:
 
 
 def hurried(
-    reach: Reach, stances: Stances, went: FloatArray
+    reach: Reach, stances: Stances, went: FloatArray, turning: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return rates of cycles ``(N,)`` [1/s], and which feet no leg reaches ``(N, 2)``.
 
     A foot lifts before its leg ends: at how fast the hips go from it ``went``
-    ``(N, 2)`` [1/s], its stance has so long at most.
+    ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
+    so long at most.
     """
     rate = stances.rate.copy()
     ends = np.zeros((len(rate), 2), np.bool_)
@@ -143,14 +146,23 @@ def hurried(
         now, _ = reach.room(*seen, stances.pitches[0, :, k])
         last, way = reach.room(*seen, stances.pitches[1, :, k])
         leaves = -(way * went).sum(axis=1)
-        lasts = np.maximum(last, 1e-3) / np.maximum(leaves, 1e-9)
-        need = np.where(leaves > 0, np.maximum(stand - begin, 0.0) / lasts, 0.0)
+        twist = stances.feet[:, k, 3]
+        most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
+        twists = -turning * np.sign(twist)
+        need = np.maximum(
+            _hurry(last, leaves), _hurry(most - np.abs(twist), twists)
+        ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
         # A foot that lifted too soon is to land soon.
         early = (up & (begin < stand)) | ends[:, k]
         need = np.where(early, MAX_RATE, np.where(up, 0.0, need))
         rate = np.maximum(rate, np.minimum(need, MAX_RATE))
     return rate, ends
+
+
+def _hurry(room: FloatArray, speed: FloatArray) -> FloatArray:
+    """Return one over how long rooms last that shrink at speeds ``(N,)`` [1/s]."""
+    return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, 1e-3))
 
 
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
