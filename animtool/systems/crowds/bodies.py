@@ -70,6 +70,7 @@ class BodyState:
     places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
     swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
     aims: FloatArray  # where each that swings is to land (N, 2, 3)
+    rates: FloatArray  # of their cycles (N,) [1/s]
     lowered: FloatArray  # hips, that legs reach; they rise slowly (N,) [m]
     still: FloatArray  # 1 for who stands, 0 for who walks (N,)
     clocks: FloatArray  # of what they do as they stand (N,) [s]
@@ -123,12 +124,14 @@ class Bodies:
         """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
         count = len(chances)
         paces = np.zeros((count, 3))
-        places = self._stands(going, self.blend(paces))
+        blend = self.blend(paces)
+        places = self._stands(going, blend)
         return BodyState(
             chances,
             places,
             -np.ones((count, 2)),
             places,
+            blend.rate,
             np.zeros(count),
             np.ones(count),
             chances * self.gaits.idle.period,
@@ -199,6 +202,9 @@ class Bodies:
         stances = self._stances(state, after, phases, blend)
         speeds = went / self.scales[:, None]
         rates, ends = hurried(self.reach, stances, speeds, turning)
+        # Who hurried slows down again as its pace does.
+        slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
+        rates = np.maximum(rates, slower)
         change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
         aims = state.aims.copy()
@@ -222,6 +228,7 @@ class Bodies:
             places=places,
             swings=swings,
             aims=aims,
+            rates=rates,
             still=np.clip(state.still + target, 0.0, 1.0),
             clocks=state.clocks + dt,
             paces=paces,

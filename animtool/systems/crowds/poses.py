@@ -34,7 +34,7 @@ TILT = 0.45
 # In this first and last part of a swing hips are lowered for its foot.
 NEARING = 0.4
 # Soles come down as steep as this, from over so much [m].
-STEEP, CLEAR = 2.2, 0.025
+STEEP, CLEAR = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
