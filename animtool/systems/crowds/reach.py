@@ -29,6 +29,9 @@ STRAIGHT = 0.998
 LOWERED, MOST_LOWERED = 0.09, 0.11
 # A foot that stands is turned in or out no farther [rad].
 TURNED_IN, TURNED_OUT = 0.4, 0.6
+# What is left of either counts as so much at least [m], [rad]: who goes slowly does not
+# hurry.
+LEAST_ROOM, LEAST_TURN = 0.05, 0.3
 # So much more they are for a foot in the air.
 AIRBORNE = 0.045
 # Legs step no more often [cycles/s].
@@ -150,7 +153,8 @@ def hurried(
         most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
         twists = -turning * np.sign(twist)
         need = np.maximum(
-            _hurry(last, leaves), _hurry(most - np.abs(twist), twists)
+            _hurry(last, LEAST_ROOM, leaves),
+            _hurry(most - np.abs(twist), LEAST_TURN, twists),
         ) * np.maximum(stand - begin, 0.0)
         ends[:, k] = ~up & (np.maximum(now, last) < 0)
         # A foot that lifted too soon is to land soon.
@@ -160,9 +164,9 @@ def hurried(
     return rate, ends
 
 
-def _hurry(room: FloatArray, speed: FloatArray) -> FloatArray:
+def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
     """Return one over how long rooms last that shrink at speeds ``(N,)`` [1/s]."""
-    return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, 1e-3))
+    return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, least))
 
 
 def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
