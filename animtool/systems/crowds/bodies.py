@@ -41,6 +41,8 @@ APART = 0.6
 PASSING, LONG = 0.09, 0.35
 # A foot that lands within this last part of its cycle does not lift any more.
 LAST = 0.95
+# Who is turned faster than its pace by more than this does not hurry for it [rad/s].
+JERK = 0.6
 # How fast hips rise that legs had lowered, over the length of a leg [1/s].
 RISES = 0.6
 # From this part of a swing on it is settled where its foot lands.
@@ -201,7 +203,8 @@ class Bodies:
         goes = moves | ~standing
         stances = self._stances(state, after, phases, blend)
         speeds = went / self.scales[:, None]
-        rates, ends = hurried(self.reach, stances, speeds, turning)
+        turns = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
+        rates, ends = hurried(self.reach, stances, speeds, turns)
         # Who hurried slows down again as its pace does.
         slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
         rates = np.maximum(rates, slower)

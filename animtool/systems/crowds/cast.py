@@ -169,8 +169,9 @@ class Casting:
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only[list(fallen)] = False
         # Feet that are about to land, or just lifted, are as near the ground.
-        stands = (state.swings < LIFTED) | (state.swings > LANDING)
-        stands[list(fallen)] = False
+        near = (state.swings < LIFTED) | (state.swings > LANDING)
+        near[list(fallen)] = False
+        stands = near & (state.swings < 0)
         return CharactersFrame(
             order,
             frame.to_world(points)[order],
@@ -183,6 +184,7 @@ class Casting:
             tuple(turns),
             np.concatenate(roots),
             stands[order],
+            near[order],
             np.where(only, state.clocks, np.nan)[order],
             visible[order],
             {name: values[order] for name, values in primvars.items()},

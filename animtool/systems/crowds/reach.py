@@ -87,7 +87,7 @@ class Reach:
         away = np.linalg.norm(way[:, [0, 2]], axis=1)
         ways = way[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
         far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
-        return np.sqrt(far) - away, ways
+        return np.asarray(np.sqrt(far) - away), ways
 
     def lowered(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -97,7 +97,7 @@ class Reach:
         way = self._ways(k, thighs, feet, pitches)
         across = (way[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
-        return np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg)
+        return np.asarray(np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg))
 
     def _ways(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray

@@ -144,7 +144,7 @@ def main() -> None:
     frames = sum(int((one.slides > SLIDE).sum()) for one in found)
     stances = sum(int((one.slides > 0).sum()) for one in found)
     fallen = sum(bool(one.fallen.any()) for one in found)
-    print(f"{len(found)} characters, {fallen} fall")  # noqa: T201
+    print(f"{len(found)} characters, {fallen} fall")
     for text, values, bad in (
         ("hips, least over those at rest", lows, [v < STANDING for v in lows]),
         ("vertical step of hips [m]", ups, [v > most for v in ups]),
@@ -155,8 +155,8 @@ def main() -> None:
         worst = ", ".join(
             f"{found[i].name} {values[i]:.4f}" for i in order[: options.worst]
         )
-        print(f"{text}: {sum(bad)} beyond the bound; {worst}")  # noqa: T201
-    print(f"{frames} of {stances} foot frames slide more than {SLIDE} m")  # noqa: T201
+        print(f"{text}: {sum(bad)} beyond the bound; {worst}")
+    print(f"{frames} of {stances} foot frames slide more than {SLIDE} m")
     if options.csv is not None:
         with options.csv.open("w", newline="") as file:
             rows = csv.writer(file)
