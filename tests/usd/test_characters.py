@@ -221,3 +221,23 @@ def test_who_left_is_not_seen(folder: Path) -> None:
     for k in range(FRAMES):
         shown = [UsdGeom.Imageable(one).ComputeVisibility(k + 1.0) for one in agents]
         assert [word == "inherited" for word in shown] == seen[k]
+
+
+def test_info_is_of_all_characters(folder: Path) -> None:
+    baked(folder, "informed.usdc")
+    run = animtool("info", folder / "informed.usdc", "--format", "json")
+    (found,) = json.loads(run.stdout)["files"]
+    facts = found["characters"]
+    stage = Usd.Stage.Open(str(folder / "informed.usdc"))
+    proxies = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+    skeletons = [str(p.GetPath()) for p in proxies if p.IsA(UsdSkel.Skeleton)]
+    assert facts["count"] == len(skeletons)
+    assert facts["joints"] == len(skeletons) * found["joints"]
+    assert facts["unread"] == 0
+    # The one that is hit is the lowest.
+    assert "agent_0010" in facts["lowest"]["character"]
+    assert facts["lowest"]["value"] < 0.5
+    assert facts["bounds"][1][0] > found["bounds"][1][0]
+    one = ("--prim-path", skeletons[0], "--format", "json")
+    named = animtool("info", folder / "informed.usdc", *one)
+    assert json.loads(named.stdout)["files"][0]["characters"] is None
