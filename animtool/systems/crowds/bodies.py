@@ -144,7 +144,7 @@ class Bodies:
     def blend(self, paces: FloatArray) -> Blend:
         """Return what agents play that go and turn as fast ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
-        speeds, around, aside = (
+        speeds, around, leftward = (
             paces[:, 0] / self.scales,
             paces[:, 1],
             paces[:, 2] / self.scales,
@@ -156,7 +156,7 @@ class Bodies:
         # BLAS adds in an order that depends on the number of agents; einsum does not.
         paced = np.array([[one.speed, one.period] for one in moving])
         speed, period = np.einsum("ng,gk->kn", weights, paced)
-        cadence = (np.hypot(speeds, aside) / speed) ** CADENCE
+        cadence = (np.hypot(speeds, leftward) / speed) ** CADENCE
         rate = np.clip(cadence, SLOWEST, FASTEST) / period
         steps = np.einsum(
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
@@ -164,7 +164,7 @@ class Bodies:
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
         # Who is pushed to a side or back makes shorter steps, more of them, and so does
         # who spins.
-        side = aside * stands.mean(axis=1) / (2 * rate)
+        side = leftward * stands.mean(axis=1) / (2 * rate)
         back = -speeds * stands.mean(axis=1) / (2 * rate)
         over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
         spun = np.abs(around) * stands.mean(axis=1) / rate
