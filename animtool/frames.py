@@ -110,6 +110,7 @@ class CharactersFrame:
         turns: Local rotations of joints that move, by rig ``(n, M, 4)`` each.
         roots: Of the first joint of each ``(N, 3)`` [m].
         stands: Which feet of each stand ``(N, 2)``.
+        near: Which stand, or are about to land or have just lifted ``(N, 2)``.
         clocks: For how long who does but stand has done so, else NaN ``(N,)`` [s].
         visible: ``(N,)``.
     """
@@ -125,6 +126,7 @@ class CharactersFrame:
     turns: tuple[FloatArray, ...]
     roots: FloatArray
     stands: BoolArray
+    near: BoolArray
     clocks: FloatArray
     visible: BoolArray
     primvars: Primvars = field(default_factory=dict)

@@ -13,6 +13,7 @@ from animtool.rates import rate_label
 
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription
+    from animtool.report.describe_characters import CharactersFacts, Extreme
     from animtool.report.describe_markers import MarkersDescription
     from animtool.report.describe_rig import RigDescription, TargetsDescription
     from animtool.report.describe_scene import (
@@ -141,6 +142,7 @@ def take_text(described: TakeDescription) -> list[str]:
         *shapes,
         *_prim_lines(described.points),
         *_capture_lines(described),
+        *_characters_lines(described.characters),
         f"  bounds    {_corners(described.bounds)} {described.units}, {described.up} up"
         if described.joints
         else f"  space     {described.units}, {described.up} up",
@@ -172,6 +174,36 @@ def _capture_lines(described: TakeDescription) -> list[str]:
         noise = angle_text(math.degrees(capture.noise))
         lines.append(f"  noise     up to {noise}, {capture.noisiest}")
     return lines
+
+
+def _characters_lines(facts: CharactersFacts | None) -> list[str]:
+    """Return the lines on all characters of a stage, the worst ones by name."""
+    if facts is None:
+        return []
+    text = f"{facts.count} with {counted(facts.joints, 'joint')}"
+    if facts.unread:
+        text += f", {facts.unread} of them cannot be read"
+    if facts.bounds is not None:
+        text += f", {_corners(facts.bounds)} m"
+    lines = [f"  all       {text}"]
+    if facts.speed_mean is not None and facts.speed is not None:
+        mean = plain(facts.speed_mean, 3)
+        lines.append(
+            f"            go {mean} m/s in the mean, {_extreme(facts.speed, 'm/s')}"
+        )
+    if facts.lowest is not None and facts.rise is not None:
+        lines.append(
+            f"            hips are {_extreme(facts.lowest, 'm')} at the lowest, and go "
+            f"up or down by {_extreme(facts.rise, 'm')} in a frame"
+        )
+    return lines
+
+
+def _extreme(extreme: Extreme, unit: str) -> str:
+    """Return a value with its character and frame."""
+    parts = extreme.character.strip("/").split("/")
+    name = next((part for part in parts if part.startswith("agent")), parts[0])
+    return f"{plain(extreme.value, 3)} {unit} ({name}, frame {extreme.frame:g})"
 
 
 def _shot_lines(shot: dict[str, object] | None) -> list[str]:

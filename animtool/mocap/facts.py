@@ -58,7 +58,9 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     if not any(legs.values()) or take.clock.count < 2:
         return None
     ends = [leg[2:] for leg in legs.values() if leg is not None]
-    hips, places = _places(take, person, sorted({j for pair in ends for j in pair}))
+    hips, places = hips_and_joints(
+        take, person, sorted({j for pair in ends for j in pair})
+    )
     up, fps = 1 if rig.up is UpAxis.Y else 2, float(take.clock.rate)
     feet = {}
     for side, leg in legs.items():
@@ -70,15 +72,14 @@ def capture_facts(take: Take) -> CaptureFacts | None:
         steps = sum(start > 0 for start, _ in intervals(stands))
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(stands.mean()), steps)
-    flat = smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
-    speeds = np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps
+    speeds = ground_speeds(take, hips)
     noise, noisiest = _noise(take)
     return CaptureFacts(
         feet, float(speeds.mean()), float(speeds.max()), noise, noisiest
     )
 
 
-def _places(
+def hips_and_joints(
     take: Take, person: Person, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
     """Return the middle of the hips, and some joints by number, each ``(F, 3)`` [m]."""
@@ -91,6 +92,13 @@ def _places(
         places.append(found[:, kept])
     whole = np.concatenate(places)
     return np.concatenate(hips), {j: whole[:, k] for k, j in enumerate(kept)}
+
+
+def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
+    """Return how fast hips ``(F, 3)`` go over the ground ``(F - 1,)`` [m/s]."""
+    up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
+    flat = smoothed(np.delete(hips, up, axis=1), SPEED_TIME / 2 * fps)
+    return np.asarray(np.linalg.norm(np.diff(flat, axis=0), axis=1) * fps)
 
 
 def _noise(take: Take) -> tuple[float, str]:

@@ -20,6 +20,7 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
+    from animtool.report.describe_characters import CharactersFacts
     from animtool.usd.point_info import PointPrim
 
 
@@ -59,6 +60,8 @@ class TakeDescription(Description):
     shot: dict[str, object] | None = None
     capture: CaptureFacts | None = None  # of a person; None for other takes
     cycle: Cycle | None = None  # of a person who repeats something
+    # All characters of the stage, where it has several and none is named.
+    characters: CharactersFacts | None = None
 
 
 def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:
@@ -124,6 +127,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         _shot(Path(path)),
         capture,
         None if capture is None else _cycle(take),
+        _characters(Path(path), options),
     )
 
 
@@ -167,6 +171,16 @@ def _points(path: Path) -> list[PointPrim]:
     from animtool.usd.point_info import displaced_points
 
     return displaced_points(path)
+
+
+def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:
+    """Return what all characters do; None where there is one, or one was asked for."""
+    named = options is not None and (options.prim_path or options.take)
+    if not is_usd(path) or named:
+        return None
+    from animtool.report.describe_characters import describe_characters
+
+    return describe_characters(path)
 
 
 def _moving_shapes(take: Take) -> list[str]:

@@ -88,7 +88,7 @@ class Characters:
     def add(self, code: float, frame: CharactersFrame) -> None:
         """Take a frame."""
         self.codes.append(code)
-        for name in ("points", "headings", "roots", "stands", "clocks", "visible"):
+        for name in ("points", "headings", "roots", "near", "clocks", "visible"):
             self._rows.setdefault(name, []).append(getattr(frame, name))
         self._turns.append([turns.astype(np.float32) for turns in frame.turns])
 
@@ -144,7 +144,7 @@ class _Track:
     points: FloatArray  # (F, n, 3) [m]
     headings: FloatArray  # (F, n) [rad]
     roots: FloatArray  # (F, n, 3) [m]
-    stands: BoolArray  # (F, n, 2)
+    near: BoolArray  # (F, n, 2)
     clocks: FloatArray  # (F, n) [s]
     visible: BoolArray  # (F, n)
 
@@ -232,7 +232,7 @@ class _Group:
             turns = track.turns[:, i].copy()
             moves = turning(turns, track.arms, track.size)
             turns[:, ~moves] = turns[:1, ~moves]
-            kept, moved = kept_samples(turns, track.chain, track.stands[:, i])
+            kept, moved = kept_samples(turns, track.chain, track.near[:, i])
             report.own += 1
             report.samples += int(kept.sum())
             report.frames += len(track.codes)

@@ -66,7 +66,7 @@ def kept_samples(
     Args:
         turns: Of joints.
         chain: These joints.
-        stands: When each foot stands ``(F, 2)``.
+        stands: When each foot is on the ground, or close to it ``(F, 2)``.
     """
     exact = turns.astype(np.float64)
     count = len(turns)

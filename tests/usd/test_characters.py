@@ -167,8 +167,14 @@ def test_usd_plays_what_was_simulated(
 
 def test_nothing_is_found_in_the_layer_and_chunks_are_refused(folder: Path) -> None:
     baked(folder, "checked.usdc")
-    run = animtool("validate", folder / "checked.usdc")
-    assert (run.code, "warning" in run.stdout) == (0, False), run.stdout
+    run = animtool("validate", folder / "checked.usdc", "--format", "json")
+    found = json.loads(run.stdout)["findings"]
+    # All characters are looked at: the one that is hit goes down with a jerk.
+    odd = [one for one in found if one["severity"] != "note"]
+    assert run.code == 0
+    assert {(one["code"], one["where"].split("/")[-2]) for one in odd} == {
+        ("MOT202", "agent_0010")
+    }
     stage = Usd.Stage.Open(str(folder / "checked.usdc"))
     errors = UsdValidation.ValidationContext(
         UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
@@ -215,3 +221,23 @@ def test_who_left_is_not_seen(folder: Path) -> None:
     for k in range(FRAMES):
         shown = [UsdGeom.Imageable(one).ComputeVisibility(k + 1.0) for one in agents]
         assert [word == "inherited" for word in shown] == seen[k]
+
+
+def test_info_is_of_all_characters(folder: Path) -> None:
+    baked(folder, "informed.usdc")
+    run = animtool("info", folder / "informed.usdc", "--format", "json")
+    (found,) = json.loads(run.stdout)["files"]
+    facts = found["characters"]
+    stage = Usd.Stage.Open(str(folder / "informed.usdc"))
+    proxies = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+    skeletons = [str(p.GetPath()) for p in proxies if p.IsA(UsdSkel.Skeleton)]
+    assert facts["count"] == len(skeletons)
+    assert facts["joints"] == len(skeletons) * found["joints"]
+    assert facts["unread"] == 0
+    # The one that is hit is the lowest.
+    assert "agent_0010" in facts["lowest"]["character"]
+    assert facts["lowest"]["value"] < 0.5
+    assert facts["bounds"][1][0] > found["bounds"][1][0]
+    one = ("--prim-path", skeletons[0], "--format", "json")
+    named = animtool("info", folder / "informed.usdc", *one)
+    assert json.loads(named.stdout)["files"][0]["characters"] is None

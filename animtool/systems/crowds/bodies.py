@@ -5,7 +5,7 @@ All is in the frame of the ground; a body has x to its left and z ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -14,10 +14,12 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.systems.crowds.agents import Going
 from animtool.systems.crowds.gaits import (
+    PHASES,
     Gaits,
     eased,
 )
 from animtool.systems.crowds.ground import turned, wrapped
+from animtool.systems.crowds.reach import MAX_RATE, Reach, Stances, hurried
 
 # Slower than this part of the slowest gait agents stand, but for a foot off its place.
 STANDS = 0.1
@@ -39,8 +41,20 @@ APART = 0.6
 PASSING, LONG = 0.09, 0.35
 # A foot that lands within this last part of its cycle does not lift any more.
 LAST = 0.95
+# Who is turned faster than its pace by more than this does not hurry for it [rad/s].
+JERK = 0.6
+# How fast hips rise that legs had lowered, over the length of a leg [1/s].
+RISES = 0.6
+# From this part of a swing on it is settled where its foot lands.
+SETTLED = 0.6
 # How far a landing is looked ahead [rad] where a body turns.
 MAX_TURN = 1.0
+# Whose push makes them go as fast to a side or back, over `STANDS`, walk.
+PUSHED = 3.0
+# Steps to a side, and back, go no farther from the hips, over the length of a leg.
+SIDE, BACK = 0.25, 0.3
+# Nor does a body turn farther over a foot that stands [rad].
+SPUN = 0.8
 
 
 class Heights(Protocol):
@@ -57,9 +71,13 @@ class BodyState:
     phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
     places: FloatArray  # where each foot stands or stood: x, z, heading (N, 2, 3)
     swings: FloatArray  # how far each is on its swing, -1 as it stands (N, 2)
+    aims: FloatArray  # where each that swings is to land (N, 2, 3)
+    rates: FloatArray  # of their cycles (N,) [1/s]
+    lowered: FloatArray  # hips, that legs reach; they rise slowly (N,) [m]
     still: FloatArray  # 1 for who stands, 0 for who walks (N,)
     clocks: FloatArray  # of what they do as they stand (N,) [s]
-    paces: FloatArray  # how fast they go [m/s] and turn [rad/s], smoothed (N, 2)
+    # How fast they go ahead [m/s], turn [rad/s] and go to their left, smoothed (N, 3).
+    paces: FloatArray
     reacts: FloatArray  # since when they react, -1 for who does not (N,) [s]
 
 
@@ -107,11 +125,16 @@ class Bodies:
     def first(self, going: Going, chances: FloatArray) -> BodyState:
         """Return bodies that stand ``(N,)``, as random numbers ``(N,)`` have it."""
         count = len(chances)
-        paces = np.zeros((count, 2))
+        paces = np.zeros((count, 3))
+        blend = self.blend(paces)
+        places = self._stands(going, blend)
         return BodyState(
             chances,
-            self._stands(going, self.blend(paces)),
+            places,
             -np.ones((count, 2)),
+            places,
+            blend.rate,
+            np.zeros(count),
             np.ones(count),
             chances * self.gaits.idle.period,
             paces,
@@ -119,25 +142,39 @@ class Bodies:
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return what agents play that go [m/s] and turn [rad/s] as fast ``(N, 2)``."""
+        """Return what agents play that go and turn as fast ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
-        speeds, around = paces[:, 0] / self.scales, paces[:, 1]
+        speeds, around, leftward = (
+            paces[:, 0] / self.scales,
+            paces[:, 1],
+            paces[:, 2] / self.scales,
+        )
         weights = _weights(
-            np.stack([speeds, leg * around], axis=1),
+            np.stack([np.maximum(speeds, 0.0), leg * around], axis=1),
             np.array([[one.speed, leg * one.turning] for one in moving]),
         )
         # BLAS adds in an order that depends on the number of agents; einsum does not.
         paced = np.array([[one.speed, one.period] for one in moving])
         speed, period = np.einsum("ng,gk->kn", weights, paced)
-        share = np.maximum(speeds, 0.0) / speed
-        cadence = np.clip(share**CADENCE, SLOWEST, FASTEST)
+        cadence = (np.hypot(speeds, leftward) / speed) ** CADENCE
+        rate = np.clip(cadence, SLOWEST, FASTEST) / period
         steps = np.einsum(
             "ng,gfk->nfk", weights, np.stack([one.steps for one in moving])
         )
-        stride = share / cadence
-        steps[..., 1] *= stride[:, None]
         stands = np.einsum("ng,gf->nf", weights, np.stack([m.stands for m in moving]))
-        return Blend(weights, cadence / period, stride, stands, steps)
+        # Who is pushed to a side or back makes shorter steps, more of them, and so does
+        # who spins.
+        side = leftward * stands.mean(axis=1) / (2 * rate)
+        back = -speeds * stands.mean(axis=1) / (2 * rate)
+        over = np.maximum(np.abs(side) / (SIDE * leg), back / (BACK * leg))
+        spun = np.abs(around) * stands.mean(axis=1) / rate
+        over = np.maximum(over, spun / SPUN)
+        over = np.clip(over, 1.0, np.maximum(MAX_RATE / rate, 1.0))
+        rate = rate * over
+        stride = speeds / speed / (rate * period)
+        steps[..., 1] *= stride[:, None]
+        steps[..., 0] += (side / over)[:, None]
+        return Blend(weights, rate, stride, stands, steps)
 
     def next(
         self,
@@ -152,29 +189,114 @@ class Bodies:
         ``hit``: whom something hit ``(N,)``.
         """
         turning = wrapped(after.headings - before.headings) / dt
-        paces = np.stack([_ahead(after), turning], axis=1)
+        # As they are moved: who is pushed goes where its own will does not.
+        went = turned((after.points - before.points) / dt, -after.headings)
+        paces = np.stack([went[:, 1], turning, went[:, 0]], axis=1)
         paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACING)
         blend = self.blend(paces)
         off = self._off(state, after, blend)
         standing = (state.swings < 0).all(axis=1)
-        fast = _ahead(after) > STANDS * self.gaits.moving[0].speed * self.scales
+        slow = STANDS * self.gaits.moving[0].speed * self.scales
+        fast = (went[:, 1] > slow) | (np.linalg.norm(went, axis=1) > PUSHED * slow)
         moves = fast | off.any(axis=1)
         phases = self._begun(state, blend, moves & (state.still >= 1), off, after)
         goes = moves | ~standing
-        change = np.where(goes, blend.rate * dt, 0.0)
+        stances = self._stances(state, after, phases, blend)
+        speeds = went / self.scales[:, None]
+        turns = np.clip(turning, paces[:, 1] - JERK, paces[:, 1] + JERK)
+        rates, ends = hurried(self.reach, stances, speeds, turns)
+        # Who hurried slows down again as its pace does.
+        slower = state.rates + (blend.rate - state.rates) * -np.expm1(-dt / PACING)
+        rates = np.maximum(rates, slower)
+        change = np.where(goes, rates * dt, 0.0)
         places, swings = state.places.copy(), state.swings.copy()
+        aims = state.aims.copy()
         for k in range(2):
+            swings[ends[:, k], k] = 0.0
             self._advance(k, phases, change, blend, (before, after), places, swings)
+            landed = (state.swings[:, k] >= SETTLED) & (swings[:, k] < 0)
+            places[landed, k] = state.aims[landed, k]
+        phases = (phases + change) % 1.0
+        for k in range(2):
+            aimed = (swings[:, k] >= 0) & ~(state.swings[:, k] >= SETTLED)
+            left = (1 - (phases - 0.5 * k) % 1.0) / rates
+            turn = np.clip(paces[:, 1] * left, -MAX_TURN, MAX_TURN)
+            then = after.points + after.velocities * left[:, None]
+            lands = self._placed(k, blend, then, after.headings + turn, places)
+            aims[aimed, k] = lands[aimed]
         target = np.where(moves | (swings >= 0).any(axis=1), -dt, dt) / SETTLING
-        return BodyState(
-            (phases + change) % 1.0,
-            places,
-            swings,
-            np.clip(state.still + target, 0.0, 1.0),
-            state.clocks + dt,
-            paces,
-            self._reacting(state.reacts, dt, hit),
+        made = replace(
+            state,
+            phases=phases,
+            places=places,
+            swings=swings,
+            aims=aims,
+            rates=rates,
+            still=np.clip(state.still + target, 0.0, 1.0),
+            clocks=state.clocks + dt,
+            paces=paces,
+            reacts=self._reacting(state.reacts, dt, hit),
         )
+        return self._reached(state, made, after, blend, dt)
+
+    def _reached(
+        self, before: BodyState, state: BodyState, going: Going, blend: Blend, dt: float
+    ) -> BodyState:
+        """Return bodies whose feet landed where legs reach, and hips lowered for it."""
+        stances = self._stances(state, going, state.phases, blend)
+        places = state.places.copy()
+        leg = self.gaits.walker.leg
+        lowered = np.maximum(before.lowered - RISES * leg * dt, 0.0)
+        for k in range(2):
+            seen = k, stances.thighs[:, k], stances.feet[:, k], stances.pitches[0, :, k]
+            stands = state.swings[:, k] < 0
+            room, ways = self.reach.room(*seen)
+            landed = stands & (places[:, k] != before.places[:, k]).any(axis=1)
+            back = np.minimum(room, 0.0)[:, None] * ways * self.scales[:, None]
+            places[landed, k, :2] += turned(back, going.headings)[landed]
+            need = np.where(stands, self.reach.lowered(*seen), 0.0)
+            lowered = np.maximum(lowered, need)
+        return replace(state, places=places, lowered=lowered)
+
+    @cached_property
+    def reach(self) -> Reach:
+        """Return how far legs reach."""
+        return Reach.of(self.gaits)
+
+    def pitches(
+        self, k: int, begins: FloatArray, blend: Blend, still: FloatArray
+    ) -> FloatArray:
+        """Return how far heels of feet that stand are up ``(N,)`` [rad]."""
+        stood = np.clip(begins / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
+        pitch = np.zeros(len(begins))
+        for weight, one in zip(blend.weights.T, self.gaits.moving, strict=True):
+            pitch += weight * np.interp(stood, np.arange(PHASES), one.pitches[k])
+        return np.asarray(pitch * (1 - still))
+
+    def _stances(
+        self, state: BodyState, going: Going, phases: FloatArray, blend: Blend
+    ) -> Stances:
+        """Return how feet stand of bodies in phases."""
+        feet = np.zeros((len(phases), 2, 4))
+        off = turned(
+            state.places[..., :2] - going.points[:, None], -going.headings[:, None]
+        )
+        feet[..., [0, 2]] = off / self.scales[:, None, None]
+        feet[..., 3] = wrapped(state.places[..., 2] - going.headings[:, None])
+        heights, _ = self.heights(state.places[..., :2].reshape(-1, 2))
+        base, _ = self.heights(going.points)
+        feet[..., 1] = (heights.reshape(-1, 2) - base[:, None]) / self.scales[:, None]
+        thighs = self.reach.thighs(phases, blend.weights, state.still)
+        thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
+        begins = (phases[:, None] - [0.0, 0.5]) % 1.0
+        pitches = np.array(
+            [
+                [self.pitches(k, at[:, k], blend, state.still) for k in range(2)]
+                for at in (begins, blend.stands)
+            ]
+        ).swapaxes(1, 2)
+        up = state.swings >= 0
+        return Stances(begins, blend.stands, up, feet, thighs, pitches, blend.rate)
 
     def _reacting(
         self, reacts: FloatArray, dt: float, hit: BoolArray | None
@@ -290,43 +412,49 @@ class Bodies:
         return np.asarray((far > OFF * leg) | (turns > OFF_TURN))
 
     def feet(
-        self, state: BodyState, going: Going, blend: Blend
-    ) -> tuple[FloatArray, FloatArray]:
+        self, state: BodyState, going: Going
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ground below feet in the frame of bodies ``(N, 2, 4)``, and normals.
 
-        x, y, z and how far each is turned; in lengths of the rig.
+        x, y, z and how far each is turned; in lengths of the rig. And how far each is
+        from where it stood or will stand, whichever is nearer ``(N, 2)``.
         """
         made = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
-        base, _ = self._heights(going.points)
+        away = np.zeros((len(state.phases), 2))
+        base, _ = self.heights(going.points)
         places = state.places.copy()
         for k in range(2):
             up = state.swings[:, k] >= 0
             share = eased(np.maximum(state.swings[:, k], 0.0))[:, None]
-            left = (1 - (state.phases - 0.5 * k) % 1.0) / blend.rate
-            turn = np.clip(state.paces[:, 1] * left, -MAX_TURN, MAX_TURN)
-            then = going.points + going.velocities * left[:, None]
-            next_ = self._placed(k, blend, then, going.headings + turn, state.places)
-            from_ = state.places[:, k]
+            from_, next_ = state.places[:, k], state.aims[:, k]
             way = next_ - from_
             places[:, k] = np.where(up[:, None], from_ + share * way, from_)
-            low, first = self._heights(from_[:, :2])
-            high, last = self._heights(next_[:, :2])
-            here, _ = self._heights(places[:, k, :2])
+            ends = np.linalg.norm(way[:, :2], axis=1)[:, None] * np.hstack(
+                [share, 1 - share]
+            )
+            away[:, k] = np.where(up, ends.min(axis=1), 0.0) / self.scales
+            low, first = self.heights(from_[:, :2])
+            high, last = self.heights(next_[:, :2])
+            here, _ = self.heights(places[:, k, :2])
             height = np.where(
                 up, np.maximum(low + share[:, 0] * (high - low), here), low
             )
             normals[:, k] = np.where(up[:, None], first + share * (last - first), first)
             made[:, k, 1] = (height - base) / self.scales
-        self._pass(state, going, places)
+        away += self._pass(state, going, places) / self.scales[:, None]
         off = turned(places[..., :2] - going.points[:, None], -going.headings[:, None])
         made[..., [0, 2]] = off / self.scales[:, None, None]
         made[..., 3] = wrapped(places[..., 2] - going.headings[:, None])
         normals[..., [0, 2]] = turned(normals[..., [0, 2]], -going.headings[:, None])
-        return made, normals
+        return made, normals, away
 
-    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> None:
-        """Let feet that swing go around those that stand, in place."""
+    def _pass(self, state: BodyState, going: Going, places: FloatArray) -> FloatArray:
+        """Let feet that swing go around those that stand, in place.
+
+        Returns how far they do ``(N, 2)`` [m].
+        """
+        around = np.zeros((len(places), 2))
         local = turned(places[..., :2], -going.headings[:, None])
         wide, long = (
             part * self.gaits.walker.leg * self.scales for part in (PASSING, LONG)
@@ -340,18 +468,13 @@ class Bodies:
             out = np.zeros_like(off)
             out[:, 0] = side * lack * 16 * (share * (1 - share)) ** 2
             places[:, k, :2] += turned(out, going.headings)
+            around[:, k] = np.abs(out[:, 0])
+        return around
 
-    def _heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights and normals of the ground; where there is none it is at 0."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
-
-
-def _ahead(going: Going) -> FloatArray:
-    """Return how fast agents go where they look ``(N,)`` [m/s]."""
-    looks = np.stack([np.sin(going.headings), np.cos(going.headings)], axis=1)
-    along = (going.velocities * looks).sum(axis=1)
-    return np.asarray(np.maximum(along, 0.0))
 
 
 def _weights(points: FloatArray, known: FloatArray) -> FloatArray:

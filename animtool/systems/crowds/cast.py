@@ -22,6 +22,8 @@ from animtool.systems.crowds.poses import poses_of
 
 # Samples a second of what those do who stand: it is slow.
 STANDING_RATE = 24.0
+# From and to these parts of a swing on soles are close to the ground.
+LIFTED, LANDING = 0.08, 0.78
 
 
 @dataclass(frozen=True)
@@ -166,8 +168,10 @@ class Casting:
         order = self.order
         only = (state.still >= 1) & ~going.velocities.any(axis=1) & (state.reacts < 0)
         only[list(fallen)] = False
-        stands = state.swings < 0
-        stands[list(fallen)] = False
+        # Feet that are about to land, or just lifted, are as near the ground.
+        near = (state.swings < LIFTED) | (state.swings > LANDING)
+        near[list(fallen)] = False
+        stands = near & (state.swings < 0)
         return CharactersFrame(
             order,
             frame.to_world(points)[order],
@@ -180,6 +184,7 @@ class Casting:
             tuple(turns),
             np.concatenate(roots),
             stands[order],
+            near[order],
             np.where(only, state.clocks, np.nan)[order],
             visible[order],
             {name: values[order] for name, values in primvars.items()},

@@ -25,13 +25,16 @@ from animtool.systems.crowds.gaits import (
     standing_ankle,
 )
 from animtool.systems.crowds.ground import about_up
+from animtool.systems.crowds.reach import AIRBORNE, MOST_LOWERED, STRAIGHT
 
 # How long bodies take to begin and to end a reaction [s].
 RAMP = 0.2
 # Feet follow ground that is steeper no farther [rad].
 TILT = 0.45
-# A leg that is straighter than this part of its length is not reached for.
-STRAIGHT = 0.998
+# In this first and last part of a swing hips are lowered for its foot.
+NEARING = 0.4
+# Soles come down as steep as this, from over so much [m].
+STEEP, CLEAR = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +54,11 @@ def poses_of(bodies: Bodies, state: BodyState, going: Going) -> Poses:
     played, roots = _played(bodies, state, blend)
     turns = np.repeat(rig.rest_rotations[None], len(played), axis=0)
     turns[:, bodies.moves] = played
-    feet, normals = bodies.feet(state, going, blend)
-    goals, soles = _ankles(bodies, state, blend, feet, normals)
+    feet, normals, away = bodies.feet(state, going)
+    goals, soles = _ankles(bodies, state, blend, feet, normals, away)
     # Hips are over the middle of both feet's ground.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles)
+    lowered, missed = _reach(bodies.gaits.walker, turns, roots, goals, soles, state)
     roots[:, 1] -= lowered
     return Poses(turns, roots, lowered, missed)
 
@@ -66,6 +69,7 @@ def _reach(
     roots: FloatArray,
     goals: FloatArray,
     soles: FloatArray,
+    state: BodyState,
 ) -> tuple[FloatArray, FloatArray]:
     """Turn legs so that ankles are at goals ``(N, 2, 3)``, and feet as soles, in place.
 
@@ -83,8 +87,9 @@ def _reach(
         for joint in (thigh, shin, int(rig.parents[thigh]))
         if joint >= 0
     }
-    lowered = _lowered(walker, joints, goals)
+    lowered = _lowered(walker, joints, goals, state)
     joints = joints - lowered[:, None, None] * UP
+    goals = _reached(walker, joints, goals, state.swings >= 0)
     missed = np.zeros((len(turns), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         above = int(rig.parents[thigh])
@@ -111,17 +116,50 @@ def _reach(
     return lowered, missed
 
 
-def _lowered(walker: Walker, joints: FloatArray, goals: FloatArray) -> FloatArray:
-    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m]."""
-    lowered = np.zeros(len(joints))
+def _lowered(
+    walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
+) -> FloatArray:
+    """Return how far hips are lowered so that legs reach their goals ``(N,)`` [m].
+
+    Halfway of a swing they need not.
+    """
+    lowered = state.lowered.copy()
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         bones = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(bones, axis=1), axis=2).sum(axis=1)
         way = joints[:, thigh] - goals[:, k]
         across = (way[:, [0, 2]] ** 2).sum(axis=1)
         high = np.sqrt(np.maximum((STRAIGHT * length) ** 2 - across, 0.0))
-        lowered = np.maximum(lowered, way[:, 1] - high)
-    return lowered
+        ends = (np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * NEARING) / (2 * NEARING)
+        need = way[:, 1] - high
+        air = eased(np.clip(ends, 0.0, 1.0)) * need
+        air = np.minimum(air, state.lowered + AIRBORNE * walker.leg)
+        lowered = np.maximum(lowered, np.where(state.swings[:, k] < 0, need, air))
+    return np.minimum(lowered, MOST_LOWERED * walker.leg)
+
+
+def _reached(
+    walker: Walker, joints: FloatArray, goals: FloatArray, up: BoolArray
+) -> FloatArray:
+    """Return goals ``(N, 2, 3)``; feet in the air stay as near as their legs have it.
+
+    As they go along below the hips, they are over the ground.
+    """
+    made = goals.copy()
+    for k, (thigh, *_) in enumerate(walker.legs):
+        way = goals[:, k] - joints[:, thigh]
+        across = np.linalg.norm(way[:, [0, 2]], axis=1)
+        far = (STRAIGHT * walker.leg) ** 2 - way[:, 1] ** 2
+        over = np.maximum(across - np.sqrt(np.maximum(far, 0.0)), 0.0) * up[:, k]
+        share = over / np.maximum(across, 1e-9)
+        made[:, k, [0, 2]] -= share[:, None] * way[:, [0, 2]]
+        made[:, k, 1] += cleared(over)
+    return made
+
+
+def cleared(away: FloatArray) -> FloatArray:
+    """Return how high soles are at least that are so far from where they stand [m]."""
+    return np.minimum(STEEP * away, CLEAR)
 
 
 def _ankles(
@@ -130,28 +168,40 @@ def _ankles(
     blend: Blend,
     feet: FloatArray,
     normals: FloatArray,
+    away: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return where ankles are to be ``(N, 2, 3)``, and how feet are turned."""
-    gaits, moving = bodies.gaits, bodies.gaits.moving
+    gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
         begin = (state.phases - 0.5 * k) % 1.0
-        stood = np.clip(begin / blend.stands[:, k], 0.0, 1.0) * (PHASES - 1)
-        tables = [one.pitches[k] for one in moving]
-        pitch = sum(
-            weight * np.interp(stood, np.arange(PHASES), table)
-            for weight, table in zip(blend.weights.T, tables, strict=True)
-        )
-        pitched = about_side(np.asarray(pitch) * (1 - state.still))
+        pitched = about_side(bodies.pitches(k, begin, blend, state.still))
         lifts = standing_ankle(gaits.walker, k, pitched)
         up = state.swings[:, k] >= 0
         if up.any():
             pitched[up], lifts[up] = _swung(gaits, state, blend, k, up)
+            lifts[up, 1] += _low(gaits.walker, k, pitched[up], lifts[up], away[up, k])
         tilt = _tilts(normals[:, k])
         yaw = about_up(feet[:, k, 3])
         goals[:, k] = feet[:, k, :3] + so3.rotate(tilt, so3.rotate(yaw, lifts))
         soles[:, k] = so3.multiply(tilt, so3.multiply(yaw, pitched))
     return goals, soles
+
+
+def _low(
+    walker: Walker, k: int, pitched: FloatArray, lifts: FloatArray, away: FloatArray
+) -> FloatArray:
+    """Return by how much soles in the air are too low ``(K,)`` [m].
+
+    ``away``: how far their places are from where they stand ``(K,)`` [m].
+    """
+    heel = lifts - so3.rotate(pitched, walker.ankle[k] * UP)
+    ball = lifts + so3.rotate(pitched, walker.ball[k])
+    lack = np.zeros(len(lifts))
+    for sole, at in ((heel, 0 * UP), (ball, walker.ball[k] + walker.ankle[k] * UP)):
+        off = np.linalg.norm((sole - at)[:, [0, 2]], axis=1)
+        lack = np.maximum(lack, cleared(away + off) - sole[:, 1])
+    return lack
 
 
 def _swung(

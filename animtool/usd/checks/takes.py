@@ -37,6 +37,7 @@ from animtool.usd.placement import (
 )
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    find_skeletons,
     rig_from_tokens,
     skeleton_rig,
     stored_data,
@@ -101,14 +102,17 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     the checks report them.
     """
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
-    bound = _bound(skeletons)
+    # The checks look at one of equal instances; each of them moves.
+    bound = _bound(find_skeletons(subject.stage))
     shared = _Shared.of(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
-        # What was made to be small is no capture.
-        if stored_data(animation.GetPrim()).get("thinned"):
-            continue
-        skeleton = bound.get(animation.GetPath()) or _nearest(animation, skeletons)
+        skeleton = bound.get(animation.GetPath())
+        if skeleton is None:
+            # What characters have parts in is none's motion.
+            if stored_data(animation.GetPrim()).get("shared"):
+                continue
+            skeleton = _nearest(animation, skeletons)
         try:
             take = _take(subject, path, animation, skeleton, shared)
         except AnimtoolError:
@@ -153,7 +157,12 @@ def _take(
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
     times.update(t for mover in above for t in mover.GetTimeSamples())
+    stored, stage = stored_data(animation.GetPrim()), subject.stage
     codes = np.array(sorted(times), np.float64)
+    if stored.get("shared"):
+        # Each of its characters is somewhere else in it, off the frames or on them.
+        first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+        codes = np.arange(first, last + 1)
     rows = [_values(subject, *entry, codes) for entry in attributes]
     motion = _motion(of_rig, joints, shapes, rows)
     if motion is None:
@@ -183,7 +192,7 @@ def _take(
         _influencing(skeleton, of_rig, shared) if skeleton else None,
         _bind(skeleton, of_rig.rig, placement) if skeleton else None,
         _shown_rate(subject.stage),
-        bool(stored_data(animation.GetPrim()).get("reduced")),
+        bool(stored.get("reduced") or stored.get("thinned")),
     )
 
 
@@ -233,7 +242,7 @@ def _values(
     frames = max(len(codes), 1)
     if not sampled.animated or len(values) == 1:
         return np.repeat(values[:1], frames, axis=0)
-    if len(values) == frames:
+    if np.array_equal(sampled.times, codes):
         return values
     after = np.searchsorted(sampled.times, codes).clip(1, len(values) - 1)
     early, late = sampled.times[after - 1], sampled.times[after]

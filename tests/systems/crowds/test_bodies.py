@@ -241,3 +241,59 @@ def test_a_sole_is_turned_as_the_ground_is() -> None:
     steep = so3.rotate(_tilts(np.array([[1.0, 0.01, 0.0]])), UP)[0]
     assert np.arccos(steep[1]) == pytest.approx(TILT)
     assert steep[0] > 0
+
+
+@pytest.mark.parametrize("way", [0.0, 0.7, 1.6, 2.4, 3.1])
+@pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
+def test_pushed_people_step_and_stay_up(way: float, speed: float) -> None:
+    """Who stands and is pushed any way from one second on, for two."""
+    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    step = 1 / 24
+    t = np.arange(0, 4, step)
+    pushed = np.where((t > 1) & (t < 3), speed, 0.0)
+    v = pushed[:, None] * np.array([np.sin(way), np.cos(way)])
+    x = np.cumsum(v, axis=0) * step
+    goings = [Going(x[[i]], v[[i]], np.zeros(1)) for i in range(len(t))]
+    states, places = walked(bodies, goings, step)
+    hips = places[:, 0, 0, 1]
+    assert hips.min() > 0.8 * hips[0]
+    assert np.abs(np.diff(hips)).max() < 0.08
+    # Both feet step, and each stays where it stands.
+    swings = np.array([state.swings[0] for state in states])
+    for k, (_, _, _, toe) in enumerate(bodies.gaits.walker.legs):
+        stands = swings[:, k] < 0
+        assert (np.diff(stands.astype(int)) < 0).sum() >= 2
+        both = stands[1:] & stands[:-1]
+        slid = np.linalg.norm(np.diff(places[:, 0, toe], axis=0), axis=1)
+        assert slid[both & ~_landed(states, k)].max() < 1e-3
+
+
+def _landed(states: list[BodyState], k: int) -> np.ndarray:
+    """Return after which steps a foot stands elsewhere ``(F - 1,)``."""
+    places = np.array([state.places[0, k] for state in states])
+    return np.asarray((np.diff(places, axis=0) != 0).any(axis=1))
+
+
+def test_soles_are_off_the_ground_until_they_are_where_they_land() -> None:
+    bodies = Bodies(library("walk", "run", "stand"), np.ones(1), level)
+    step = 1 / 24
+    states, places = walked(bodies, path(step, 1), step)
+    for _, _, _, toe in bodies.gaits.walker.legs:
+        low = places[:, 0, toe, 1] < 0.005
+        way = np.linalg.norm(np.diff(places[:, 0, toe][:, [0, 2]], axis=0), axis=1)
+        assert way[low[1:] & low[:-1]].max() < 0.005
+    assert min(state.lowered.min() for state in states) >= 0
+
+
+def test_where_a_foot_lands_is_settled_in_its_swing() -> None:
+    """It lands where it was to, whatever its body does last, within reach."""
+    bodies = Bodies(library("walk", "stand"), np.ones(1), level)
+    step = 1 / 50
+    states, _ = walked(bodies, path(step, 1), step)
+    count = 0
+    for before, after in pairwise(states):
+        for k in range(2):
+            if before.swings[0, k] > 0.7 and after.swings[0, k] < 0:
+                count += 1
+                assert after.places[0, k] == pytest.approx(before.aims[0, k], abs=1e-9)
+    assert count > 6

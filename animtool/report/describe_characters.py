@@ -1,0 +1,129 @@
+"""What all characters of a stage do, where it has several: the worst ones by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool.errors import AnimtoolError
+from animtool.mocap.facts import ground_speeds, hips_and_joints
+from animtool.mocap.retarget.anatomy import anatomy
+from animtool.mocap.retarget.person import Person
+from animtool.take import Take
+from animtool.units import UpAxis
+
+
+@dataclass(frozen=True, slots=True)
+class Extreme:
+    """The most or the least of something, and whose it is."""
+
+    value: float
+    character: str  # path of its Skeleton
+    frame: float  # time code
+
+
+@dataclass(frozen=True, slots=True)
+class CharactersFacts:
+    """All characters of a stage in numbers."""
+
+    count: int
+    joints: int  # of all together
+    unread: int  # characters whose motion cannot be read; `validate` says why
+    # Lowest and highest joint position of all over all frames [m].
+    bounds: tuple[list[float], list[float]] | None
+    speed_mean: float | None  # of hips over the ground, of all people [m/s]
+    speed: Extreme | None  # the highest [m/s]
+    lowest: Extreme | None  # how high the hips are that are lowest [m]
+    rise: Extreme | None  # the largest step of hips up or down in a frame [m]
+
+
+@dataclass(frozen=True, slots=True)
+class _Own:
+    """One character in numbers."""
+
+    low: list[float]
+    high: list[float]
+    mean: float | None = None
+    speed: Extreme | None = None
+    lowest: Extreme | None = None
+    rise: Extreme | None = None
+
+
+def describe_characters(path: Path | str) -> CharactersFacts | None:
+    """Return what the characters of a stage do; None where there is at most one.
+
+    Args:
+        path: A USD file.
+
+    Raises:
+        FormatError: It cannot be opened.
+    """
+    from animtool.usd.stage_takes import read_characters
+
+    readers = read_characters(Path(path))
+    if len(readers) < 2:
+        return None
+    own, joints, unread = [], 0, 0
+    for name, read in readers.items():
+        try:
+            take = read().collect()
+        except AnimtoolError:
+            unread += 1
+            continue
+        joints += len(take.rig.joints)
+        if take.rig.joints:
+            own.append(_own(name, take))
+    means = [one.mean for one in own if one.mean is not None]
+    speeds, lows, rises = (
+        [found for one in own if (found := getattr(one, name)) is not None]
+        for name in ("speed", "lowest", "rise")
+    )
+    bounds = None
+    if own:
+        low = np.min([one.low for one in own], axis=0).tolist()
+        bounds = low, np.max([one.high for one in own], axis=0).tolist()
+    return CharactersFacts(
+        len(readers),
+        joints,
+        unread,
+        bounds,
+        float(np.mean(means)) if means else None,
+        max(speeds, key=_value, default=None),
+        min(lows, key=_value, default=None),
+        max(rises, key=_value, default=None),
+    )
+
+
+def _value(extreme: Extreme) -> float:
+    return extreme.value
+
+
+def _own(name: str, take: Take) -> _Own:
+    """Return a character in numbers; hips are those of people alone."""
+    person = Person.of(take.rig, anatomy(take.rig).roles)
+    hips, places = hips_and_joints(take, person, range(len(take.rig.joints)))
+    flat = np.stack(list(places.values()), axis=1).reshape(-1, 3)
+    low, high = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
+    if person.leg("l") is None or person.leg("r") is None or len(hips) < 2:
+        return _Own(low, high)
+    up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
+    speeds = ground_speeds(take, hips)
+    heights = hips[:, up]
+    steps = np.abs(np.diff(heights))
+
+    def extreme(value: float, frame: int) -> Extreme:
+        return Extreme(value, name, float(times[frame]))
+
+    fastest, lowest, rise = (
+        int(each) for each in (speeds.argmax(), heights.argmin(), steps.argmax())
+    )
+    return _Own(
+        low,
+        high,
+        float(speeds.mean()),
+        extreme(float(speeds[fastest]), fastest + 1),
+        extreme(float(heights[lowest]), lowest),
+        extreme(float(steps[rise]), rise + 1),
+    )

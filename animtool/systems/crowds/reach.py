@@ -1,0 +1,178 @@
+"""How far legs reach: where a foot's lock ends, and how fast who is pushed must step.
+
+All is in the frame of bodies, in lengths of the rig.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import forward
+from animtool.systems.crowds.gaits import (
+    PHASES,
+    Gait,
+    Gaits,
+    about_side,
+    rows,
+    standing_ankle,
+)
+from animtool.systems.crowds.ground import about_up
+
+# A leg that is straighter than this part of its length is not reached for.
+STRAIGHT = 0.998
+# Hips are lowered so far at most for a foot that stands, over the length of a leg, and
+# so far in poses, as thighs are not quite where they were looked for.
+LOWERED, MOST_LOWERED = 0.09, 0.11
+# A foot that stands is turned in or out no farther [rad].
+TURNED_IN, TURNED_OUT = 0.4, 0.6
+# What is left of either counts as so much at least [m], [rad]: who goes slowly does not
+# hurry.
+LEAST_ROOM, LEAST_TURN = 0.05, 0.3
+# So much more they are for a foot in the air.
+AIRBORNE = 0.045
+# Legs step no more often [cycles/s].
+MAX_RATE = 2.5
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Where the legs of a rig begin as it walks and stands.
+
+    Attributes:
+        gaits: Of the rig.
+        walking: Thighs of both legs by gait and phase ``(P, 2, 3)`` [m].
+        standing: In the mean of who stands ``(2, 3)`` [m].
+    """
+
+    gaits: Gaits
+    walking: tuple[FloatArray, ...]
+    standing: FloatArray
+
+    @staticmethod
+    def of(gaits: Gaits) -> Reach:
+        """Return that of gaits."""
+        walking = tuple(_thighs(gaits, one) for one in gaits.moving)
+        return Reach(gaits, walking, _thighs(gaits, gaits.idle).mean(axis=0))
+
+    def thighs(
+        self, phases: FloatArray, weights: FloatArray, still: FloatArray
+    ) -> FloatArray:
+        """Return where the thighs of bodies are over level ground ``(N, 2, 3)``."""
+        at = phases * PHASES
+        made = np.zeros((len(phases), 2, 3))
+        for weight, table in zip(weights.T, self.walking, strict=True):
+            made += weight[:, None, None] * rows(table, at, again=True)
+        return np.asarray(made + still[:, None, None] * (self.standing - made))
+
+    def room(
+        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return how much farther a foot that stands may be ``(N,)``, and which way.
+
+        Level, from the thigh to the ankle ``(N, 2)``.
+
+        Args:
+            k: Which leg.
+            thighs: Where its begins ``(N, 3)``.
+            feet: x, y, z and heading of feet ``(N, 4)``.
+            pitches: How far their heels are up ``(N,)`` [rad].
+        """
+        leg = self.gaits.walker.leg
+        way = self._ways(k, thighs, feet, pitches)
+        high = np.maximum(-way[:, 1] - LOWERED * leg, 0.0)
+        away = np.linalg.norm(way[:, [0, 2]], axis=1)
+        ways = way[:, [0, 2]] / np.maximum(away, 1e-9)[:, None]
+        far = np.maximum((STRAIGHT * leg) ** 2 - high**2, 0.0)
+        return np.asarray(np.sqrt(far) - away), ways
+
+    def lowered(
+        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+    ) -> FloatArray:
+        """Return how far hips are lowered for a foot that stands ``(N,)``."""
+        leg = self.gaits.walker.leg
+        way = self._ways(k, thighs, feet, pitches)
+        across = (way[:, [0, 2]] ** 2).sum(axis=1)
+        high = np.sqrt(np.maximum((STRAIGHT * leg) ** 2 - across, 0.0))
+        return np.asarray(np.clip(-way[:, 1] - high, 0.0, MOST_LOWERED * leg))
+
+    def _ways(
+        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+    ) -> FloatArray:
+        """Return ways from thighs to ankles of feet that stand ``(N, 3)``."""
+        lifts = standing_ankle(self.gaits.walker, k, about_side(pitches))
+        ankles = feet[:, :3] + so3.rotate(about_up(feet[:, 3]), lifts)
+        return np.asarray(ankles - thighs)
+
+
+@dataclass(frozen=True)
+class Stances:
+    """Feet of N bodies, as they are hurried.
+
+    Attributes:
+        begins: Phases of each foot since it landed ``(N, 2)``.
+        stands: For which share of a cycle each stands ``(N, 2)``.
+        swings: Which are in the air ``(N, 2)``.
+        feet: x, y, z and heading of each ``(N, 2, 4)``.
+        thighs: Where their legs begin ``(N, 2, 3)``.
+        pitches: How far heels are up now, and as they lift ``(2, N, 2)`` [rad].
+        rate: Of cycles as nothing hurries them ``(N,)`` [1/s].
+    """
+
+    begins: FloatArray
+    stands: FloatArray
+    swings: BoolArray
+    feet: FloatArray
+    thighs: FloatArray
+    pitches: FloatArray
+    rate: FloatArray
+
+
+def hurried(
+    reach: Reach, stances: Stances, went: FloatArray, turning: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return rates of cycles ``(N,)`` [1/s], and which feet no leg reaches ``(N, 2)``.
+
+    A foot lifts before its leg ends: at how fast the hips go from it ``went``
+    ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
+    so long at most.
+    """
+    rate = stances.rate.copy()
+    ends = np.zeros((len(rate), 2), np.bool_)
+    for k in range(2):
+        up = stances.swings[:, k]
+        begin, stand = stances.begins[:, k], stances.stands[:, k]
+        seen = k, stances.thighs[:, k], stances.feet[:, k]
+        now, _ = reach.room(*seen, stances.pitches[0, :, k])
+        last, way = reach.room(*seen, stances.pitches[1, :, k])
+        leaves = -(way * went).sum(axis=1)
+        twist = stances.feet[:, k, 3]
+        most = np.where(twist * (1 - 2 * k) < 0, TURNED_IN, TURNED_OUT)
+        twists = -turning * np.sign(twist)
+        need = np.maximum(
+            _hurry(last, LEAST_ROOM, leaves),
+            _hurry(most - np.abs(twist), LEAST_TURN, twists),
+        ) * np.maximum(stand - begin, 0.0)
+        ends[:, k] = ~up & (np.maximum(now, last) < 0)
+        # A foot that lifted too soon is to land soon.
+        early = (up & (begin < stand)) | ends[:, k]
+        need = np.where(early, MAX_RATE, np.where(up, 0.0, need))
+        rate = np.maximum(rate, np.minimum(need, MAX_RATE))
+    return rate, ends
+
+
+def _hurry(room: FloatArray, least: float, speed: FloatArray) -> FloatArray:
+    """Return one over how long rooms last that shrink at speeds ``(N,)`` [1/s]."""
+    return np.asarray(np.maximum(speed, 0.0) / np.maximum(room, least))
+
+
+def _thighs(gaits: Gaits, gait: Gait) -> FloatArray:
+    """Return where the legs of a gait begin ``(P, 2, 3)``."""
+    rig = gaits.walker.rig
+    places = np.repeat(rig.rest_translations[None], len(gait.turns), axis=0)
+    places[:, 0] = gait.hips
+    legs = [leg[0] for leg in gaits.walker.legs]
+    return np.asarray(forward(rig, places, gait.turns).positions[:, legs])
