@@ -35,10 +35,12 @@ constexpr double CLOSER = 0.6, SHORTEST = 0.25;
 // what those cost that are between, over what it costs to walk in them.
 constexpr int LANES = 3;
 constexpr double STRAY = 0.2, ACROSS = 0.3;
-// Part of its speed at which an agent goes to a lane: so much for each metre, and the most.
-constexpr double SLANT = 1.0, MOST_SLANT = 0.4;
-// An agent may be as deep in a wall [m] where a lane is.
-constexpr double GRAZE = 0.1;
+// Costs that differ by less are one: rounding chooses no lane.
+constexpr double SAME_COST = 1e-9;
+// Part of its speed at which an agent goes to a lane: so much for each width, and the most.
+constexpr double SLANT = 0.44, MOST_SLANT = 0.4;
+// An agent may be as deep in a wall where a lane is, over its width.
+constexpr double GRAZE = 0.23;
 
 // What agents do: they walk, others walk around them, or nobody sees them.
 enum Does : std::uint8_t { WALKS = 0, STAYS = 1, GONE = 2 };
@@ -235,14 +237,16 @@ class Walker {
     const double likes = vec2(agents_.preferred + 2 * which).dot(fast);
     const double goes = 0.5 * (likes + vec2(agents_.velocities + 2 * which).dot(fast));
     const double cost = near * std::clamp(1 - goes, 0.0, 2.0);
-    if (likes < ALONG) met_ += near;
+    // Who stands is no stream.
+    if (likes < ALONG && vec2(agents_.preferred + 2 * which).length() > TINY) met_ += near;
     const int lane = static_cast<int>(place);
     const double second = cost * (place - lane);
     costs_[static_cast<std::size_t>(lane)] += cost - second;
     costs_[static_cast<std::size_t>(lane) + 1] += second;
   }
 
-  // How far to its left the lane is that costs least [m]: not in a wall, and as its side is.
+  // How far to its left the lane is that costs least, in widths: not in a wall, and as its side
+  // is.
   double lane(std::size_t self, const Vec2& ahead) const {
     const Vec2 here = vec2(agents_.points + 2 * self), left = left_of(ahead);
     const double wide = 2 * agents_.radii[self];
@@ -253,7 +257,7 @@ class Walker {
         const double off = way * k, own = costs_[static_cast<std::size_t>(LANES + 1 + way * k)];
         if (!open(self, here + left * (off * wide))) break;
         const double cost = own + STRAY * k + across - rules_.side * met_ * off;
-        if (cost < least) least = cost, best = off * wide;
+        if (cost < least - SAME_COST) least = cost, best = off;
         across += ACROSS * own;
       }
     }
@@ -263,7 +267,7 @@ class Walker {
   bool open(std::size_t self, const Vec2& there) const {
     for (std::int32_t k = agents_.starts[self]; k < agents_.starts[self + 1]; ++k) {
       const double* wall = agents_.walls + 4 * static_cast<std::size_t>(k);
-      if (vec2(wall).dot(there) < wall[3] - GRAZE) return false;
+      if (vec2(wall).dot(there) < wall[3] - GRAZE * 2 * agents_.radii[self]) return false;
     }
     return true;
   }

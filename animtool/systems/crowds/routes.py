@@ -16,6 +16,9 @@ MAX_NODES = 4_000_000
 # A way that is by so many cells longer than straight ahead is straight: the distances
 # are of first order, and agents avoid what they touch.
 STRAIGHT = 1.5
+# So many cells ahead nothing may be in a way that is straight.
+AHEAD = 8
+TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -187,9 +190,22 @@ class Route:
         near = self.distances[row, column] <= within + STRAIGHT * grid.cell
         # Ways to a goal outside of the grid end at its sides, and go straight on there.
         near &= (grid.depth(points) < grid.cell) | (grid.depth(goal) > -grid.cell)
+        near[near] = self._sees(points[near], targets[near])
         made[near] = (targets - points)[near]
         size = np.linalg.norm(made, axis=1)[:, None]
         return np.asarray(made / np.where(size > 0, size, 1.0))
+
+    def _sees(self, points: FloatArray, targets: FloatArray) -> BoolArray:
+        """Return whether nothing is between x and z and targets ``(K, 2)`` nearby."""
+        grid = self.grid
+        off = targets - points
+        far = np.linalg.norm(off, axis=1)
+        reach = np.minimum(far, AHEAD * grid.cell)[:, None] / AHEAD
+        steps = np.arange(1, AHEAD + 1)[:, None, None] * reach
+        places = points + steps * (off / np.maximum(far, TINY)[:, None])
+        rows, columns = grid.at(places.reshape(-1, 2)).T
+        free = grid.free[rows, columns].reshape(AHEAD, -1)
+        return np.asarray(free.all(axis=0), np.bool_)
 
     def goal(self, points: FloatArray) -> FloatArray:
         """Return where the ways from x and z ``(K, 2)`` end ``(K, 2)`` [m]."""

@@ -19,7 +19,7 @@ SEEN = 2.0
 ROOM = 0.1
 # Rounds in which members are moved apart in a step, and at the beginning; each goes
 # this share of the way, and pairs are found anew after so many.
-ROUNDS, FIRST, SHARE, ANEW = 24, 400, 0.6, 8
+ROUNDS, FIRST, SHARE, REFRESH = 24, 400, 0.6, 8
 # They are moved farther apart than must be by this share of it.
 CLEAR = 1e-4
 # Pairs that are held at once, for each and in all.
@@ -27,11 +27,15 @@ MOST_EACH, MOST = 200, 5_000_000
 
 
 def least_distance(species: SpeciesModel) -> float:
-    """Return how near members of a species come to each other [m]; 0 is any."""
+    """Return how near members of a species come to each other [m]; 0 is any.
+
+    Twice the radius that they are given: without one they are points.
+    """
     repulsion = species.repulsion
     if repulsion.least is not None:
         return repulsion.least
-    return 2 * species.radius if repulsion.weight else 0.0
+    sized = "radius" in species.model_fields_set
+    return 2 * species.radius if sized and repulsion.weight else 0.0
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class Spacing:
         if not np.isfinite(x).all():
             return x, overlap
         for k in range(rounds + 1):
-            if k % ANEW == 0:
+            if k % REFRESH == 0:
                 i, j = self._pairs(x, 1.5)
             ways, far, least = self._apart(x, i, j)
             lack = np.maximum(least - far, 0.0)

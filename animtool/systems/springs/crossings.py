@@ -57,14 +57,14 @@ class SelfCrossings:
             self.most, self.when = count - self._first, t
 
     def notices(self, name: str) -> list[Fault]:
-        """Return a note where a surface went through itself (SIM200)."""
+        """Return a note where a surface went through itself (SIM194)."""
         if not self.most:
             return []
         message = f"{name} went through itself: {counted(self.most, 'pair')} of an "
         message += f"edge and a face, at {plain(self.when)} s, as its self_contact is "
         message += "off"
         hint = "give it self_contact with a thickness, such as half an edge"
-        return [Fault("SIM200", message, hint=hint, severity=Severity.NOTE)]
+        return [Fault("SIM194", message, hint=hint, severity=Severity.NOTE)]
 
 
 def widest_gap(shape: Shape, points: FloatArray) -> float:
@@ -116,7 +116,7 @@ def thickness(collider: Collider) -> float:
 def thin_notices(
     name: str, colliders: Sequence[Collider], radius: float, gap: float, stretch: float
 ) -> list[Fault]:
-    """Return a warning of colliders that pass between particles (SIM201).
+    """Return a warning of colliders that pass between particles (SIM195).
 
     Particles keep a radius from colliders [m], and are a gap apart at rest [m], which
     becomes longer by the stretch [1].
@@ -137,4 +137,4 @@ def thin_notices(
     message += f"between particles of {name}, up to {length_text(wide)} when stretched:"
     message += " only particles meet colliders, so that it may go through between them"
     hint = "give more particles, a thicker collider, or a greater radius"
-    return [warning("SIM201", message, hint)]
+    return [warning("SIM195", message, hint)]

@@ -308,7 +308,7 @@ class SpringView:
         self._crossings.look(t, points)
 
     def _crossing_notices(self) -> list[Fault]:
-        """Return warnings of what went through it, or may have (SIM200, SIM201)."""
+        """Return warnings of what went through it, or may have (SIM194, SIM195)."""
         made, body, name = self.simulation, self.body, self.member.name
         found = self._crossings.notices(name) if self._crossings is not None else []
         gap = widest_gap(body.shape, body.body.positions)

@@ -349,7 +349,7 @@ def test_who_is_given_a_place_in_another_is_moved_with_a_word(
     simulator: Simulator, tmp_path: Path
 ) -> None:
     np.savez(tmp_path / "two.npz", points=[[0.0, 0, 0], [0.05, 0, 0]])
-    scene = simulator.scene(flock({"name": "fish", "points": "two.npz"}))
+    scene = simulator.scene(flock({"name": "fish", "points": "two.npz", "radius": 0.1}))
     run = SystemRun(scene.systems, 0.0)
     ((_, (row,)),) = run.rows([0], 0, 1)  # type: ignore[list-item,arg-type]
     assert np.linalg.norm(row.points[1] - row.points[0]) >= 0.2

@@ -69,7 +69,7 @@ def test_pairs_beyond_those_at_the_start_are_counted() -> None:
         seen.look(t, now)
     assert (seen.most, seen.when) == (2, 0.5)
     (notice,) = seen.notices("sail")
-    assert notice.code == "SIM200"
+    assert notice.code == "SIM194"
     assert "2 pairs" in notice.message
     tangled = SelfCrossings(seen.triangles, 0.0, 1.0)
     for t in (0, 1):
@@ -92,10 +92,10 @@ def test_looks_are_as_many_however_many_frames() -> None:
 def test_cloth_that_fell_through_itself_says_so(tmp_path: Path) -> None:
     folded = "    drag: 0.1\n"
     found = notices(tmp_path, folded)
-    assert "SIM201" not in found
-    assert "pairs of an edge and a face" in found["SIM200"]
+    assert "SIM195" not in found
+    assert "pairs of an edge and a face" in found["SIM194"]
     contact = "    self_contact: {thickness: 0.02}\n    drag: 0.1\n"
-    assert "SIM200" not in notices(tmp_path, contact)
+    assert "SIM194" not in notices(tmp_path, contact)
 
 
 @pytest.mark.parametrize(("radius", "thin"), [(0.02, True), (0.3, False)])
@@ -103,9 +103,9 @@ def test_a_thin_rod_is_named_with_numbers(
     tmp_path: Path, radius: float, thin: bool
 ) -> None:
     found = notices(tmp_path, ROD.format(radius=radius))
-    assert ("SIM201" in found) is thin
+    assert ("SIM195" in found) is thin
     if thin:
-        assert "4 cm" in found["SIM201"] or "40 mm" in found["SIM201"]
+        assert "4 cm" in found["SIM195"] or "40 mm" in found["SIM195"]
 
 
 def test_gaps_are_diagonals_of_faces_and_lengths_of_segments() -> None:
@@ -135,5 +135,5 @@ def test_radius_and_stretch_count() -> None:
     rod = [Collider(Capsule(0.01, 1.0))]
     assert thin_notices("sail", rod, 0.0, 0.019, 0.0) == []
     (notice,) = thin_notices("sail", rod, 0.0, 0.019, 0.1)
-    assert notice.code == "SIM201"
+    assert notice.code == "SIM195"
     assert thin_notices("sail", rod, 0.001, 0.019, 0.1) == []
