@@ -34,11 +34,11 @@ constexpr double CLOSER = 0.6, SHORTEST = 0.25;
 // Lanes to each side of the own, one agent wide, and what one costs that is one farther off;
 // what those cost that are between, over what it costs to walk in them.
 constexpr int LANES = 3;
-constexpr double STRAY = 0.2, ACROSS = 0.3;
+constexpr double STRAY = 0.3, ACROSS = 0.3;
 // Costs that differ by less are one: rounding chooses no lane.
 constexpr double SAME_COST = 1e-9;
 // Part of its speed at which an agent goes to a lane: so much for each width, and the most.
-constexpr double SLANT = 0.44, MOST_SLANT = 0.4;
+constexpr double SLANT = 0.44, MOST_SLANT = 0.7;
 // An agent may be as deep in a wall where a lane is, over its width.
 constexpr double GRAZE = 0.23;
 
