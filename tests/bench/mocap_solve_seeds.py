@@ -1,8 +1,8 @@
 """How far joints are off after calibration, over clouds of made people.
 
 Each seed of `support.clouds` is another person, walk and set of markers; the table has
-each, then the least, the median and the worst. Seeds 1000 to 1009 were not used to set
-anything.
+each, then the least, the median and the worst. Seeds 1000 to 1009 were looked at while
+priors were chosen; others were not.
 """
 
 from __future__ import annotations
